@@ -1,0 +1,1 @@
+"""The analyzer: ports, taps, pairing, decoding sessions, and how they are shown."""

@@ -1,0 +1,26 @@
+"""Reads a grammar file: the edge between `spec`, which opens no file, and the disk."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import spec
+from spec.protocol import GrammarError, Protocol, load
+
+
+@cache
+def load_protocol(path: str | None = None) -> Protocol:
+    """The protocol of a grammar file, the kit's own where `path` is None.
+
+    Raises GrammarError, in one sentence, for a file that cannot be read or is no grammar.
+    """
+    file = Path(path) if path else Path(spec.__path__[0]) / "grammar.py"
+    try:
+        source = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        what = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
+        raise GrammarError(
+            f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
+        ) from error
+    return load(source, file.name)

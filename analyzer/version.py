@@ -1,0 +1,13 @@
+"""The kit's version, as the package was built with."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+
+def kit_version() -> str:
+    """The installed version, `0` when run from a bare checkout."""
+    try:
+        return version("bilprov")
+    except PackageNotFoundError:
+        return "0"

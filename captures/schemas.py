@@ -1,0 +1,129 @@
+"""What a capture holds: raw chunks and line events as they came, and the values decoded from them.
+
+Times in these values are integers in nanoseconds since the capture's start (monotonic), named `t`
+or `end`. In the file the same moment is `log_time` = wall clock at the start + `t`.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+Direction = Literal["host", "device"]
+FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
+
+
+class Chunk(msgspec.Struct, frozen=True):
+    """The bytes of one read: the raw truth that everything else is decoded from."""
+
+    t: int
+    direction: Direction
+    data: bytes
+
+
+class Line(msgspec.Struct, frozen=True):
+    """Something that happened to a line and is not a byte (topic `/line`).
+
+    `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
+    `overrun`, `modem`, `unplugged` or `reconnected`; `tap` says on which line, or is empty for both.
+    """
+
+    t: int
+    event: str
+    tap: Direction | Literal[""] = ""
+    detail: str = ""
+
+
+class State(msgspec.Struct, frozen=True):
+    """The motion state that the instructions so far predict (topic `/state`)."""
+
+    motion: str
+    speed: int
+    steering: int
+    led: int
+    moving: bool
+
+
+class Instruction(msgspec.Struct, frozen=True):
+    """Host bytes with their judgement (topic `/host/instructions`).
+
+    `kind` is `instruction` for a whole frame, `truncated` for one that the time-out cut short,
+    `garbage` for bytes that belong to no frame. `sequence` counts whole and truncated frames from
+    0; garbage has none. `length` is what the header announces. `judgement` names the response that
+    a conforming device gives.
+    """
+
+    t: int
+    end: int
+    kind: FrameKind
+    hex: str
+    sequence: int | None
+    id: int | None
+    name: str | None
+    length: int | None
+    fields: dict[str, int]
+    judgement: str | None
+    reason: str
+
+
+class Response(msgspec.Struct, frozen=True):
+    """One device byte, with the instruction it answers (topic `/device/responses`).
+
+    `instruction` is that instruction's `sequence` or None where there is none; `latency` is in
+    nanoseconds from the instruction's last byte; `agrees` tells whether it is the response that the
+    grammar expects, None where nothing is expected.
+    """
+
+    t: int
+    hex: str
+    byte: int
+    name: str | None
+    instruction: int | None
+    latency: int | None
+    agrees: bool | None
+    reason: str
+
+
+class Time(msgspec.Struct, frozen=True):
+    """A wall-clock moment as Foxglove writes it."""
+
+    sec: int
+    nsec: int
+
+
+class Log(msgspec.Struct, frozen=True):
+    """Something odd, in the shape of Foxglove's log message (topic `/faults`).
+
+    `level` is 1 debug, 2 info, 3 warning, 4 error, 5 fatal; `name` is the kind of oddity.
+    """
+
+    timestamp: Time
+    level: int
+    message: str
+    name: str
+    file: str = ""
+    line: int = 0
+
+
+class CaseMark(msgspec.Struct, frozen=True):
+    """The begin or the end of a conformance case (topic `/conformance/cases`)."""
+
+    t: int
+    id: str
+    phase: Literal["begin", "end"]
+    verdict: str | None = None
+    reason: str = ""
+
+
+class Look(msgspec.Struct, frozen=True):
+    """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell."""
+
+    t: int
+    moving: bool | None
+    motion: str | None = None
+    speed: int | None = None
+    steering: int | None = None
+    led: int | None = None
+    left: int | None = None
+    right: int | None = None

@@ -1,0 +1,1 @@
+"""The conformance suite: cases, the runner that asks, the drive that does, and the simulator."""

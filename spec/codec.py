@@ -1,0 +1,272 @@
+"""Build a frame (a lying header included), judge a frame, find the nearest valid one.
+
+The judgement is what a conforming device makes of the bytes: which response it gives, and why. It
+is the kit's own reading of the document, so nothing here knows what some device answered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from construct import ConstructError
+
+from spec.fields import Outcome
+from spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a conforming device makes of one frame.
+
+    `frame` is the bytes as they came, `length` what the header announces, `instruction` is None
+    for an unused ID, `fields` are the decoded data (empty unless the lengths are right). `valid` is
+    true only for a whole frame without fault. `clause` and `reading` say what the reason rests on.
+    """
+
+    frame: bytes
+    id: int
+    length: int
+    instruction: InstructionSpec | None
+    fields: tuple[tuple[str, int], ...]
+    outcome: Outcome
+    response: ResponseSpec
+    reason: str
+    clause: str
+    reading: str = ""
+
+    @property
+    def valid(self) -> bool:
+        """Whether the frame is without fault."""
+        return self.outcome is Outcome.VALID
+
+    @property
+    def truncated(self) -> bool:
+        """Whether fewer data bytes came than the header announces."""
+        return len(self.frame) <= self.length
+
+    @property
+    def name(self) -> str:
+        """The instruction's name, or what its ID is."""
+        return self.instruction.name if self.instruction else f"unused {self.id}"
+
+    def describe(self) -> str:
+        """The frame in words: `Speed speed=255`, `LED rgb=5 (R B)`, `unused 9, 2 data bytes`."""
+        if self.instruction and self.fields:
+            specs = self.instruction.fields
+            shown = [
+                _value(spec, value) for spec, (_, value) in zip(specs, self.fields, strict=True)
+            ]
+            return f"{self.name} {' '.join(shown)}"
+        if self.instruction and self.valid:
+            return self.name
+        arrived = len(self.frame) - 1
+        if self.truncated:
+            return f"{self.name}, {arrived} of {_bytes(self.length)}"
+        return f"{self.name}, {_bytes(self.length)}"
+
+
+def spaced(data: bytes) -> str:
+    """Bytes in hex as the kit shows them everywhere: `81 05`."""
+    return data.hex(" ")
+
+
+def _bytes(count: int) -> str:
+    return "1 data byte" if count == 1 else f"{count} data bytes"
+
+
+def bit_names(spec: FieldSpec, value: int) -> tuple[str, ...]:
+    """The names of the field's bits that are set, most significant first."""
+    top = len(spec.bits) - 1
+    return tuple(name for i, name in enumerate(spec.bits) if value >> (top - i) & 1)
+
+
+def _value(spec: FieldSpec, value: int) -> str:
+    if not spec.bits or value > spec.high:
+        return f"{spec.name}={value}"
+    return f"{spec.name}={value} ({' '.join(bit_names(spec, value)) or 'off'})"
+
+
+def judge(protocol: Protocol, frame: bytes) -> Judgement:
+    """Judge one frame: a header with as many data bytes as it announces, or with fewer (cut short).
+
+    The header is judged first, then the length, then the data (R-unused-length,
+    R-competing-errors). Raises ValueError for no bytes or for more than the header announces.
+    """
+    if not frame:
+        raise ValueError("an empty frame cannot be judged; it needs at least a header byte")
+    identity, length = protocol.headers[frame[0]]
+    arrived = len(frame) - 1
+    if arrived > length:
+        raise ValueError(
+            f"frame {spaced(frame)} has {arrived} data bytes, its header says {length}"
+        )
+    instruction = protocol.by_id.get(identity)
+    fields: tuple[tuple[str, int], ...] = ()
+    clause, reading = protocol.clauses.instructions, ""
+    if instruction is None:
+        outcome = Outcome.UNKNOWN_ID
+        used = ", ".join(str(i) for i in protocol.by_id)
+        reason = f"no instruction has ID {identity}, used are {used}"
+        reading = "R-truncated-unused" if arrived < length else "R-unused-length" if length else ""
+    elif arrived < length:
+        outcome = Outcome.TOO_FEW
+        reason = f"{instruction.name}: {_bytes(length)} announced, {arrived} came"
+        clause = protocol.clauses.header
+        reading = "R-truncated-long" if length > instruction.length else "R-truncated-known"
+    elif length != instruction.length:
+        outcome = Outcome.TOO_MANY if length > instruction.length else Outcome.TOO_FEW
+        reason = f"{instruction.name} takes {_bytes(instruction.length)}, the header says {length}"
+        reading = "R-known-length"
+    else:
+        fields, fault = _fields(instruction, frame)
+        outcome = Outcome.BAD_DATA if fault else Outcome.VALID
+        reason = fault
+    return Judgement(
+        frame=frame,
+        id=identity,
+        length=length,
+        instruction=instruction,
+        fields=fields,
+        outcome=outcome,
+        response=protocol.answers[outcome],
+        reason=reason,
+        clause=clause,
+        reading=reading,
+    )
+
+
+def _fields(instruction: InstructionSpec, frame: bytes) -> tuple[tuple[tuple[str, int], ...], str]:
+    """The decoded fields, and what is wrong with the first bad one ("" if nothing)."""
+    decoded, fault = [], ""
+    for spec in instruction.fields:
+        start = 1 + spec.offset
+        value = spec.parse(frame[start : start + spec.size])
+        decoded.append((spec.name, value))
+        if not fault and not spec.low <= value <= spec.high:
+            fault = (
+                f"{instruction.name}.{spec.name} is {value}, allowed are {spec.low} to "
+                f"{spec.high} (frame {spaced(frame)}, byte {start})"
+            )
+    return tuple(decoded), fault
+
+
+def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None) -> bytes:
+    """A valid frame. `name` is an instruction's name in any case, `fields` its values by name.
+
+    Raises ValueError, in one sentence, for an unknown instruction, a missing or unknown field, or
+    a value out of its range.
+    """
+    given = dict(fields or {})
+    spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
+    if spec is None:
+        raise ValueError(
+            f"there is no instruction {name!r}; there are "
+            f"{', '.join(s.name for s in protocol.instructions)}"
+        )
+    data = b""
+    for part in spec.fields:
+        if part.name not in given:
+            raise ValueError(
+                f"{spec.name} needs {part.name}={part.low}..{part.high}, for example "
+                f"{spec.name} {part.name}={part.high}"
+            )
+        value = given.pop(part.name)
+        if not part.low <= value <= part.high:
+            raise ValueError(
+                f"{spec.name}.{part.name} is {value}, allowed are {part.low} to {part.high}"
+            )
+        try:
+            data += part.build(value)
+        except ConstructError as error:
+            raise ValueError(f"{spec.name}.{part.name} cannot be {value}: {error}") from error
+    if given:
+        takes = ", ".join(part.name for part in spec.fields) or "no fields"
+        raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
+    return lying(protocol, spec.id, len(data), data)
+
+
+def lying(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:
+    """A header that says whatever one wants, followed by any data: the raw material of cases.
+
+    Raises ValueError for an ID or a length that no header can carry.
+    """
+    try:
+        header = protocol.header_bytes[identity, length]
+    except KeyError:
+        raise ValueError(
+            f"no header carries ID {identity} with length {length}; IDs go to "
+            f"{protocol.ids[-1]}, lengths to {protocol.data_lengths[-1]}"
+        ) from None
+    return bytes([header]) + data
+
+
+def all_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
+    """Valid data of an instruction, over the whole range of each field.
+
+    One field takes each of its values while the others stay at their lowest; a field with more than
+    `most` values is sampled evenly, both ends included.
+    """
+    lowest = [part.low for part in spec.fields]
+    seen: dict[bytes, None] = {b"".join(p.build(p.low) for p in spec.fields): None}
+    for index, part in enumerate(spec.fields):
+        for value in _spread(part.low, part.high, most):
+            values = [*lowest[:index], value, *lowest[index + 1 :]]
+            pairs = zip(spec.fields, values, strict=True)
+            seen[b"".join(p.build(v) for p, v in pairs)] = None
+    return seen
+
+
+def bad_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
+    """Data of the right length with one field out of its range, over all values it can carry."""
+    seen: dict[bytes, None] = {}
+    for index, part in enumerate(spec.fields):
+        head = b"".join(p.build(p.low) for p in spec.fields[:index])
+        tail = b"".join(p.build(p.low) for p in spec.fields[index + 1 :])
+        for raw in _spread(0, 256**part.size - 1, max(most, 256)):
+            coded = raw.to_bytes(part.size, "big")
+            if not part.low <= part.parse(coded) <= part.high:
+                seen[head + coded + tail] = None
+    return seen
+
+
+def _spread(low: int, high: int, most: int) -> Iterable[int]:
+    count = high - low + 1
+    if count <= most:
+        return range(low, high + 1)
+    return sorted({low + (high - low) * i // (most - 1) for i in range(most)})
+
+
+def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
+    """The valid frame that the sender most likely meant.
+
+    `following` are bytes that came after the frame and may be its missing data. Fewest changed
+    bits first, then the nearest ID; missing data are zeros, values out of range are cut to the
+    bits that mean something or to the nearest end of the range.
+    """
+    identity, _ = protocol.headers[frame[0]]
+    if judge(protocol, frame).valid:
+        return frame
+    known = protocol.by_id.get(identity)
+    data = frame[1:] + following
+    candidates = [known] if known else list(protocol.instructions)
+    meant = min(
+        (spec for spec in candidates),
+        key=lambda spec: (
+            (protocol.header_bytes[spec.id, spec.length] ^ frame[0]).bit_count(),
+            abs(spec.id - identity),
+            spec.id,
+        ),
+    )
+    padded = data[: meant.length].ljust(meant.length, b"\0")
+    values = {
+        part.name: _cut(part, part.parse(padded[part.offset : part.offset + part.size]))
+        for part in meant.fields
+    }
+    return build(protocol, meant.name, values)
+
+
+def _cut(part: FieldSpec, value: int) -> int:
+    if part.bits:
+        return value & part.high
+    return min(max(value, part.low), part.high)

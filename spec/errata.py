@@ -1,0 +1,47 @@
+"""Runs the document's own examples through the grammar and names what contradicts it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from spec.codec import judge, nearest
+from spec.framing import Framer
+from spec.protocol import Protocol
+from spec.readings import ERRATA, EXAMPLES, Erratum, Example
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An example line that a conforming device refuses.
+
+    `sent` is the line's bytes, `meant` the nearest valid frame, `erratum` the entry that knows of
+    it (None if the document has a fault that nobody wrote down yet).
+    """
+
+    example: Example
+    sent: bytes
+    reason: str
+    meant: bytes
+    erratum: Erratum | None
+
+
+def check(protocol: Protocol, examples: tuple[Example, ...] = EXAMPLES) -> tuple[Finding, ...]:
+    """Every example line in which the grammar finds a fault. One line is one instruction."""
+    findings = []
+    for example in examples:
+        sent = bytes(int(bits, 2) for bits in example.bits.split())
+        framer = Framer(protocol.lengths, timeout=None)
+        frames = [*framer.feed(sent, 0), *framer.drop(0, "truncated")]
+        first = judge(protocol, frames[0].data)
+        if first.valid and len(frames) == 1:
+            continue
+        extra = len(sent) - len(first.frame)
+        reason = first.reason
+        if extra:
+            reason = (
+                f"{reason or first.describe()}; {extra} byte more in the line, read as a new header"
+            )
+        known = next((e for e in ERRATA if e.example == (example.section, example.line)), None)
+        meant = nearest(protocol, first.frame, sent[len(first.frame) :])
+        findings.append(Finding(example, sent, reason, meant, known))
+    return tuple(findings)

@@ -1,0 +1,131 @@
+"""The few words that construct lacks: what the grammar is written with, and what can be read back.
+
+Each keeps its arguments as public attributes, because construct's own validators hide theirs in a
+closure and a grammar whose ranges cannot be read is no source for anything but parsing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from construct import Construct, ExprAdapter, Struct, Validator
+
+from spec.motion import VARIABLES
+
+
+class Outcome(Enum):
+    """What can become of an instruction; the grammar gives each its response code."""
+
+    VALID = "valid"
+    UNKNOWN_ID = "unknown ID"
+    BAD_DATA = "bad data"
+    TOO_MANY = "too many data bytes"
+    TOO_FEW = "too few data bytes"
+
+
+class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
+    """An integer that must lie in `low`..`high` (both included).
+
+    `bits` names its lowest bits, most significant first, where each stands for something:
+    "RGB" says that R is bit 2, G bit 1 and B bit 0.
+    """
+
+    def __init__(self, subcon: Construct, low: int, high: int, bits: str = "") -> None:
+        super().__init__(subcon)
+        self.low = low
+        self.high = high
+        self.bits = bits
+
+    def _validate(self, obj: Any, context: Any, path: str) -> bool:
+        return bool(self.low <= obj <= self.high)
+
+
+@dataclass(frozen=True, slots=True)
+class From:
+    """The value of a data field, times `factor`, as the new value of a state variable."""
+
+    field: str
+    factor: int = 1
+
+
+class Sets:
+    """What an instruction does to the motion state: each named variable gets a value or a field.
+
+    Variables that are not named keep their value. Raises TypeError for a variable that the motion
+    state does not have.
+    """
+
+    def __init__(self, **values: int | str | From) -> None:
+        unknown = sorted(set(values) - set(VARIABLES))
+        if unknown:
+            raise TypeError(
+                f"the motion state has no variable {', '.join(unknown)}; "
+                f"it has {', '.join(VARIABLES)}"
+            )
+        self.values = values
+
+
+class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
+    """The data of one instruction (its fields in order), its name in the document, its effect."""
+
+    def __init__(self, *fields: Construct, document: str, effect: Sets | None = None) -> None:
+        super().__init__(*fields)
+        self.document = document
+        self.effect = effect or Sets()
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A response: its name, the outcome it stands for, the document's words and ours."""
+
+    name: str
+    outcome: Outcome
+    document: str
+    prose: str
+
+
+class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
+    """A response byte that is one of `answers` (code -> Answer); parses to the answer's name."""
+
+    def __init__(self, subcon: Construct, answers: Mapping[int, Answer]) -> None:
+        codes = {answer.name: code for code, answer in answers.items()}
+        super().__init__(
+            subcon,
+            decoder=lambda code, _: answers[code].name,
+            encoder=lambda name, _: codes[name],
+        )
+        self.answers = answers
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What the document leaves open about time, in milliseconds (see the named readings)."""
+
+    truncation_timeout: float  # R-truncation-timeout: between two bytes of a frame
+    truncation_shortest: float
+    truncation_longest: float
+    answer_deadline: float  # R-answer-deadline: after the frame's last byte
+    answer_longest: float
+    stop_longest: float  # R-stop-latency: after the answer
+
+
+@dataclass(frozen=True, slots=True)
+class LineDefaults:
+    """How the line is set unless the user says otherwise (R-line)."""
+
+    baud: int
+    parity: str
+    stopbits: float
+
+
+@dataclass(frozen=True, slots=True)
+class Clauses:
+    """Where in the document each kind of rule stands."""
+
+    header: str
+    instructions: str
+    responses: str
+    safety: str

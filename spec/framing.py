@@ -1,0 +1,87 @@
+"""Bytes in, frames out. No port, no clock: times come in as integers in nanoseconds.
+
+Every byte that goes in comes out in exactly one record, in order: a whole frame, a frame that the
+time-out cut short, or garbage (bytes that are known to belong to no frame).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["instruction", "truncated", "garbage"]
+
+
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """One record: its kind, the times of its first and last byte (ns), and its bytes.
+
+    `known` is when it was known to be over: `end` for a whole frame, the deadline for one that the
+    time-out cut short.
+    """
+
+    kind: Kind
+    start: int
+    end: int
+    known: int
+    data: bytes
+
+
+class Framer:
+    """Cuts one direction's bytes into frames.
+
+    `lengths` gives for each header byte the number of data bytes it announces; `timeout` (ns) is
+    the longest pause inside a frame (R-truncation-timeout), None for no limit.
+    """
+
+    def __init__(self, lengths: Sequence[int], timeout: int | None) -> None:
+        self._lengths = lengths
+        self._timeout = timeout
+        self._held = bytearray()
+        self._start = 0
+        self._end = 0
+
+    @property
+    def held(self) -> bytes:
+        """The bytes of the frame that is not complete yet."""
+        return bytes(self._held)
+
+    @property
+    def missing(self) -> int:
+        """How many bytes the frame begun still needs; 0 between frames."""
+        return 1 + self._lengths[self._held[0]] - len(self._held) if self._held else 0
+
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) the frame begun is cut short unless a byte comes; None between frames."""
+        if not self._held or self._timeout is None:
+            return None
+        return self._end + self._timeout
+
+    def advance(self, now: int) -> Iterator[Framed]:
+        """Let time pass: what the time-out cuts short until `now` (ns) comes out."""
+        deadline = self.deadline
+        if deadline is not None and now >= deadline:
+            yield self._take("truncated", deadline)
+
+    def feed(self, data: bytes, now: int) -> Iterator[Framed]:
+        """Bytes that came at `now` (ns)."""
+        yield from self.advance(now)
+        for byte in data:
+            if not self._held:
+                self._start = now
+            self._held.append(byte)
+            self._end = now
+            if not self.missing:
+                yield self._take("instruction", now)
+
+    def drop(self, now: int, kind: Kind = "garbage") -> Iterator[Framed]:
+        """Give up the frame begun: bytes were lost, or the stream ends; the next is a header."""
+        if self._held:
+            yield self._take(kind, now)
+
+    def _take(self, kind: Kind, known: int) -> Framed:
+        record = Framed(kind, self._start, self._end, known, bytes(self._held))
+        self._held.clear()
+        return record

@@ -1,0 +1,333 @@
+"""Grammar in, one frozen Protocol value out: the only place that looks inside construct objects.
+
+Everything that the kit knows of the protocol it asks of this value. It is loaded from the grammar's
+text (whoever has the file reads it), and pickles as that text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from construct import BitStruct, Construct, ConstructError, Renamed
+
+from spec.fields import (
+    Answers,
+    Clauses,
+    From,
+    Instruction,
+    LineDefaults,
+    Outcome,
+    Ranged,
+    Sets,
+    Timing,
+)
+from spec.motion import Effect, Motion, State
+
+
+class GrammarError(Exception):
+    """A grammar that cannot be used, in one sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """One data field: where it lies in the data (bytes), its range, its bits' names."""
+
+    name: str
+    prose: str
+    offset: int
+    size: int
+    low: int
+    high: int
+    bits: str
+    parse: Callable[[bytes], int] = field(repr=False, compare=False)
+    build: Callable[[int], bytes] = field(repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class InstructionSpec:
+    """One instruction: its ID, names, prose, data length in bytes, fields and effect."""
+
+    id: int
+    name: str
+    document: str
+    prose: str
+    length: int
+    fields: tuple[FieldSpec, ...]
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseSpec:
+    """One response: its code, names, prose and the outcome it stands for."""
+
+    code: int
+    name: str
+    document: str
+    prose: str
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The whole protocol as plain values.
+
+    `source` is the grammar's text and `origin` the name it came under; two protocols are equal
+    when their texts are.
+    """
+
+    source: str
+    origin: str = field(compare=False)
+    name: str = field(compare=False)
+    version: str = field(compare=False)
+    document: str = field(compare=False)
+    instructions: tuple[InstructionSpec, ...] = field(compare=False)
+    responses: tuple[ResponseSpec, ...] = field(compare=False)
+    headers: tuple[tuple[int, int], ...] = field(compare=False, repr=False)
+    header_bits: tuple[tuple[str, int, str], ...] = field(compare=False)
+    on_fault: Effect = field(compare=False)
+    power_on: State = field(compare=False)
+    timing: Timing = field(compare=False)
+    line: LineDefaults = field(compare=False)
+    clauses: Clauses = field(compare=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return load, (self.source, self.origin)
+
+    @cached_property
+    def sha256(self) -> str:
+        """The hash of the grammar's text."""
+        return hashlib.sha256(self.source.encode()).hexdigest()
+
+    @cached_property
+    def by_id(self) -> Mapping[int, InstructionSpec]:
+        """The instructions by their ID."""
+        return {spec.id: spec for spec in self.instructions}
+
+    @cached_property
+    def by_name(self) -> Mapping[str, InstructionSpec]:
+        """The instructions by their name."""
+        return {spec.name: spec for spec in self.instructions}
+
+    @cached_property
+    def codes(self) -> Mapping[int, ResponseSpec]:
+        """The responses by their code."""
+        return {spec.code: spec for spec in self.responses}
+
+    @cached_property
+    def answers(self) -> Mapping[Outcome, ResponseSpec]:
+        """The response for each outcome."""
+        return {spec.outcome: spec for spec in self.responses}
+
+    @cached_property
+    def header_bytes(self) -> Mapping[tuple[int, int], int]:
+        """The header byte of each (ID, length)."""
+        return {split: byte for byte, split in enumerate(self.headers)}
+
+    @cached_property
+    def lengths(self) -> bytes:
+        """For each header byte the number of data bytes it announces."""
+        return bytes(length for _, length in self.headers)
+
+    @cached_property
+    def ids(self) -> range:
+        """Every ID that a header can carry."""
+        return range(max(identity for identity, _ in self.headers) + 1)
+
+    @cached_property
+    def data_lengths(self) -> range:
+        """Every number of data bytes that a header can announce."""
+        return range(max(self.lengths) + 1)
+
+    @cached_property
+    def unused_ids(self) -> tuple[int, ...]:
+        """The IDs that no instruction has."""
+        return tuple(identity for identity in self.ids if identity not in self.by_id)
+
+    @cached_property
+    def longest_frame(self) -> int:
+        """The length of the longest frame in bytes, its header included."""
+        return 1 + max(self.lengths)
+
+    @cached_property
+    def limits(self) -> Mapping[str, tuple[int, int]]:
+        """The smallest and largest value that instructions can give each state variable."""
+        found: dict[str, list[int]] = {}
+        for spec in self.instructions:
+            ranges = {f.name: (f.low, f.high) for f in spec.fields}
+            for variable, value in spec.effect.assignments:
+                if isinstance(value, tuple):
+                    ends = [end * value[1] for end in ranges[value[0]]]
+                    found.setdefault(variable, []).extend(ends)
+        return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
+
+    @cached_property
+    def stop(self) -> InstructionSpec:
+        """The shortest harmless instruction: it stops, and it is what lines are homed with."""
+        return next(
+            spec
+            for spec in self.instructions
+            if spec.effect.motion is Motion.STOPPED and not spec.length
+        )
+
+    @cached_property
+    def filler(self) -> int:
+        """The only safe byte to pad with: a device that reads it as a header stops."""
+        return self.header_bytes[self.stop.id, 0]
+
+
+def load(source: str, origin: str = "grammar") -> Protocol:
+    """Read a grammar's text into a Protocol.
+
+    `origin` is the file's name, used in messages. Raises GrammarError, in one sentence, for text
+    that does not run or does not declare what a grammar must.
+    """
+    space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
+    try:
+        exec(compile(source, origin, "exec"), space)
+    except Exception as error:
+        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        what = error.msg if isinstance(error, SyntaxError) else error
+        raise GrammarError(
+            f"the grammar {origin} does not load: {type(error).__name__}: {what}{line}; "
+            "start from a copy of spec/grammar.py"
+        ) from error
+    try:
+        return _read(space, source, origin)
+    except GrammarError as error:
+        raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
+    except (ConstructError, AttributeError, TypeError, ValueError) as error:
+        raise GrammarError(
+            f"the grammar {origin} cannot be used: {error}; compare it with spec/grammar.py"
+        ) from error
+
+
+def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
+    headers, header_bits = _headers(_take(space, "HEADER", Construct))
+    longest = max(length for _, length in headers)
+    declared = _take(space, "INSTRUCTIONS", dict)
+    instructions = tuple(_instruction(i, declared[i], longest) for i in sorted(declared))
+    out = [s.id for s in instructions if s.id not in {identity for identity, _ in headers}]
+    if out:
+        raise GrammarError(f"the header cannot carry the ID {out[0]}")
+    names = [spec.name for spec in instructions]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise GrammarError(f"two instructions are named {twice[0]}")
+    if not any(s.effect.motion is Motion.STOPPED and not s.length for s in instructions):
+        raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
+    responses = tuple(
+        ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcome)
+        for code, answer in sorted(_take(space, "RESPONSE", Answers).answers.items())
+    )
+    missing = [o.value for o in Outcome if o not in {spec.outcome for spec in responses}]
+    if missing:
+        raise GrammarError(f"no response stands for {', '.join(missing)}")
+    return Protocol(
+        source=source,
+        origin=origin,
+        name=_take(space, "NAME", str),
+        version=_take(space, "VERSION", str),
+        document=_take(space, "DOCUMENT", str),
+        instructions=instructions,
+        responses=responses,
+        headers=headers,
+        header_bits=header_bits,
+        on_fault=_effect(_take(space, "FAULTY", Sets), ()),
+        power_on=_effect(_take(space, "POWER_ON", Sets), ()).apply(State()),
+        timing=_take(space, "TIMING", Timing),
+        line=_take(space, "LINE", LineDefaults),
+        clauses=_take(space, "CLAUSES", Clauses),
+    )
+
+
+def _take(space: dict[str, Any], name: str, kind: type) -> Any:
+    """The declaration of that name, which must be of that kind."""
+    if name not in space:
+        raise GrammarError(f"it declares no {name}")
+    if not isinstance(space[name], kind):
+        raise GrammarError(f"{name} is a {type(space[name]).__name__}, not a {kind.__name__}")
+    return space[name]
+
+
+def _headers(
+    header: BitStruct,
+) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[str, int, str], ...]]:
+    """(ID, length) of every header byte, and (name, width in bits, prose) of the header's parts."""
+    if header.sizeof() != 1:
+        raise GrammarError(f"HEADER is {header.sizeof()} bytes long; it must be one byte")
+    parts = tuple((part.name, part.sizeof(), _prose(part)) for part in header.subcon.subcons)
+    if sorted(name for name, _, _ in parts) != ["id", "length"]:
+        raise GrammarError("HEADER must have the parts id and length")
+    parsed = [header.parse(bytes([byte])) for byte in range(256)]
+    return tuple((one.id, one.length) for one in parsed), parts
+
+
+def _prose(declaration: Construct) -> str:
+    return declaration.docs if isinstance(declaration, Renamed) else ""
+
+
+def _unwrap(declaration: Construct) -> Construct:
+    while isinstance(declaration, Renamed):
+        declaration = declaration.subcon
+    return declaration
+
+
+def _instruction(identity: int, declaration: Construct, longest: int) -> InstructionSpec:
+    body = _unwrap(declaration)
+    if not isinstance(body, Instruction) or not declaration.name:
+        raise GrammarError(f'instruction {identity} must be written "Name" / Instruction(...)')
+    fields, offset = [], 0
+    for member in body.subcons:
+        ranged = _unwrap(member)
+        if not isinstance(ranged, Ranged):
+            raise GrammarError(
+                f"{declaration.name}.{member.name} has no range: write Ranged(Byte, low, high)"
+            )
+        size = ranged.sizeof()
+        fields.append(
+            FieldSpec(
+                name=member.name,
+                prose=_prose(member),
+                offset=offset,
+                size=size,
+                low=ranged.low,
+                high=ranged.high,
+                bits=ranged.bits,
+                parse=ranged.subcon.parse,
+                build=ranged.subcon.build,
+            )
+        )
+        offset += size
+    if offset > longest:
+        raise GrammarError(
+            f"{declaration.name} has {offset} data bytes; a header announces at most {longest}"
+        )
+    return InstructionSpec(
+        id=identity,
+        name=declaration.name,
+        document=body.document,
+        prose=_prose(declaration),
+        length=offset,
+        fields=tuple(fields),
+        effect=_effect(body.effect, tuple(spec.name for spec in fields)),
+    )
+
+
+def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:
+    assignments: list[tuple[str, int | Motion | tuple[str, int]]] = []
+    for variable, value in sets.values.items():
+        if isinstance(value, From):
+            if value.field not in fields:
+                raise GrammarError(f"an effect names the field {value.field}, which is not there")
+            assignments.append((variable, (value.field, value.factor)))
+        elif variable == "motion":
+            assignments.append((variable, Motion(str(value))))
+        elif isinstance(value, int):
+            assignments.append((variable, value))
+        else:
+            raise GrammarError(f"an effect sets {variable} to {value!r}, which is no number")
+    return Effect(tuple(assignments))

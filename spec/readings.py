@@ -1,0 +1,394 @@
+"""Errata and readings of the source document, as data: what a verdict can rest on.
+
+Quotations are the document's own Swedish words. Nothing computes from these texts but the errata
+check (`spec.errata`), which runs the document's examples through the grammar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Erratum:
+    """A place where the document contradicts itself.
+
+    `example` is (section, line) of the faulty example where there is one, `meant` the bytes that
+    the document's own table asks for, `shows` whether the grammar alone finds it, or it takes the
+    prose beside the bytes, or a reader.
+    """
+
+    id: str
+    clause: str
+    quote: str
+    correction: str
+    shows: str
+    example: tuple[str, int] | None = None
+    meant: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A point on which the document is silent: our default, and what another choice gets.
+
+    `others` are pairs of (choice, verdict).
+    """
+
+    id: str
+    clause: str
+    point: str
+    quote: str
+    default: str
+    others: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """One line of an example: its section, line number, bits as printed, and its comment."""
+
+    section: str
+    line: int
+    bits: str
+    comment: str
+
+
+EXAMPLES = (
+    Example("5.1", 1, "00100000", "Sätt riktning framåt"),
+    Example("5.1", 2, "00010001 11111111", "Sätt hastigheten till full styrka (255)"),
+    Example("5.2", 1, "00100000", "Sätt riktning framåt"),
+    Example("5.2", 2, "01000000 11111111", "Sätt styrriktning höger med full styrka (255)"),
+    Example("5.2", 3, "00010001 01111111", "Sätt hastigheten till halv styrka (127)"),
+    Example("5.3", 1, "00110000", "Sätt riktning bakåt"),
+    Example("5.3", 2, "00010001 01111111", "Sätt hastigheten till halv styrka (127)"),
+    Example("5.3", 3, "00000000", "Stanna"),
+    Example("5.3", 4, "01110000", "Roterar vänster"),
+    Example("5.3", 5, "00000000", "Stanna"),
+    Example("5.3", 6, "00100000", "Sätt riktning framåt"),
+    Example("5.3", 7, "00010001 11111111", "Sätt hastigheten till full fart (255)"),
+    Example("5.3", 8, "10010001 00000010", "Sätt RGB-dioden till grönt."),
+)
+
+ERRATA = (
+    Erratum(
+        "E1",
+        "section 2",
+        "Se tabell 2 i sektion 4 för detaljerad information.",
+        "the length nibble is explained by table 1 in section 3; table 2 lists responses",
+        "a reader",
+    ),
+    Erratum(
+        "E2",
+        "section 3",
+        "instruktion 4 har egentligen inga databyte",
+        "table 1 gives instruction 4 one data byte",
+        "a reader",
+    ),
+    Erratum(
+        "E3",
+        "example 5.2",
+        "01000000 11111111",
+        "the header announces no data and one byte follows; the table asks for 01000001 11111111",
+        "the grammar",
+        ("5.2", 2),
+        "41 ff",
+    ),
+    Erratum(
+        "E4",
+        "example 5.2",
+        "För att svänga bakåt [...] 00100000 Sätt riktning framåt",
+        "the text turns backward, the bytes and their comment go forward; backward is 00110000",
+        "the prose",
+        ("5.2", 1),
+        "30",
+    ),
+    Erratum(
+        "E5",
+        "example 5.3",
+        "10010001 00000010",
+        "ID 9 is unused and stops the robot; the LED is ID 8: 10000001 00000010",
+        "the grammar",
+        ("5.3", 8),
+        "81 02",
+    ),
+    Erratum(
+        "E6",
+        "section 4",
+        "stöd för upp till 256 olika felkoder",
+        "ID 0 says that all is well, which leaves 255 error codes",
+        "a reader",
+    ),
+)
+
+_SAFETY = "Om en felaktig instruktion mottas stannar roboten omedelbart som en säkerhetsåtgärd."
+_STOP = "Stoppar roboten och nollställer inställda riktningar"
+_UNUSED = "Oanvända funktionsplatser. Användning av dessa kommer stoppa roboten."
+_FEW = "För få byte data mottagna"
+_MANY = "För många byte data mottagna"
+_ANSWER = "Styrelektroniken svarar med en byte"
+_LED = "De sista tre bitarna i databyten styr färgerna i ordningen RGB."
+_STEER = "Förflyttar roboten åt höger i tidigare satt hastighet och riktning."
+
+READINGS = (
+    Reading(
+        "R-unused-length",
+        "section 3, table 1",
+        "an unused ID with data announced",
+        _UNUSED,
+        "BAD_HEADER, whatever follows, and stop",
+        (("too many or too few, and stop", "non-strict"), ("no stop", "fail")),
+    ),
+    Reading(
+        "R-known-length",
+        "section 4, table 2",
+        "a known ID with a wrong length",
+        f"{_MANY} / {_FEW}",
+        "too many or too few, as table 2 says",
+        (("BAD_HEADER, although the header carries the length", "fail"),),
+    ),
+    Reading(
+        "R-competing-errors",
+        "section 4, table 2",
+        "too many data bytes, the first of them out of range",
+        f"{_MANY} / Felaktig data mottagen",
+        "the length is judged first: too many",
+        (("bad data", "non-strict"),),
+    ),
+    Reading(
+        "R-led-upper-bits",
+        "section 3, table 1",
+        "LED data with any of the upper bits set",
+        _LED,
+        "BAD_DATA and stop, the LED unchanged",
+        (
+            ("ignored: OK, the low bits shown, no stop", "fail; non-strict if allowed"),
+            ("OK with stop, BAD_DATA without stop, or only some bits checked", "fail"),
+        ),
+    ),
+    Reading(
+        "R-led-id",
+        "example 5.3",
+        "the example uses an unused ID for the LED",
+        "10010001 00000010 Sätt RGB-dioden till grönt.",
+        "the ID of table 1",
+        (("the example's ID instead", "fail; non-strict if allowed"), ("both", "fail")),
+    ),
+    Reading(
+        "R-example-right",
+        "example 5.2",
+        "Right with length 0, then a byte",
+        "01000000 11111111 Sätt styrriktning höger med full styrka (255)",
+        "too few and stop; the byte is the next header",
+        (("swallowing the byte", "fail"),),
+    ),
+    Reading(
+        "R-truncated-known",
+        "section 4, table 2",
+        "a known instruction whose data do not all arrive",
+        _FEW,
+        "after a time-out too few and stop",
+        (
+            ("stop without an answer", "non-strict"),
+            ("never times out and keeps driving", "fail"),
+        ),
+    ),
+    Reading(
+        "R-truncated-unused",
+        "section 3, table 1",
+        "an unused ID whose data do not all arrive",
+        _UNUSED,
+        "after a time-out BAD_HEADER and stop",
+        (("too few", "non-strict"),),
+    ),
+    Reading(
+        "R-truncated-long",
+        "section 4, table 2",
+        "cut short, and more was announced than allowed",
+        f"{_MANY} / {_FEW}",
+        "too few",
+        (("too many", "non-strict"),),
+    ),
+    Reading(
+        "R-truncation-timeout",
+        "section 2",
+        "how long a frame may pause",
+        "hur många efterföljande byte med data som följer efter",
+        "not stated; the simulator takes the grammar's time-out between bytes; measured",
+        (("outside the grammar's limits, or counted over the whole frame", "non-strict"),),
+    ),
+    Reading(
+        "R-answer-deadline",
+        "section 2",
+        "how soon the answer comes",
+        _ANSWER,
+        "within the grammar's deadline after the last byte; measured",
+        (("slow, up to the grammar's longest", "non-strict"), ("later, or two answers", "fail")),
+    ),
+    Reading(
+        "R-stop-point",
+        "section 2",
+        "a frame that is wrong at its header and announces data",
+        _SAFETY,
+        "may drive until its answer is due; stopping at the header is as good",
+        (("driving on after the answer", "as R-stop-latency"),),
+    ),
+    Reading(
+        "R-stop-latency",
+        "section 2",
+        '"at once"',
+        _SAFETY,
+        "stopped when the answer has arrived, and stays so",
+        (
+            ("up to the grammar's longest stop after it", "non-strict"),
+            ("later, or moving again by itself", "fail"),
+        ),
+    ),
+    Reading(
+        "R-answer-point",
+        "section 2",
+        "when a faulty frame is answered",
+        _ANSWER,
+        "after its announced data",
+        (
+            ("at the header, the data then taken silently, one answer", "non-strict"),
+            ("at the header of a frame that may still be valid", "fail"),
+        ),
+    ),
+    Reading(
+        "R-drain-known",
+        "section 2",
+        "data after a faulty known header",
+        "hur många efterföljande byte med data som följer efter",
+        "consumed",
+        (("flushed until idle", "non-strict"), ("run as instructions", "fail")),
+    ),
+    Reading(
+        "R-drain-unused",
+        "section 2",
+        "data announced by an unused ID",
+        "hur många efterföljande byte med data som följer efter",
+        "consumed",
+        (("flushed", "non-strict"), ("run as instructions", "fail; non-strict if allowed")),
+    ),
+    Reading(
+        "R-pipelining",
+        "section 2",
+        "instructions sent before the last answer came",
+        _ANSWER,
+        "run in order, one answer each",
+        (("lost after a fault", "non-strict"), ("reordered or merged", "fail")),
+    ),
+    Reading(
+        "R-fault-state",
+        "section 2",
+        "what a fault resets besides motion",
+        _SAFETY,
+        "the same as Stop; the speed is kept",
+        (
+            ("speed zeroed, or steering kept", "informational"),
+            ("moving again before a motion instruction", "fail"),
+        ),
+    ),
+    Reading(
+        "R-stop-steering",
+        "section 3, table 1",
+        "Stop resets the directions that were set (plural)",
+        _STOP,
+        "direction and steering",
+        (("direction only", "non-strict"),),
+    ),
+    Reading(
+        "R-stop-speed",
+        "section 3, table 1",
+        "the speed after Stop",
+        _STOP,
+        "kept (example 5.3 rests on it)",
+        (("zeroed", "non-strict"),),
+    ),
+    Reading(
+        "R-drive-steering",
+        "section 3, table 1",
+        "steering when Forward, Backward or a rotation comes",
+        "Sätter färdriktning framåt",
+        "kept",
+        (("straight", "informational"),),
+    ),
+    Reading(
+        "R-steering",
+        "section 3, table 1",
+        "Right after Left; strength 0; steering while stopped",
+        _STEER,
+        "the last one counts; straight on; remembered without moving",
+        (("moving", "fail"),),
+    ),
+    Reading(
+        "R-steer-rotating",
+        "section 3, table 1",
+        "Right or Left during a rotation",
+        _STEER,
+        "remembered, goes on rotating",
+        (("becomes a curve", "informational"), ("stops", "fail")),
+    ),
+    Reading(
+        "R-speed-moving",
+        "section 3, table 1",
+        "Speed while moving",
+        "Används i samband med de övriga instruktionerna.",
+        "takes effect at once (example 5.1 rests on it)",
+        (("only at the next motion instruction", "non-strict"),),
+    ),
+    Reading(
+        "R-speed-zero",
+        "section 3, table 1",
+        "a direction with speed 0",
+        "Datavärde mellan 0-255.",
+        "accepted, not moving",
+    ),
+    Reading(
+        "R-led-state",
+        "section 3, table 1",
+        "the LED after Stop or a fault",
+        _SAFETY,
+        "unchanged",
+        (("off", "informational"),),
+    ),
+    Reading(
+        "R-power-on",
+        "section 2",
+        "the state at power-on",
+        "",
+        "stopped, speed 0",
+        (("another speed", "informational"), ("moving", "fail")),
+    ),
+    Reading(
+        "R-unsolicited",
+        "section 4, table 2",
+        "bytes without an instruction",
+        "efter en mottagen instruktion",
+        "none",
+        (("a banner before the first instruction", "informational"), ("later", "fail")),
+    ),
+    Reading(
+        "R-watchdog",
+        "section 3, table 1",
+        "a silent line while the car drives",
+        "",
+        "keeps driving",
+        (("stops by itself", "informational"), ("resumes by itself", "fail")),
+    ),
+    Reading(
+        "R-version",
+        "version history",
+        "the LED came with v1.1",
+        "Ny instruktion för LED-styrning",
+        "v1.1",
+        (("its ID is unused, as in v1.0", "fail; non-strict if allowed"),),
+    ),
+    Reading(
+        "R-line",
+        "section 1",
+        "baud rate, parity, flow control",
+        "",
+        "as the grammar's line defaults unless told, raw 8 bits",
+        (("XON/XOFF or a cooked terminal: XON is the header of Speed", "fail"),),
+    ),
+)
