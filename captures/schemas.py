@@ -26,7 +26,8 @@ class Line(msgspec.Struct, frozen=True):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
-    `overrun`, `modem`, `unplugged` or `reconnected`; `tap` says on which line, or is empty for both.
+    `overrun`, `modem`, `unplugged` or `reconnected`; `tap` says on which line, or is empty for
+    both.
     """
 
     t: int

@@ -1,0 +1,218 @@
+"""One open port: read what is there, write all of it, close. Every fault is a LinkError."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import errno
+import fcntl
+import os
+import queue
+import select
+import termios
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from analyzer.line_settings import LineSettings
+from analyzer.link_errors import LinkError, link_lost, writing_failed
+
+WRITE_TIMEOUT = 1.0  # s without a single byte taken
+_READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
+_DRAIN_TIME = 1.0  # s after which drain_input gives up on a line that never falls silent
+_TIOCGICOUNT = 0x545D
+# Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
+# buf_overrun, then room for more.
+_COUNTERS = {"parity": (8,), "framing": (6,), "overrun": (7, 10), "break": (9,)}
+# What pyserial's open ports raise. loop:// lets queue.Full through.
+FAULTS = (OSError, termios.error, ValueError, TypeError, queue.Full)
+
+
+class Port:
+    """An open port, made by `open_port`; every fault of it is a LinkError."""
+
+    def __init__(self, name: str, settings: LineSettings, handle: Any) -> None:
+        self.name = name
+        self.settings = settings
+        self._handle = handle
+        self._fd = _descriptor(handle)
+        # spy:// shows what passes, so its bytes have to go through pyserial's own calls.
+        self._direct = self._fd is not None and not name.lower().startswith("spy://")
+
+    def fileno(self) -> int | None:
+        """Return what select can wait for; None where the URL handler has none (loop, rfc2217).
+
+        Raises LinkError when the port is closed.
+        """
+        self._require_open()
+        return self._fd
+
+    def read(self) -> bytes:
+        """Return everything that is there now, at most 64 KiB, without waiting; b"" is nothing now.
+
+        Raises LinkError at the end of the line (unplugged, closed by the other side), after all
+        that came before the end has been returned.
+        """
+        self._require_open()
+        taken = bytearray()
+        while len(taken) < _READ_LIMIT:
+            try:
+                data = self._take()
+            except FAULTS as error:
+                if taken:  # first what came; the next read meets the same fault again
+                    break
+                raise link_lost(self.name, error) from error
+            if not data:
+                break
+            taken += data
+        return bytes(taken)
+
+    def write_some(self, data: bytes | memoryview) -> int:
+        """Write what the port takes now without waiting and return how many bytes that was.
+
+        A port without fileno, and spy://, take up to 1 KiB and may wait as long as `write` does.
+        Raises LinkError.
+        """
+        self._require_open()
+        try:
+            if self._direct and self._fd is not None:
+                return os.write(self._fd, data)
+            part = bytes(data[:1024])
+            self._handle.write(part)
+        except BlockingIOError:
+            return 0
+        except FAULTS as error:
+            raise writing_failed(self.name, error, WRITE_TIMEOUT) from error
+        return len(part)
+
+    def write(self, data: bytes) -> None:
+        """Write all of `data`.
+
+        Raises LinkError when the port is lost or takes no byte for 1 s (pyserial's own write gives
+        up when the buffer is exactly full although all was taken, and spins while it waits).
+        """
+        left = memoryview(data)
+        give_up = time.monotonic() + WRITE_TIMEOUT
+        while left:
+            count = self.write_some(left)
+            left = left[count:]
+            now = time.monotonic()
+            if count:
+                give_up = now + WRITE_TIMEOUT
+            elif now >= give_up:
+                raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
+            else:  # short waits: a UART reports room late, long after it would take some bytes
+                self._wait_writable()
+
+    def drain_input(self) -> None:
+        """Read and drop until nothing comes any more, for at most 1 s. Raises LinkError.
+
+        `reset_input_buffer` does not reach the chip in a USB adapter; reading does.
+        """
+        give_up = time.monotonic() + _DRAIN_TIME
+        while self.read() and time.monotonic() < give_up:
+            pass
+
+    def error_counts(self) -> Mapping[str, int] | None:
+        """Return how many `parity`, `framing`, `overrun` and `break` the driver has counted.
+
+        None where there is no such count (pty, sockets, some adapters). pyserial clears INPCK and
+        IGNBRK, so a parity error passes as a byte and a break as 0x00: only these counts tell.
+        """
+        self._require_open()
+        buffer = array.array("i", [0] * 20)
+        if self._fd is None:
+            return None
+        try:
+            fcntl.ioctl(self._fd, _TIOCGICOUNT, buffer)
+        except OSError:
+            return None
+        return {name: sum(buffer[at] for at in places) for name, places in _COUNTERS.items()}
+
+    def close(self) -> None:
+        """Close the port; never raises, and more than once is as good as once."""
+        sock = getattr(self._handle, "_socket", None)
+        if sock and self._fd is not None:
+            # socket:// would sleep 0.3 s, and leaks the socket when the other side went first.
+            self._handle._socket = None
+            self._handle.is_open = False
+        with contextlib.suppress(Exception):
+            self._handle.close()
+        if sock:
+            sock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Port {self.name} {self.settings}>"
+
+    def has_input(self) -> bool:
+        """Return whether a read would give something now, be it the end. Raises LinkError."""
+        self._require_open()
+        try:
+            return bool(self._handle.in_waiting) or _gone(self._handle)
+        except FAULTS as error:
+            raise link_lost(self.name, error) from error
+
+    def _take(self) -> bytes:
+        if self._direct and self._fd is not None:
+            if not select.select([self._fd], [], [], 0)[0]:
+                return b""
+            try:
+                data = os.read(self._fd, _READ_LIMIT)
+            except BlockingIOError:
+                return b""
+            if not data:  # readable, yet nothing comes: unplugged
+                raise OSError(errno.EIO, "end of the line")
+            return data
+        if hasattr(self._handle, "_read_buffer"):
+            return _take_rfc2217(self._handle)
+        return bytes(self._handle.read(_READ_LIMIT))
+
+    def _require_open(self) -> None:
+        if not self._handle.is_open:
+            raise LinkError(f"{self.name} is closed")
+
+    def _wait_writable(self) -> None:
+        if self._fd is not None:
+            select.select([], [self._fd], [], 0.02)
+
+
+def _descriptor(handle: Any) -> int | None:
+    try:
+        return int(handle.fileno())
+    except OSError:  # io.UnsupportedOperation
+        return None
+
+
+def _gone(handle: Any) -> bool:
+    """Whether rfc2217's reader thread has ended, which it does when its peer has gone."""
+    return hasattr(handle, "_read_buffer") and not handle._thread.is_alive()
+
+
+def _take_rfc2217(handle: Any) -> bytes:
+    """Return what the reader thread has queued; pyserial's read drops it once the peer has gone."""
+    gone = _gone(handle)
+    taken = bytearray()
+    while len(taken) < _READ_LIMIT:
+        try:
+            byte = handle._read_buffer.get_nowait()
+        except queue.Empty:
+            break
+        if byte is None:  # the thread's last word
+            gone = True
+        else:
+            taken += byte
+    if gone and not taken:
+        raise OSError(errno.ECONNRESET, "end of the line")
+    return bytes(taken)

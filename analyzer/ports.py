@@ -1,0 +1,161 @@
+"""Which ports there are, opening one, waiting for several. The only file with pyserial."""
+
+from __future__ import annotations
+
+import select
+import socket
+import termios
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+import serial
+from serial.tools import list_ports as serial_list_ports
+
+from analyzer.line_settings import LineSettings
+from analyzer.link_errors import LinkError, opening_failed
+from analyzer.port import FAULTS, WRITE_TIMEOUT, Port
+from analyzer.ptys import PtyPair, open_pty
+
+__all__ = [
+    "LineSettings",
+    "LinkError",
+    "Port",
+    "PortInfo",
+    "PtyPair",
+    "list_ports",
+    "open_port",
+    "open_pty",
+    "wait_readable",
+]
+
+_POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
+
+
+def open_port(name: str, settings: LineSettings | None = None) -> Port:
+    """Open a path or a pyserial URL (`socket://HOST:PORT`, `rfc2217://`, `loop://`, `spy://PATH`).
+
+    Raw mode, 8 bits, no flow control, non-blocking; a path is locked against other programs that
+    ask for the lock (advisory). DTR and RTS are raised, as pyserial does: an Arduino resets.
+    `settings` are 115200 8N1 unless given; `socket://` has none. Raises LinkError.
+    """
+    settings = settings or LineSettings()
+    _require_address(name)
+    try:
+        with warnings.catch_warnings():
+            # pyserial's rfc2217 names its thread in a deprecated way.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            handle: Any = serial.serial_for_url(
+                name,
+                baudrate=settings.baud,
+                parity=settings.parity,
+                stopbits=settings.stopbits,
+                timeout=0,
+                # rfc2217 knows no write time-out; its socket has one (below).
+                write_timeout=None if name.lower().startswith("rfc2217:") else WRITE_TIMEOUT,
+                exclusive=True,
+            )
+    except Exception as error:  # URL handlers raise whatever occurs to them (KeyError, TypeError)
+        raise opening_failed(name, error, str(settings), _paths_here()) from error
+    port = Port(name, settings, handle)
+    try:
+        sock = getattr(handle, "_socket", None)
+        if sock is not None:
+            # Without it bytes that follow an answer arrive up to 43 ms late, in pieces.
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if port.fileno() is None:
+                sock.settimeout(WRITE_TIMEOUT)
+        else:
+            _ignore_break_signal(port.fileno())
+    except FAULTS as error:
+        port.close()
+        raise opening_failed(name, error, str(settings), _paths_here()) from error
+    return port
+
+
+def wait_readable(
+    ports: Sequence[Port], timeout: float | None, also: Sequence[int] = ()
+) -> tuple[list[Port], list[int]]:
+    """Wait until a port or another descriptor is readable, at most `timeout` s (None: for ever).
+
+    Returns the ports and the descriptors that are, in the order given, both empty when the time is
+    over. Ports without fileno are looked at every millisecond. A port at its end is readable: its
+    read raises. Raises LinkError for a closed port.
+    """
+    by_descriptor = {port.fileno(): port for port in ports}
+    waited = [fd for fd in by_descriptor if fd is not None]
+    looked_at = [port for port in ports if port.fileno() is None]
+    give_up = None if timeout is None else time.monotonic() + timeout
+    while True:
+        full = [port for port in looked_at if port.has_input()]
+        left = None if give_up is None else max(0.0, give_up - time.monotonic())
+        step = left
+        if full:
+            step = 0
+        elif looked_at:
+            step = _POLL_STEP if left is None else min(left, _POLL_STEP)
+        found = select.select([*waited, *also], [], [], step)[0]
+        if found or full or left == 0:
+            ready = [port for port in ports if port in full or port.fileno() in found]
+            return ready, [fd for fd in also if fd in found]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class PortInfo:
+    """A port of this machine: its path, what the system says it is, and whether it is USB.
+
+    `likely` marks what a robot is probably plugged into: a USB adapter or board.
+    """
+
+    path: str
+    description: str
+    hardware_id: str
+    likely: bool
+
+
+def list_ports() -> list[PortInfo]:
+    """Return the serial ports of this machine, sorted by path; ptys and URLs are not among them."""
+    return sorted(
+        PortInfo(
+            path=found.device,
+            description="" if found.description == "n/a" else found.description or "",
+            hardware_id="" if found.hwid == "n/a" else found.hwid or "",
+            likely=found.vid is not None,
+        )
+        for found in serial_list_ports.comports()
+    )
+
+
+def _paths_here() -> list[str]:
+    try:
+        return [port.path for port in list_ports()]
+    except (OSError, TypeError, ValueError):  # an adapter that goes while its files are read
+        return []
+
+
+def _require_address(name: str) -> None:
+    """Raise LinkError for a network URL without host and port; pyserial's own words are opaque."""
+    if not name.lower().startswith(("socket://", "rfc2217://")):
+        return
+    try:
+        parts = urlsplit(name)
+        complete = bool(parts.hostname) and parts.port is not None
+    except ValueError:  # a port that is no number, or too large
+        complete = False
+    if not complete:
+        raise LinkError(
+            f"{name} is not a usable address; write it like {name.split('://')[0]}://127.0.0.1:5000"
+        )
+
+
+def _ignore_break_signal(fd: int | None) -> None:
+    """Clear BRKINT, which pyserial leaves as it was: a break would throw away pending input."""
+    if fd is None:
+        return
+    attributes = termios.tcgetattr(fd)
+    if attributes[0] & termios.BRKINT:
+        attributes[0] &= ~termios.BRKINT
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)

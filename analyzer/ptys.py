@@ -1,0 +1,75 @@
+"""A pseudo terminal that passes every byte unchanged: what a host program opens as its port."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tty
+from types import TracebackType
+from typing import Self
+
+from analyzer.link_errors import LinkError
+
+_READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
+
+
+class PtyPair:
+    """Both ends of a pty: `master` is our descriptor (non-blocking), `name` the path for others.
+
+    It holds the slave open itself, so that the master never meets EIO when the last program closes
+    the path. What nobody reads waits in the kernel (at least 4 KiB), as in a driver's buffer.
+    """
+
+    def __init__(self, master: int, slave: int) -> None:
+        self.master = master
+        self.name = os.ttyname(slave)
+        self._descriptors = [master, slave]
+
+    def read(self) -> bytes:
+        """Return what the program at the path has written, at most 64 KiB, without waiting."""
+        taken = bytearray()
+        with contextlib.suppress(BlockingIOError):
+            while len(taken) < _READ_LIMIT:
+                taken += os.read(self.master, _READ_LIMIT)
+        return bytes(taken)
+
+    def write_some(self, data: bytes) -> int:
+        """Write without waiting and return how many bytes were taken: 0 when the pty is full."""
+        try:
+            return os.write(self.master, data)
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """Close both ends; a program that has the path open sees an unplugged port."""
+        while self._descriptors:
+            with contextlib.suppress(OSError):
+                os.close(self._descriptors.pop())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_pty() -> PtyPair:
+    """Return a new pty in raw mode: 8 bits, no echo, no signals, no flow control.
+
+    A pty is cooked until told otherwise: 0x03 would come back as "^C" and 0x11 would be XON.
+    Raises LinkError where the system has none left.
+    """
+    try:
+        master, slave = os.openpty()
+    except OSError as error:
+        raise LinkError(
+            f"this machine gives no pty: {error.strerror}; close a program that holds some"
+        ) from error
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    return PtyPair(master, slave)

@@ -1,0 +1,68 @@
+"""Ctrl-C and SIGTERM as something a select loop can wait for."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+
+class Stopper:
+    """Turns SIGINT and SIGTERM into a clean stop: `fileno()` is readable from then on.
+
+    As a context manager it takes the two signals over (in the main thread; elsewhere it only offers
+    `stop`) and puts the old handlers back at the end. A second signal changes nothing, so that a
+    command can finish its file in peace; SIGQUIT (Ctrl-\\) still ends the process at once.
+    """
+
+    def __init__(self) -> None:
+        self._reader, self._writer = socket.socketpair()
+        self._writer.setblocking(False)
+        self._stopped = False
+        self._old: dict[signal.Signals, Any] = {}
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop was asked for."""
+        return self._stopped
+
+    def fileno(self) -> int:
+        """Return the descriptor that is readable once a stop was asked for."""
+        return self._reader.fileno()
+
+    def stop(self) -> None:
+        """Ask for a stop, from any thread or signal handler; more than once is as good as once."""
+        if not self._stopped:
+            self._stopped = True
+            with contextlib.suppress(OSError):  # closed already: nobody waits any more
+                self._writer.send(b"\0")
+
+    def close(self) -> None:
+        """Put the old handlers back and close; more than once is as good as once."""
+        while self._old:
+            number, handler = self._old.popitem()
+            signal.signal(number, handler)
+        self._reader.close()
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # None is a handler that was not set from Python and cannot be put back from here.
+                if signal.getsignal(number) is not None:
+                    self._old[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.stop()

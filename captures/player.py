@@ -1,0 +1,64 @@
+"""Recorded events in, the same events out at recorded, faster or slower time. Owns no clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar
+
+
+class Timed(Protocol):
+    """Anything with a time in ns since the capture's start."""
+
+    @property
+    def t(self) -> int:
+        """Ns since the capture's start."""
+        ...
+
+
+Event = TypeVar("Event", bound=Timed)
+
+
+def paced(
+    events: Iterable[Event],
+    rate: float,
+    *,
+    clock: Callable[[], float],
+    sleep: Callable[[float], object],
+    start: int | None = None,
+    end: int | None = None,
+) -> Iterator[Event]:
+    """Give each event when its time has come.
+
+    `rate` 1 is recorded time, 2 twice as fast, 0 as fast as it goes. `clock` and `sleep` are in
+    seconds, like `time.monotonic` and `time.sleep`. `start` and `end` (ns since the capture's
+    start) cut out `start <= t < end`; playing begins at `start`, and stops at the first event at
+    or after `end`. Delays do not add up: each event is due by the clock, not by the last one.
+
+    Raises ValueError at once for a rate below 0 or NaN.
+    """
+    if math.isnan(rate) or rate < 0:
+        raise ValueError(f"rate is {rate}, allowed are 0 (as fast as it goes) and above")
+    return _paced(events, rate, clock, sleep, start, end)
+
+
+def _paced(
+    events: Iterable[Event],
+    rate: float,
+    clock: Callable[[], float],
+    sleep: Callable[[float], object],
+    start: int | None,
+    end: int | None,
+) -> Iterator[Event]:
+    began = clock()
+    for event in events:
+        if start is not None and event.t < start:
+            continue
+        if end is not None and event.t >= end:
+            return
+        if rate > 0:
+            due = began + (event.t - (start or 0)) / 1e9 / rate
+            wait = due - clock()
+            if wait > 0:
+                sleep(wait)
+        yield event

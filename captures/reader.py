@@ -1,0 +1,179 @@
+"""A capture file in, its events out in order: from any MCAP writer, damaged or unfinished too."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from captures import topics
+from captures.contents import Contents
+from captures.errors import CaptureError, shown
+from captures.records import MAGIC, Damaged
+from captures.schemas import Chunk, Direction, Line
+from captures.stored import Stored, stored_messages
+from captures.survey import JSON_ERRORS, surveyed
+
+TOPICS_SHOWN = 10
+
+
+class Message(msgspec.Struct, frozen=True):
+    """One message of any topic.
+
+    `t` is ns since the capture's start; `value` is the decoded JSON object, with None for what a
+    bilprov message left out, or the bytes where the message is not a JSON object. Foreign text:
+    show it only through `errors.shown`.
+    """
+
+    topic: str
+    t: int
+    value: dict[str, Any] | bytes
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """An opened capture; it can be read any number of times and holds no file open in between.
+
+    `start` is the wall clock in ns where `t` is 0; `metadata` the record `bilprov`, empty if there
+    is none; `library` the writer. `unfinished` tells that the writer never closed the file: what
+    is whole is read. `damage` holds a sentence for each thing that is left out.
+    """
+
+    path: Path
+    start: int
+    metadata: dict[str, str]
+    library: str
+    unfinished: bool
+    damage: tuple[str, ...]
+    contents: Contents = field(repr=False)
+
+    def __iter__(self) -> Iterator[Chunk | Line]:
+        """The same as `events()`."""
+        return self.events()
+
+    def events(self) -> Iterator[Chunk | Line]:
+        """Chunks and line events in order, for decoding.
+
+        Where messages are lost to damage in the file a Line `gap` is put in. Raises CaptureError
+        if the file changed since it was opened or cannot be read.
+        """
+        directions: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
+        names = {channel: topic for channel, (topic, _) in self.contents.channels.items()}
+        for message in self._stored():
+            t = message.log_time - self.start
+            if message.lost:
+                yield Line(t, "gap", "", message.lost)
+            topic = names.get(message.channel, "")
+            if topic in directions:
+                yield Chunk(t, directions[topic], message.data)
+            elif topic == topics.LINE:
+                try:
+                    line = msgspec.json.decode(message.data, type=Line)
+                except JSON_ERRORS:
+                    continue
+                yield Line(t, line.event, line.tap, line.detail)
+
+    def messages(self) -> Iterator[Message]:
+        """Every message of every topic that the file describes, in order.
+
+        Raises CaptureError if the file changed since it was opened or cannot be read.
+        """
+        for message in self._stored():
+            if message.channel in self.contents.channels:
+                topic, encoding = self.contents.channels[message.channel]
+                value = _value(topic, encoding, message.data)
+                yield Message(topic, message.log_time - self.start, value, message.sequence)
+
+    def _stored(self) -> Iterator[Stored]:
+        try:
+            with self.path.open("rb") as file:
+                yield from stored_messages(file, self.contents)
+        except Damaged as error:
+            raise CaptureError(
+                f"{shown(self.path)} changed while it was read ({error}): open it again"
+            ) from error
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+
+def open_capture(path: str | Path) -> Capture:
+    """Open a capture and survey it in one pass of bounded memory.
+
+    Raises CaptureError if there is no such file, it is no MCAP file or it has neither a
+    `/host/raw` nor a `/device/raw` topic.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
+            raise CaptureError(f"{shown(path)} is {kind}: name an MCAP file")
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            _check_magic(path, file.read(len(MAGIC)))
+            contents = surveyed(file, size)
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    _check_topics(path, contents)
+    return Capture(
+        path=path,
+        start=_start(contents),
+        metadata=contents.metadata,
+        library=contents.library,
+        unfinished=contents.unfinished,
+        damage=contents.damage,
+        contents=contents,
+    )
+
+
+def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
+    if isinstance(error, FileNotFoundError):
+        return CaptureError(f"{shown(path)} does not exist: name an MCAP file")
+    why = error.strerror if isinstance(error, OSError) else error
+    return CaptureError(f"{shown(path)} cannot be read ({shown(why)}): name a readable MCAP file")
+
+
+def _check_magic(path: Path, front: bytes) -> None:
+    if not front:
+        raise CaptureError(f"{shown(path)} is empty: name an MCAP file")
+    if front != MAGIC:
+        raise CaptureError(
+            f"{shown(path)} is not MCAP (first bytes {front.hex(' ')}, MCAP has "
+            f"{MAGIC.hex(' ')}): name an MCAP file"
+        )
+
+
+def _check_topics(path: Path, contents: Contents) -> None:
+    held = sorted({topic for topic, _ in contents.channels.values()})
+    if topics.HOST_RAW in held or topics.DEVICE_RAW in held:
+        return
+    listed = ", ".join(held[:TOPICS_SHOWN]) + (", ..." if len(held) > TOPICS_SHOWN else "")
+    raise CaptureError(
+        f"{shown(path)} holds {'topics ' + shown(listed) if held else 'no topics'}; "
+        f"bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
+    )
+
+
+def _start(contents: Contents) -> int:
+    for text in contents.starts:
+        if text.isascii() and text.isdigit() and len(text) <= 20:
+            return int(text)
+    return contents.first
+
+
+def _value(topic: str, encoding: str, data: bytes) -> dict[str, Any] | bytes:
+    if encoding != topics.JSON_ENCODING:
+        return data
+    try:
+        value = msgspec.json.decode(data)
+    except JSON_ERRORS:
+        return data
+    if not isinstance(value, dict):
+        return data
+    return {**dict.fromkeys(topics.optional_fields(topic)), **value}

@@ -1,0 +1,196 @@
+"""The byte layouts of MCAP records: bytes in, values out, nothing believed that does not fit."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from captures.limits import STRING_BYTES
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+OWN_LIBRARY: Final = "bilprov "
+"""What the library's name starts with in our own files."""
+
+HEADER: Final = 0x01
+FOOTER: Final = 0x02
+SCHEMA: Final = 0x03
+CHANNEL: Final = 0x04
+MESSAGE: Final = 0x05
+CHUNK: Final = 0x06
+MESSAGE_INDEX: Final = 0x07
+ATTACHMENT: Final = 0x09
+METADATA: Final = 0x0C
+DATA_END: Final = 0x0F
+LAST_KNOWN: Final = 0x0F
+
+RECORD_HEAD: Final = struct.Struct("<BQ")
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+CHUNK_HEAD: Final = struct.Struct("<QQQI")  # start, end, unpacked size, CRC of the unpacked bytes
+FOOTER_BYTES: Final = 20
+DATA_END_BYTES: Final = 4
+
+_U16 = struct.Struct("<H")
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
+
+
+class Damaged(Exception):
+    """A record that is not what it says. The message says what is wrong, without where."""
+
+
+class CutOff(Damaged):
+    """A record that ends after the file: the usual end of a capture that was not finished."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRecord:
+    """What a channel record says. Foreign text: show it only through `errors.shown`."""
+
+    id: int
+    topic: str
+    encoding: str
+    metadata: dict[str, str]
+
+
+@dataclass(slots=True)
+class Cursor:
+    """Reads little-endian fields off the front of a record; raises Damaged where they end early."""
+
+    data: bytes
+    at: int = field(default=0)
+
+    def number(self, layout: struct.Struct) -> int:
+        """The next integer."""
+        start = self.at
+        self.at += layout.size
+        if self.at > len(self.data):
+            raise Damaged("a record is shorter than its fields")
+        value: int = layout.unpack_from(self.data, start)[0]
+        return value
+
+    def block(self, length: int) -> bytes:
+        """The next `length` bytes."""
+        start = self.at
+        self.at += length
+        if self.at > len(self.data):
+            raise Damaged("a record is shorter than its fields")
+        return self.data[start : self.at]
+
+    def text(self) -> str:
+        """The next string; broken UTF-8 becomes escapes."""
+        length = self.number(_U32)
+        if length > STRING_BYTES:
+            raise Damaged(f"a string is {length} bytes, allowed are {STRING_BYTES}")
+        return self.block(length).decode("utf-8", "backslashreplace")
+
+    def texts(self) -> dict[str, str]:
+        """The next map of strings."""
+        end = self.number(_U32) + self.at
+        pairs: dict[str, str] = {}
+        while self.at < end:
+            name = self.text()
+            pairs[name] = self.text()
+        if self.at != end:
+            raise Damaged("a map of strings does not end where it says")
+        return pairs
+
+
+def header_library(content: bytes, own: bool = False) -> str:
+    """The library that a header record names."""
+    cursor = Cursor(content)
+    cursor.text()
+    library = cursor.text()
+    _ends(cursor, own or library.startswith(OWN_LIBRARY))
+    return library
+
+
+def channel_record(content: bytes, own: bool = False) -> ChannelRecord:
+    """A channel record's fields that matter here."""
+    cursor = Cursor(content)
+    channel = cursor.number(_U16)
+    cursor.number(_U16)
+    record = ChannelRecord(channel, cursor.text(), cursor.text(), cursor.texts())
+    _ends(cursor, own)
+    return record
+
+
+def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, str]]:
+    """A metadata record's name and pairs."""
+    cursor = Cursor(content)
+    name = cursor.text()
+    pairs = cursor.texts()
+    _ends(cursor, own)
+    return name, pairs
+
+
+def check_schema(content: bytes, own: bool) -> None:
+    """Raise Damaged unless a schema record's fields fit; what it says does not matter here."""
+    cursor = Cursor(content)
+    cursor.number(_U16)
+    cursor.text()
+    cursor.text()
+    cursor.block(cursor.number(_U32))
+    _ends(cursor, own)
+
+
+def check_message_index(content: bytes, own: bool) -> None:
+    """Raise Damaged unless a message index record's fields fit."""
+    cursor = Cursor(content)
+    cursor.number(_U16)
+    length = cursor.number(_U32)
+    if length % 16:
+        raise Damaged("a message index has half an entry")
+    cursor.block(length)
+    _ends(cursor, own)
+
+
+def chunk_fields(content: bytes) -> tuple[int, int, str, int]:
+    """Unpacked size, CRC, compression and where the packed bytes start, of a chunk or its front.
+
+    The packed length that the chunk announces stands in the 8 bytes before the packed ones.
+    """
+    cursor = Cursor(content)
+    cursor.block(16)
+    size = cursor.number(_U64)
+    crc = cursor.number(_U32)
+    length = cursor.number(_U32)
+    if length > 16:
+        raise Damaged("the name of a chunk's compression is too long")
+    compression = cursor.block(length).decode("ascii", "backslashreplace")
+    cursor.number(_U64)
+    return size, crc, compression, cursor.at
+
+
+def packed_length(content: bytes, start: int) -> int:
+    """The length of the packed bytes that a chunk announces before `start`."""
+    length: int = _U64.unpack_from(content, start - 8)[0]
+    return length
+
+
+def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Walk a chunk's unpacked bytes: opcode, start and end of each record's content.
+
+    Raises Damaged where a record does not fit.
+    """
+    at = 0
+    total = len(content)
+    unpack = RECORD_HEAD.unpack_from
+    while at < total:
+        if at + 9 > total:
+            raise Damaged("a chunk ends inside a record")
+        opcode, length = unpack(content, at)
+        start = at + 9
+        at = start + length
+        if at > total:
+            raise Damaged("a record in a chunk ends after the chunk")
+        if opcode == MESSAGE and length < MESSAGE_HEAD.size:
+            raise Damaged("a message is shorter than its fields")
+        yield opcode, start, at
+
+
+def _ends(cursor: Cursor, own: bool) -> None:
+    # The format lets other writers append fields; ours does not.
+    if own and cursor.at != len(cursor.data):
+        raise Damaged("a record is longer than its fields")

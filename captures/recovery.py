@@ -1,0 +1,170 @@
+"""One whole record at a time off a file that may be damaged anywhere, and the next good chunk."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from io import BufferedReader
+from typing import Final, NamedTuple
+
+from captures import records
+from captures.limits import CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
+from captures.records import CutOff, Damaged
+from captures.unpack import unpacked_chunk
+
+SKIPPED: Final = -1
+"""Opcode of a record that was stepped over because it is larger than allowed."""
+
+HEAD_ROOM: Final = 64  # bytes before a chunk's packed data, more than enough
+WINDOW: Final = 1024 * 1024
+
+# The front of a chunk record: opcode, length below 32 MiB, times, size below 32 MiB, CRC,
+# one of the compressions.
+CHUNK_FRONT = re.compile(
+    rb"\x06.{3}[\x00\x01]\x00{4}.{16}.{3}[\x00\x01]\x00{4}.{4}"
+    rb"(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})",
+    re.DOTALL,
+)
+
+INDEX_RECORDS = {0x08, 0x0A, 0x0B, 0x0D, 0x0E, records.FOOTER}
+
+CHECKS: dict[int, Callable[[bytes, bool], object]] = {
+    records.HEADER: records.header_library,
+    records.CHANNEL: records.channel_record,
+    records.METADATA: records.metadata_record,
+    records.SCHEMA: records.check_schema,
+    records.MESSAGE_INDEX: records.check_message_index,
+}
+
+
+class Found(NamedTuple):
+    """A whole record: its opcode, where it ends, its content (a chunk's is unpacked).
+
+    `verified` tells whether a checksum vouches for the content; `note` says why it was skipped.
+    """
+
+    opcode: int
+    end: int
+    content: bytes = b""
+    verified: bool = False
+    note: str = ""
+
+
+class RecordFile:
+    """An open MCAP file of `size` bytes from which whole records are read by their offset.
+
+    `own` says that bilprov wrote it: then nothing that bilprov never writes is believed.
+    `past_data` says that the data has ended: before it no record of an index is believed.
+    """
+
+    def __init__(self, file: BufferedReader, size: int) -> None:
+        self.own = False
+        self.past_data = False
+        self.size = size
+        self._file = file
+        # Each false chunk front may cost 16 MiB of reading; a hostile file has millions of them.
+        self._patience = 4 * size + 4 * CHUNK_BYTES
+
+    def record(self, offset: int) -> Found:
+        """The record at `offset`.
+
+        Raises Damaged if it is not whole, CutOff if the file ends first.
+        """
+        self._file.seek(offset)
+        head = self._file.read(records.RECORD_HEAD.size)
+        if len(head) < records.RECORD_HEAD.size:
+            raise CutOff("the file ends inside a record")
+        opcode, length = records.RECORD_HEAD.unpack(head)
+        end = offset + records.RECORD_HEAD.size + length
+        if end > self.size:
+            raise CutOff("a record ends after the file")
+        if opcode == records.CHUNK:
+            return self._chunk(offset, length, end)
+        if opcode == records.MESSAGE:
+            return self._message(length, end)
+        return self._other(opcode, length, end)
+
+    def next_chunk(self, offset: int) -> int | None:
+        """Where the next chunk with a right checksum starts, at `offset` or later; None if nowhere.
+
+        A foreign chunk without a checksum counts if it is compressed and unpacks to exactly what it
+        declares.
+        """
+        while offset < self.size and self._patience > 0:
+            self._file.seek(offset)
+            window = self._file.read(WINDOW + HEAD_ROOM)
+            at = 0
+            while match := CHUNK_FRONT.search(window, at):
+                at = match.start() + 1
+                if at > WINDOW:
+                    break
+                compressed = match.group()[-1] != 0
+                if self._is_chunk(offset + match.start(), compressed):
+                    return offset + match.start()
+                if self._patience <= 0:
+                    return None
+            self._patience -= len(window)
+            offset += WINDOW
+        return None
+
+    def _is_chunk(self, offset: int, compressed: bool) -> bool:
+        try:
+            found = self.record(offset)
+        except Damaged:
+            return False
+        finally:
+            self._patience -= max(self._file.tell() - offset, HEAD_ROOM)
+        return found.opcode == records.CHUNK and (found.verified or compressed)
+
+    def _chunk(self, offset: int, length: int, end: int) -> Found:
+        front = self._content(min(length, HEAD_ROOM))
+        size, _, _, start = records.chunk_fields(front)
+        packed = records.packed_length(front, start)
+        if start + packed != length:
+            raise Damaged("a chunk's length does not fit its content")
+        if max(size, packed) > CHUNK_BYTES:
+            if self.own:
+                raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
+            note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
+            return Found(SKIPPED, end, note=f"{note}: left out")
+        content, verified = unpacked_chunk(front + self._content(length - len(front)), self.own)
+        return Found(records.CHUNK, end, content, verified)
+
+    def _message(self, length: int, end: int) -> Found:
+        if self.own:
+            raise Damaged("a message stands outside of the chunks")
+        if length < records.MESSAGE_HEAD.size:
+            raise Damaged("a message is shorter than its fields")
+        if length - records.MESSAGE_HEAD.size > MESSAGE_BYTES:
+            note = f"a message holds {length} bytes, allowed are {MESSAGE_BYTES}: left out"
+            return Found(SKIPPED, end, note=note)
+        return Found(records.MESSAGE, end, self._content(length))
+
+    def _other(self, opcode: int, length: int, end: int) -> Found:
+        if opcode in CHECKS:
+            if length > RECORD_BYTES:
+                raise Damaged(f"a record is larger than the {RECORD_BYTES} bytes allowed")
+            content = self._content(length)
+            CHECKS[opcode](content, self.own)
+            return Found(opcode, end, content)
+        if opcode == records.FOOTER and end + len(records.MAGIC) > self.size:
+            raise CutOff("the file ends before its last 8 bytes")
+        if opcode == records.FOOTER and (
+            length != records.FOOTER_BYTES or end + len(records.MAGIC) != self.size
+        ):
+            raise Damaged("a footer stands before the end")
+        if opcode in INDEX_RECORDS and not self.past_data:
+            raise Damaged("a record of the index stands before the end of the data")
+        if opcode == records.DATA_END and length != records.DATA_END_BYTES:
+            raise Damaged("the end of the data is not as long as it should be")
+        if opcode == 0 or (
+            self.own and (opcode > records.LAST_KNOWN or opcode == records.ATTACHMENT)
+        ):
+            raise Damaged("what stands there is no record")
+        return Found(opcode, end)
+
+    def _content(self, length: int) -> bytes:
+        content = self._file.read(length)
+        if len(content) < length:
+            raise CutOff("the file ends inside a record")
+        return content

@@ -1,0 +1,143 @@
+"""The topics of a capture: what each is called, how it is encoded and which value it carries.
+
+The channel ids are fixed, so that a file whose channel table is lost can still be read. The JSON
+Schemas are drawn from the values and flattened to what Foxglove's parser takes: the top is an
+object, nothing is a reference, every property has one plain type, every object names its
+properties. A property that may be None is therefore optional, and left out of the message when it
+is None.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeAlias
+
+import msgspec
+
+from captures.schemas import CaseMark, Chunk, Instruction, Line, Log, Look, Response, State
+
+Written: TypeAlias = Instruction | Response | State | Log | Line | CaseMark | Look
+
+HOST_RAW = "/host/raw"
+DEVICE_RAW = "/device/raw"
+LINE = "/line"
+
+METADATA_NAME = "bilprov"
+START_KEY = "start"  # in the metadata: the wall clock at t = 0, ns
+CHANNEL_START_KEY = "bilprov.start"  # the same in each channel's metadata
+
+RAW_ENCODING = "application/octet-stream"
+JSON_ENCODING = "json"
+
+SINCE_START = (
+    "Integer nanoseconds since the capture's start; `log_time` is wall clock at start + this."
+)
+TIMES = {
+    "t": SINCE_START,
+    "end": SINCE_START,
+    "latency": "Integer nanoseconds from the instruction's last byte to this byte.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row of the contract's table: a topic and the messages that it carries.
+
+    `channel` is the fixed channel id, from 1; `schema` is the schema's name, empty for raw bytes.
+    """
+
+    name: str
+    channel: int
+    encoding: str
+    schema: str
+    value: type[msgspec.Struct]
+
+
+TOPICS: tuple[Topic, ...] = (
+    Topic(HOST_RAW, 1, RAW_ENCODING, "", Chunk),
+    Topic(DEVICE_RAW, 2, RAW_ENCODING, "", Chunk),
+    Topic("/host/instructions", 3, JSON_ENCODING, "bilprov.Instruction", Instruction),
+    Topic("/device/responses", 4, JSON_ENCODING, "bilprov.Response", Response),
+    Topic("/state", 5, JSON_ENCODING, "bilprov.State", State),
+    Topic("/faults", 6, JSON_ENCODING, "foxglove.Log", Log),
+    Topic(LINE, 7, JSON_ENCODING, "bilprov.Line", Line),
+    Topic("/conformance/cases", 8, JSON_ENCODING, "bilprov.CaseMark", CaseMark),
+    Topic("/conformance/looks", 9, JSON_ENCODING, "bilprov.Look", Look),
+)
+
+BY_CHANNEL = {topic.channel: topic for topic in TOPICS}
+BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
+
+
+def encoded(value: Written) -> bytes:
+    """The value as the JSON of its message; what is None is left out."""
+    return msgspec.json.encode(
+        {
+            name: item
+            for name in value.__struct_fields__
+            if (item := getattr(value, name)) is not None
+        }
+    )
+
+
+@cache
+def optional_fields(topic: str) -> tuple[str, ...]:
+    """Names of the fields that a message on `topic` leaves out when they are None."""
+    for row in TOPICS:
+        if row.name == topic and row.schema:
+            return tuple(
+                field.name
+                for field in msgspec.structs.fields(row.value)
+                if type(None) in getattr(field.type, "__args__", ())
+            )
+    return ()
+
+
+@cache
+def json_schema(value: type[msgspec.Struct]) -> bytes:
+    """The JSON Schema of a value's messages, flattened as this module promises."""
+    schema = msgspec.json.schema(value)
+    return msgspec.json.encode(_flat(schema, schema["$defs"]))
+
+
+def _flat(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" in schema:
+        return _flat(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    if "anyOf" in schema:
+        return _one_of(schema, definitions)
+    flat = dict(schema)
+    if "enum" in flat:
+        flat["type"] = "string"
+    if flat["type"] == "object":
+        flat.update(_properties(schema, definitions))
+    if "description" in flat:
+        flat["description"] = inspect.cleandoc(flat["description"])
+    return flat
+
+
+def _one_of(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    rest = {name: item for name, item in schema.items() if name != "anyOf"}
+    kinds = [kind for kind in schema["anyOf"] if kind.get("type") != "null"]
+    if all("enum" in kind for kind in kinds):
+        words = sorted(word for kind in kinds for word in kind["enum"])
+        return {"type": "string", "enum": words, **rest}
+    (kind,) = kinds
+    if rest.get("default", "") is None:
+        del rest["default"]
+    return {**_flat(kind, definitions), **rest}
+
+
+def _properties(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    properties: dict[str, Any] = {}
+    for name, item in schema.get("properties", {}).items():
+        properties[name] = _flat(item, definitions)
+        if name in TIMES:
+            properties[name]["description"] = TIMES[name]
+    required = [
+        name
+        for name in schema.get("required", ())
+        if {"type": "null"} not in schema["properties"][name].get("anyOf", ())
+    ]
+    return {"properties": properties, "required": required}

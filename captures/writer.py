@@ -1,0 +1,239 @@
+"""Values in, an MCAP file out that a kill, a full disk or a lost first chunk cannot empty.
+
+What is written reaches the operating system at most 0.1 s later. The channel table stands in front
+of the chunks, in the first chunk (where its checksum guards it) and at the end.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from io import BufferedWriter
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, Writer
+
+from captures import topics
+from captures.errors import CaptureError, shown
+from captures.limits import MESSAGE_BYTES, STRING_BYTES
+from captures.schemas import Chunk, Log, Time
+
+FLUSH_AFTER = 100_000_000  # ns
+CHUNK_MESSAGES = 2_000  # a seek costs in proportion to this
+CHUNK_BYTES = 256 * 1024
+U64 = 1 << 64
+FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
+
+
+class CaptureWriter:
+    """Writes one new capture file; a context manager, for one thread.
+
+    `start_wall` is the wall clock in ns at the capture's start: every `t` counts from there.
+    `metadata` becomes the record `bilprov`, to which `start` (= `start_wall`) is added; it is in
+    the file before the constructor returns. `version` is the kit's.
+
+    Raises CaptureError if the file exists or cannot be made, later if it cannot be written on.
+    Raises ValueError for a time that is not in 0 to 2^64 - 1 ns and metadata over 64 KiB.
+    """
+
+    def __init__(
+        self, path: str | Path, *, start_wall: int, metadata: Mapping[str, str], version: str
+    ) -> None:
+        self._path = Path(path)
+        self._start = start_wall
+        self._log_time(0)
+        self._sequence = 0
+        self._newest = 0
+        self._waiting_since: int | None = None
+        self._in_chunk = 0
+        self._kept_bytes = 0
+        self._kept_until = 0
+        self._failure = ""
+        self._closed = False
+        about = {_utf8(name): _utf8(text) for name, text in metadata.items()}
+        about[topics.START_KEY] = str(start_wall)
+        for name, text in about.items():
+            if max(len(name.encode()), len(text.encode())) > STRING_BYTES:
+                raise ValueError(
+                    f"metadata {shown(name)} is longer than the {STRING_BYTES} bytes allowed"
+                )
+        self._file = _new_file(self._path)
+        # Some file systems do not count links; there a deleted file cannot be noticed.
+        self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
+        self._mcap = Writer(
+            self._file,
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_crcs=True,
+        )
+        self._guarded(lambda: self._open(about, f"bilprov {version}"))
+
+    def chunk(self, chunk: Chunk) -> None:
+        """Write the bytes of one read; more than 64 KiB become several messages of the same time.
+
+        Raises CaptureError if the file cannot be written.
+        """
+        channel = 1 if chunk.direction == "host" else 2
+        data = chunk.data
+        for at in range(0, len(data) or 1, MESSAGE_BYTES):
+            self._add(channel, data[at : at + MESSAGE_BYTES], chunk.t)
+
+    def write(self, value: topics.Written, t: int) -> None:
+        """Write a value on the topic of its type; `t` is ns since the capture's start.
+
+        A value whose JSON is over 64 KiB is left out, and `/faults` says so: a reader would refuse
+        it, and the raw bytes still hold what it was made from. Raises CaptureError if the file
+        cannot be written.
+        """
+        topic = topics.BY_VALUE[type(value)]
+        data = topics.encoded(value)
+        if len(data) <= MESSAGE_BYTES:
+            self._add(topic.channel, data, t)
+            return
+        seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)
+        left_out = f"{topic.name}: a message of {len(data)} bytes, allowed are {MESSAGE_BYTES}"
+        self.write(Log(Time(seconds, nanoseconds), 3, left_out, "left out"), t)
+
+    def tick(self, now: int) -> None:
+        """Flush if anything has waited for 0.1 s; `now` is ns since the capture's start.
+
+        Raises CaptureError if the file cannot be written.
+        """
+        self._newest = max(self._newest, now)
+        waiting = self._waiting_since
+        if waiting is not None and self._newest - waiting >= FLUSH_AFTER:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system.
+
+        Raises CaptureError if the disk is full, the file is gone or cannot be written.
+        """
+        self._guarded(self._mcap.flush)
+        if self._counts_links and os.fstat(self._file.fileno()).st_nlink == 0:
+            self._fail(
+                f"the capture file {shown(self._path)} was deleted while recording: what was "
+                "captured is lost, record again"
+            )
+        self._kept_bytes = self._file.tell()
+        self._kept_until = self._newest
+        self._waiting_since = None
+        self._in_chunk = 0
+
+    def close(self) -> None:
+        """Finish the file. Once is enough; after a failure there is nothing left to finish.
+
+        Raises CaptureError if the end cannot be written.
+        """
+        if self._closed:
+            return
+        self.flush()
+        self._guarded(self._mcap.finish)
+        self._guarded(self._file.close)
+        self._closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open(self, about: dict[str, str], library: str) -> None:
+        self._mcap.start(profile="", library=library)
+        self._mcap.add_metadata(topics.METADATA_NAME, about)
+        # The library puts the table into the first chunk only. This copy in front of it serves
+        # other people's streaming readers when that chunk is lost or never came.
+        table = RecordBuilder()
+        # A flipped bit in the metadata record goes unseen, and would shift every time: the start
+        # stands in the channels too, which a chunk's checksum guards.
+        guarded = {topics.CHANNEL_START_KEY: about[topics.START_KEY]}
+        for topic in topics.TOPICS:
+            schema = 0
+            if topic.schema:
+                form = topics.json_schema(topic.value)
+                schema = self._mcap.register_schema(topic.schema, "jsonschema", form)
+                Schema(schema, form, "jsonschema", topic.schema).write(table)
+            channel = self._mcap.register_channel(topic.name, topic.encoding, schema, guarded)
+            if channel != topic.channel:
+                raise AssertionError(f"{topic.name} is channel {channel}, not {topic.channel}")
+            Channel(channel, topic.name, topic.encoding, guarded, schema).write(table)
+        self._file.write(table.end())  # type: ignore[no-untyped-call]
+        self._file.flush()
+        self._kept_bytes = self._file.tell()
+
+    def _add(self, channel: int, data: bytes, t: int) -> None:
+        log_time = self._log_time(t)
+        sequence = self._sequence
+        self._guarded(lambda: self._mcap.add_message(channel, log_time, data, log_time, sequence))
+        self._sequence = (sequence + 1) & 0xFFFF_FFFF
+        self._newest = max(self._newest, t)
+        self._in_chunk += 1
+        if self._waiting_since is None:
+            # What comes late (a frame's `t` is its first byte) waits from now on, not from `t`.
+            self._waiting_since = self._newest
+        if self._in_chunk >= CHUNK_MESSAGES:
+            self.flush()
+        else:
+            self.tick(t)
+
+    def _log_time(self, t: int) -> int:
+        log_time = self._start + t
+        if not 0 <= log_time < U64:
+            raise ValueError(f"log time is {log_time} ns, allowed are 0 to {U64 - 1}")
+        return log_time
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        if self._failure:
+            raise CaptureError(self._failure)
+        if self._closed:
+            raise ValueError(f"the capture {shown(self._path)} is closed")
+        try:
+            act()
+        except OSError as error:
+            why = "disk full" if error.errno in FULL else shown(error.strerror or error)
+            self._fail(
+                f"{why}: what was captured until {self._kept_until / 1e9:.1f} s is kept in "
+                f"{shown(self._path)}",
+                error,
+            )
+
+    def _fail(self, sentence: str, cause: OSError | None = None) -> None:
+        self._failure = sentence
+        self._closed = True
+        # Closing the raw file first lets the buffer forget what it cannot write; cutting off the
+        # half-written chunk leaves whole records only.
+        with suppress(OSError):
+            os.ftruncate(self._file.fileno(), self._kept_bytes)
+        with suppress(OSError):
+            self._file.raw.close()
+        raise CaptureError(sentence) from cause
+
+
+def _utf8(text: str) -> str:
+    # A port's path may hold bytes that are no UTF-8, which Python carries as lone surrogates.
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _new_file(path: Path) -> BufferedWriter:
+    try:
+        return path.open("xb")
+    except FileExistsError as error:
+        raise CaptureError(
+            f"{shown(path)} exists and captures are never overwritten: choose another name"
+        ) from error
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise CaptureError(
+            f"{shown(path)} cannot be made ({shown(why)}): choose a folder that can be written to"
+        ) from error
