@@ -98,9 +98,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     identity, length = protocol.headers[frame[0]]
     arrived = len(frame) - 1
     if arrived > length:
-        raise ValueError(
-            f"frame {spaced(frame)} has {arrived} data bytes, its header says {length}"
-        )
+        raise ValueError(f"frame {spaced(frame)} has {_bytes(arrived)}, its header says {length}")
     instruction = protocol.by_id.get(identity)
     fields: tuple[tuple[str, int], ...] = ()
     clause, reading = protocol.clauses.instructions, ""
@@ -179,7 +177,9 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None
         try:
             data += part.build(value)
         except ConstructError as error:
-            raise ValueError(f"{spec.name}.{part.name} cannot be {value}: {error}") from error
+            raise ValueError(
+                f"{spec.name}.{part.name} is {value}, allowed are whole numbers"
+            ) from error
     if given:
         takes = ", ".join(part.name for part in spec.fields) or "no fields"
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")

@@ -38,9 +38,8 @@ def check(protocol: Protocol, examples: tuple[Example, ...] = EXAMPLES) -> tuple
         extra = len(sent) - len(first.frame)
         reason = first.reason
         if extra:
-            reason = (
-                f"{reason or first.describe()}; {extra} byte more in the line, read as a new header"
-            )
+            more = "1 byte more" if extra == 1 else f"{extra} bytes more"
+            reason = f"{reason or first.describe()}; {more} in the line, read as a new header"
         known = next((e for e in ERRATA if e.example == (example.section, example.line)), None)
         meant = nearest(protocol, first.frame, sent[len(first.frame) :])
         findings.append(Finding(example, sent, reason, meant, known))

@@ -201,7 +201,8 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
     except (ConstructError, AttributeError, TypeError, ValueError) as error:
         raise GrammarError(
-            f"the grammar {origin} cannot be used: {error}; compare it with spec/grammar.py"
+            f"the grammar {origin} cannot be used: {' '.join(str(error).split())}; "
+            "compare it with spec/grammar.py"
         ) from error
 
 
@@ -213,10 +214,9 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     out = [s.id for s in instructions if s.id not in {identity for identity, _ in headers}]
     if out:
         raise GrammarError(f"the header cannot carry the ID {out[0]}")
-    names = [spec.name for spec in instructions]
-    twice = [name for name in names if names.count(name) > 1]
+    twice = _twice([spec.name for spec in instructions])
     if twice:
-        raise GrammarError(f"two instructions are named {twice[0]}")
+        raise GrammarError(f"two instructions are named {twice}")
     if not any(s.effect.motion is Motion.STOPPED and not s.length for s in instructions):
         raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
     responses = tuple(
@@ -262,8 +262,17 @@ def _headers(
     parts = tuple((part.name, part.sizeof(), _prose(part)) for part in header.subcon.subcons)
     if sorted(name for name, _, _ in parts) != ["id", "length"]:
         raise GrammarError("HEADER must have the parts id and length")
+    bits = sum(width for _, width, _ in parts)
+    if bits != 8:
+        raise GrammarError(f"the parts of HEADER have {bits} bits together; they must have 8")
     parsed = [header.parse(bytes([byte])) for byte in range(256)]
     return tuple((one.id, one.length) for one in parsed), parts
+
+
+def _twice(names: list[str]) -> str:
+    """The first name that comes again, in whatever case: users may write names in any."""
+    folded = [name.lower() for name in names]
+    return next((n for n, low in zip(names, folded, strict=True) if folded.count(low) > 1), "")
 
 
 def _prose(declaration: Construct) -> str:
@@ -287,6 +296,7 @@ def _instruction(identity: int, declaration: Construct, longest: int) -> Instruc
             raise GrammarError(
                 f"{declaration.name}.{member.name} has no range: write Ranged(Byte, low, high)"
             )
+        _check_range(f"{declaration.name}.{member.name}", ranged)
         size = ranged.sizeof()
         fields.append(
             FieldSpec(
@@ -302,6 +312,9 @@ def _instruction(identity: int, declaration: Construct, longest: int) -> Instruc
             )
         )
         offset += size
+    twice = _twice([spec.name for spec in fields])
+    if twice:
+        raise GrammarError(f"{declaration.name} has two fields named {twice}")
     if offset > longest:
         raise GrammarError(
             f"{declaration.name} has {offset} data bytes; a header announces at most {longest}"
@@ -315,6 +328,17 @@ def _instruction(identity: int, declaration: Construct, longest: int) -> Instruc
         fields=tuple(fields),
         effect=_effect(body.effect, tuple(spec.name for spec in fields)),
     )
+
+
+def _check_range(name: str, ranged: Ranged) -> None:
+    low, high = ranged.low, ranged.high
+    if low > high:
+        raise GrammarError(f"{name} has the range {low} to {high}, which holds nothing")
+    try:
+        ranged.build(low)
+        ranged.build(high)
+    except ConstructError:
+        raise GrammarError(f"{name} cannot carry its range {low} to {high}") from None
 
 
 def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:

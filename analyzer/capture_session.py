@@ -1,0 +1,83 @@
+"""How a capture is decoded: as it was when it was recorded, as far as the file tells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from analyzer.line_settings import LineSettings
+from analyzer.pairing import MILLISECOND
+from analyzer.session import BOTH, SKEW, Session
+from captures.errors import shown
+from captures.reader import Capture
+from captures.schemas import Direction
+from captures.topics import DEVICE_RAW, HOST_RAW
+from spec.protocol import Protocol
+
+_LONGEST = 60_000.0  # ms that a file may ask for
+
+
+def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
+    """A session set up as the one that recorded the capture.
+
+    `timeout` (ns) is the truncation time-out; None for the recorded one, the protocol's own where
+    the file does not tell.
+    """
+    if timeout is None:
+        timeout = _nanoseconds(capture, "truncation_timeout_ms")
+    skew = _nanoseconds(capture, "skew_ms")
+    return Session(
+        protocol,
+        timeout=timeout or None,
+        heard=heard(capture),
+        skew=SKEW if skew is None else skew,
+    )
+
+
+def heard(capture: Capture) -> frozenset[Direction]:
+    """The directions that were listened to; where the file does not tell, those with bytes."""
+    told = capture.metadata.get("heard", "").split()
+    if told and set(told) <= BOTH:
+        return frozenset(side for side in BOTH if side in told)
+    counts = capture.contents.counts
+    raw: dict[Direction, str] = {"host": HOST_RAW, "device": DEVICE_RAW}
+    return frozenset(side for side, topic in raw.items() if counts.get(topic)) or BOTH
+
+
+def capture_line(capture: Capture, protocol: Protocol) -> LineSettings:
+    """How the line was set, as far as the file tells; the protocol's own otherwise."""
+    baud, _, form = capture.metadata.get("line", "").partition(" 8")
+    try:
+        return LineSettings(int(baud), form[:1], float(form[1:]))
+    except ValueError:
+        line = protocol.line
+        return LineSettings(line.baud, line.parity, line.stopbits)
+
+
+def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
+    """What the user should know before the frames: one line about each oddity of the file."""
+    name = shown(capture.path)
+    if capture.unfinished:
+        yield f"{name} was never finished: all that is whole is shown"
+    if capture.damage:
+        first = shown(capture.damage[0])
+        more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
+        yield f"{name} is damaged: {first}{more}; the rest is shown"
+    recorded = capture.metadata.get("grammar_sha256")
+    if recorded and recorded != protocol.sha256:
+        known = shown(capture.metadata.get("grammar_name", "another grammar"))
+        version = shown(capture.metadata.get("grammar_version", ""))
+        yield (
+            f"{name} was recorded with another grammar ({known} {version}); decoded with "
+            f"{protocol.origin} ({protocol.name} {protocol.version})"
+        )
+
+
+def _nanoseconds(capture: Capture, key: str) -> int | None:
+    try:
+        value = float(capture.metadata[key])
+    except (KeyError, ValueError):
+        return None
+    if not math.isfinite(value) or not 0 <= value <= _LONGEST:
+        return None
+    return round(value * MILLISECOND)

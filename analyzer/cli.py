@@ -1,0 +1,164 @@
+"""The text commands: explain, encode, ports, info, completion."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import rich_click as click
+
+from analyzer.format_option import output_format
+from analyzer.show import show, show_json
+
+
+@click.command()
+@click.argument("words", metavar="HEX...", nargs=-1, required=True)
+@click.option(
+    "--from",
+    "sender",
+    type=click.Choice(["host", "device"]),
+    default="host",
+    show_default=True,
+    help="Who sent the bytes.",
+)
+@output_format
+@click.pass_obj
+def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str) -> None:
+    """Explain every bit of some bytes.
+
+    For each frame: what its bits mean, what a conforming device answers and does, why, on which
+    clause, reading or erratum of the document that rests, and the nearest valid frame.
+
+    Example: bilprov explain 81 09
+    """
+    from analyzer.grammar_file import load_protocol
+    from analyzer.hex_text import bytes_from_hex
+    from analyzer.show_explanation import as_json, drawn
+    from spec import explain as explaining
+
+    data = _or_sentence(bytes_from_hex, " ".join(words))
+    protocol = load_protocol(grammar)
+    make = explaining.explain if sender == "host" else explaining.explain_responses
+    explanation = make(protocol, data)
+    if style == "json":
+        show_json(as_json(explanation))
+    else:
+        show(*drawn(explanation))
+
+
+def _or_sentence(function: Any, *arguments: Any) -> Any:
+    """What the function gives; its ValueError is a sentence for the user."""
+    try:
+        return function(*arguments)
+    except ValueError as error:
+        raise click.ClickException(str(error)) from None
+
+
+def _instruction_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """Completion of instruction names, out of the grammar in use."""
+    from analyzer.grammar_file import load_protocol
+
+    protocol = load_protocol(ctx.find_root().params.get("grammar"))
+    names = [spec.name for spec in protocol.instructions]
+    return [name for name in names if name.lower().startswith(incomplete.lower())]
+
+
+# A negative value looks like an option; it is taken as a value, and refused by its range.
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("name", metavar="INSTRUCTION", shell_complete=_instruction_names)
+@click.argument("values", metavar="[FIELD=VALUE]...", nargs=-1)
+@click.option("--raw", is_flag=True, help="Write the bytes themselves, for a pipe.")
+@click.pass_obj
+def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -> None:
+    """Build the bytes of an instruction and print them in hex.
+
+    Values are decimal, 0x hex or 0b binary; without FIELD= they are taken in order. See the
+    instructions and their fields with: bilprov spec show
+
+    Example: bilprov encode LED rgb=5
+    """
+    from analyzer.grammar_file import load_protocol
+    from analyzer.instruction_text import encoded
+    from spec.codec import spaced
+
+    for word in (name, *values):
+        if word.startswith("-") and not word[1:2].isdigit():
+            raise click.NoSuchOption(word, possibilities=["--raw", "--help"])
+    frame = _or_sentence(encoded, load_protocol(grammar), name, values)
+    if raw:
+        sys.stdout.buffer.write(frame)
+    else:
+        click.echo(spaced(frame))
+
+
+@click.command()
+@output_format
+def ports(style: str) -> None:
+    """List the serial ports of this machine; USB adapters and boards are marked with a star."""
+    from dataclasses import asdict
+
+    from analyzer.ports import list_ports
+    from analyzer.show import table
+    from captures.errors import shown
+
+    found = list_ports()
+    if style == "json":
+        show_json([asdict(port) for port in found])
+    elif found:
+        rows = [
+            (
+                "*" if port.likely else "",
+                shown(port.path),
+                shown(port.description),
+                shown(port.hardware_id),
+            )
+            for port in found
+        ]
+        show(table(("usb", "port", "description", "hardware"), rows))
+    else:
+        click.echo(
+            "No serial port here. Plug the robot or its USB adapter in and look again, give the "
+            "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
+            "bilprov simulate"
+        )
+
+
+@click.command()
+@click.argument("file", metavar="FILE.mcap")
+@output_format
+@click.pass_obj
+def info(grammar: str | None, file: str, style: str) -> None:
+    """Tell what a capture holds, who recorded it and whether it is whole."""
+    from analyzer.grammar_file import load_protocol
+    from analyzer.show_capture import as_json, drawn, summarized
+    from captures.reader import open_capture
+
+    summary = summarized(open_capture(file), load_protocol(grammar))
+    if style == "json":
+        show_json(as_json(summary))
+    else:
+        show(*drawn(summary))
+
+
+# How each shell takes the script in for good.
+INSTALL = {
+    "bash": 'eval "$(bilprov completion bash)" in ~/.bashrc',
+    "zsh": 'eval "$(bilprov completion zsh)" in ~/.zshrc, after compinit',
+    "fish": "bilprov completion fish > ~/.config/fish/completions/bilprov.fish",
+}
+
+
+@click.command(
+    epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items()),
+)
+@click.argument("shell", type=click.Choice(list(INSTALL)))
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> None:
+    """Print the script that completes bilprov's subcommands, options and names in a shell."""
+    from click.shell_completion import get_completion_class
+
+    made = get_completion_class(shell)
+    if made is None:
+        raise click.ClickException(f"click knows no completion for {shell}")
+    root = ctx.find_root()
+    click.echo(made(root.command, {}, "bilprov", "_BILPROV_COMPLETE").source())

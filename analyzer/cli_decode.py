@@ -1,0 +1,125 @@
+"""`bilprov decode`: bytes from hex, a file or standard input, shown frame by frame."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from io import FileIO
+from pathlib import Path
+from typing import Literal
+
+import rich_click as click
+
+from analyzer.capture_session import capture_session, said_about
+from analyzer.cli_options import compiled, filter_option, note, opened_output
+from analyzer.grammar_file import load_protocol
+from analyzer.hex_text import bytes_from_hex
+from analyzer.outputs import Shown
+from analyzer.session import Session
+from analyzer.statistics import Statistics
+from captures.errors import CaptureError, shown
+from captures.reader import open_capture
+from captures.records import MAGIC
+from captures.schemas import Chunk, Direction, Line
+from spec.protocol import Protocol
+
+PIECE = 1 << 16  # bytes
+
+
+@click.command()
+@click.argument("words", metavar="[FILE|-|HEX]...", nargs=-1)
+@click.option(
+    "--from",
+    "sender",
+    type=click.Choice(["host", "device"]),
+    default="host",
+    show_default=True,
+    help="Who sent the bytes.",
+)
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["lines", "jsonl"]),
+    default="lines",
+    show_default=True,
+    help="Text lines or JSON lines.",
+)
+@filter_option
+@click.pass_obj
+def decode(
+    grammar: str | None,
+    words: tuple[str, ...],
+    sender: Direction,
+    style: Literal["lines", "jsonl"],
+    expression: str | None,
+) -> None:
+    """Decode bytes: hex like 81 05, a file of raw bytes, a capture, or - for standard input.
+
+    The bytes count as sent in one go: nothing is cut short but what the end leaves incomplete.
+    """
+    protocol = load_protocol(grammar)
+    test = compiled(expression, protocol)
+    if not words and sys.stdin.isatty():
+        raise click.UsageError("what is to be decoded? Give HEX, a FILE or - for standard input")
+    session, events = _input(words or ("-",), sender, protocol)
+    statistics = Statistics(protocol, 0)
+    out = Shown(opened_output(style, protocol, statistics, ""), test)
+    for event in events:
+        for record in session.feed(event):
+            out.show(record)
+    for record in session.finish():
+        out.show(record)
+
+
+def _input(
+    words: tuple[str, ...], sender: Direction, protocol: Protocol
+) -> tuple[Session, Iterator[Chunk | Line]]:
+    """How to decode, and what."""
+    session = Session(protocol, heard=frozenset({sender}))
+    if words == ("-",):
+        return session, _pieces(None, sender)
+    path = Path(words[0])
+    if len(words) == 1 and _is_file(path):
+        if _begins_like_a_capture(path):
+            capture = open_capture(path)
+            for sentence in said_about(capture, protocol):
+                note(sentence)
+            return capture_session(capture, protocol), capture.events()
+        return session, _pieces(path, sender)
+    try:
+        data = bytes_from_hex(" ".join(words))
+    except ValueError as error:
+        files = " and no such file" if len(words) == 1 else ""
+        raise click.ClickException(f"{error}{files}") from None
+    return session, iter([Chunk(0, sender, data)])
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.exists() and not path.is_dir()
+    except (OSError, ValueError):  # too long for a name, or a zero byte in it: hex, or nothing
+        return False
+
+
+def _begins_like_a_capture(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _pieces(path: Path | None, sender: Direction) -> Iterator[Chunk]:
+    """The bytes of a file, or of standard input as they come."""
+    try:
+        # Unbuffered: what a pipe has is shown at once.
+        with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
+            while data := file.read(PIECE):
+                yield Chunk(0, sender, data)
+    except OSError as error:
+        raise _unreadable(path or Path("standard input"), error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> CaptureError:
+    why = shown(error.strerror or error)
+    return CaptureError(f"{shown(path)} cannot be read ({why}): name a file of raw bytes")

@@ -1,0 +1,79 @@
+"""The commands that show the protocol: spec show, spec readings, spec errata."""
+
+from __future__ import annotations
+
+import rich_click as click
+
+from analyzer.format_option import output_format
+from analyzer.show import show, show_json
+
+
+@click.group()
+def spec() -> None:
+    """Show the protocol, how its document is read, and where the document is wrong."""
+
+
+@spec.command("show")
+@output_format
+@click.pass_obj
+def spec_show(grammar: str | None, style: str) -> None:
+    """Show header, instructions, responses, effects and defaults of the grammar in use."""
+    from analyzer.grammar_file import load_protocol
+    from analyzer.show_spec import drawn_protocol, protocol_json
+
+    protocol = load_protocol(grammar)
+    if style == "json":
+        show_json(protocol_json(protocol))
+    else:
+        show(*drawn_protocol(protocol))
+
+
+def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    from spec.readings import READINGS
+
+    return [r.id for r in READINGS if r.id.lower().startswith(incomplete.lower())]
+
+
+@spec.command("readings")
+@click.argument("ids", metavar="[ID]...", nargs=-1, shell_complete=_reading_ids)
+@output_format
+def spec_readings(ids: tuple[str, ...], style: str) -> None:
+    """Show how the document is read where it is silent: our default, and what others get.
+
+    Example: bilprov spec readings R-led-id
+    """
+    from analyzer.show_spec import drawn_readings, readings_json
+    from spec.readings import READINGS
+
+    known = {reading.id.lower(): reading for reading in READINGS}
+    for name in ids:
+        if name.lower() not in known:
+            from difflib import get_close_matches
+
+            close = get_close_matches(name.lower(), known, n=1)
+            hint = f", did you mean {known[close[0]].id}?" if close else ""
+            raise click.ClickException(
+                f"there is no reading {name!r}{hint}; see bilprov spec readings"
+            )
+    chosen = [known[name.lower()] for name in ids] or list(READINGS)
+    if style == "json":
+        show_json(readings_json(chosen))
+    else:
+        show(*drawn_readings(chosen))
+
+
+@spec.command("errata")
+@output_format
+@click.pass_obj
+def spec_errata(grammar: str | None, style: str) -> None:
+    """Run the document's own examples through the grammar and show where it contradicts itself."""
+    from analyzer.grammar_file import load_protocol
+    from analyzer.show_spec import drawn_errata, errata_json
+    from spec.errata import check
+
+    protocol = load_protocol(grammar)
+    findings = check(protocol)
+    if style == "json":
+        show_json(errata_json(findings))
+    else:
+        show(*drawn_errata(protocol, findings))

@@ -1,0 +1,84 @@
+"""The names and words of filter expressions, and how each is got from a JSON line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, get_args
+
+from analyzer.json_lines import JsonLine
+from captures.schemas import Direction, FrameKind
+from spec.motion import VARIABLES, Motion
+from spec.protocol import Protocol
+
+
+class _Missing:
+    """A value that a line does not have: no comparison with it holds."""
+
+
+MISSING = _Missing()
+
+HELP = """\
+Show only the lines for which EXPR holds, like "faulty or latency > 0.05" or "name == Speed and
+speed > 100". It knows and, or, not, ==, !=, <, <=, >, >=, in, parentheses, numbers (0x1f too) and
+'text'; the keys of the JSON lines (direction, kind, name, hex, judgement, reason, latency, t,
+sequence, answers, agrees, faults), state.motion, state.speed and so on, faulty, and every field of
+an instruction by its name. Names of instructions, responses, kinds and motions need no quotes. A
+comparison with something that a line does not have is false."""
+
+
+class Name(NamedTuple):
+    """A name: the kind of its value (`text`, `number`, `truth`, `list of text`), and the value."""
+
+    kind: str
+    get: Callable[[JsonLine], Any]
+
+
+def _of(kind: str, key: str) -> Name:
+    def get(line: JsonLine) -> Any:
+        value = getattr(line, key)
+        return MISSING if value is None else value
+
+    return Name(kind, get)
+
+
+def _field(name: str) -> Name:
+    return Name("number", lambda line: line.fields.get(name, MISSING))
+
+
+def _state(variable: str) -> Name:
+    kind = {"motion": "text", "moving": "truth"}.get(variable, "number")
+    return Name(kind, lambda line: getattr(line.state, variable))
+
+
+KEYS = {
+    **{key: _of("text", key) for key in ("direction", "kind", "name", "hex")},
+    **{key: _of("text", key) for key in ("judgement", "reason")},
+    **{key: _of("number", key) for key in ("latency", "t", "sequence", "answers")},
+    "agrees": _of("truth", "agrees"),
+    "faults": _of("list of text", "faults"),
+    "faulty": Name("truth", lambda line: bool(line.faults)),
+    **{f"state.{variable}": _state(variable) for variable in (*VARIABLES, "moving")},
+}
+
+
+def names(protocol: Protocol) -> Mapping[str, Name]:
+    """Every name. A field that is called like a key is reached as `fields.NAME`."""
+    fields = {
+        part.name: _field(part.name) for spec in protocol.instructions for part in spec.fields
+    }
+    return {**fields, **KEYS, **{f"fields.{name}": get for name, get in fields.items()}}
+
+
+def words(protocol: Protocol) -> tuple[str, ...]:
+    """Texts that need no quotes; a name goes before a word that is spelled the same."""
+    return tuple(
+        dict.fromkeys(
+            [
+                *(spec.name for spec in protocol.instructions),
+                *(spec.name for spec in protocol.responses),
+                *(kind for kind in (*get_args(FrameKind), "fault")),
+                *get_args(Direction),
+                *(motion.value for motion in Motion),
+            ]
+        )
+    )

@@ -1,0 +1,186 @@
+"""`--filter EXPR`: a small, safe language over the JSON lines. Text in, a function out.
+
+Python's own parser reads the expression; each node is looked up in the tables here and what is not
+there is refused, so nothing of it is ever run as Python.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+import warnings
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from analyzer.filter_words import HELP, MISSING, Name, names, words
+from analyzer.json_lines import JsonLine
+from captures.errors import shown
+from spec.protocol import Protocol
+
+__all__ = ["HELP", "FilterError", "compile_filter"]
+
+LONGEST = 1000  # characters
+_ALLOWED = "and, or, not, in, ==, !=, <, <=, >, >=, parentheses, names, 'text' and numbers"
+
+_COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.In: ("in", lambda one, many: one in many),
+    ast.NotIn: ("not in", lambda one, many: one not in many),
+}
+
+# A part of an expression: what kind of value it has, and how it is got from a line.
+_Part = tuple[str, Callable[[JsonLine], Any]]
+
+
+class FilterError(ValueError):
+    """An expression that is no filter, in one sentence with the column."""
+
+
+def compile_filter(text: str, protocol: Protocol) -> Callable[[JsonLine], bool]:
+    """A function that tells whether a line passes.
+
+    The names are those of `HELP` and the fields of the protocol's instructions. Comparing a value
+    that a line does not have is false. Raises FilterError.
+    """
+    if len(text) > LONGEST:
+        raise FilterError(f"the filter has {len(text)} characters, allowed are {LONGEST}")
+    source = text.replace("\n", " ").strip()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's advice is about programs, not filters
+            tree = ast.parse(source, mode="eval")
+        found = _Compiler(source, protocol).truth(tree.body)
+    except SyntaxError as error:
+        raise FilterError(
+            f"the filter {shown(source)!r} does not parse at column {error.offset or 1}; "
+            f"allowed are {_ALLOWED}"
+        ) from error
+    except (RecursionError, MemoryError) as error:
+        raise FilterError("the filter is nested too deeply") from error
+    except ValueError as error:
+        if isinstance(error, FilterError):
+            raise
+        raise FilterError(f"the filter cannot be read: {shown(error)}") from error
+    return lambda line: bool(found(line) is True)
+
+
+class _Compiler:
+    """Turns the nodes of one expression into functions of a line."""
+
+    def __init__(self, source: str, protocol: Protocol) -> None:
+        self._source = source
+        self._names = names(protocol)
+        self._words = words(protocol)
+
+    def truth(self, node: ast.expr) -> Callable[[JsonLine], Any]:
+        """A condition: something that is true or false."""
+        if isinstance(node, ast.BoolOp):
+            parts = [self.truth(value) for value in node.values]
+            if isinstance(node.op, ast.And):
+                return lambda line: all(part(line) is True for part in parts)
+            return lambda line: any(part(line) is True for part in parts)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            part = self.truth(node.operand)
+            return lambda line: part(line) is not True
+        if isinstance(node, ast.Compare):
+            return self._comparison(node)
+        kind, get = self._value(node)
+        if kind != "truth":
+            self._refuse(node, f"is a {kind}, not a condition: compare it, like {_example(kind)}")
+        return get
+
+    def _comparison(self, node: ast.Compare) -> Callable[[JsonLine], bool]:
+        steps = []
+        left = self._value(node.left)
+        for op, right_node in zip(node.ops, node.comparators, strict=True):
+            if type(op) not in _COMPARISONS:
+                self._refuse(
+                    right_node, f"is compared in a way that is not known; allowed are {_ALLOWED}"
+                )
+            sign, compare = _COMPARISONS[type(op)]
+            right = self._value(right_node)
+            self._check(right_node, left[0], sign, right[0])
+            steps.append((left[1], compare, right[1]))
+            left = right
+
+        def holds(line: JsonLine) -> bool:
+            for get_left, compare, get_right in steps:
+                one, other = get_left(line), get_right(line)
+                if one is MISSING or other is MISSING or not compare(one, other):
+                    return False
+            return True
+
+        return holds
+
+    def _check(self, node: ast.expr, left: str, sign: str, right: str) -> None:
+        """Comparisons that could never hold are mistakes, and said so at once."""
+        if sign.endswith("in"):
+            fits = right == f"list of {left}" or left == right == "text"
+        else:
+            fits = left == right and (sign in ("==", "!=") or left != "truth")
+        if not fits:
+            self._refuse(node, f"is a {right}; a {left} {sign} a {right} is never true")
+
+    def _value(self, node: ast.expr) -> _Part:
+        if isinstance(node, ast.Constant):
+            return self._constant(node, node.value)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+            kind, get = self._value(node.operand)
+            if kind == "number" and isinstance(node.operand, ast.Constant):
+                factor = -1 if isinstance(node.op, ast.USub) else 1
+                number = factor * get(None)  # type: ignore[arg-type]  # a constant asks no line
+                return kind, lambda line: number
+        if isinstance(node, ast.Tuple | ast.List | ast.Set):
+            return self._list(node)
+        if isinstance(node, ast.Name | ast.Attribute):
+            return self._name(node)
+        if isinstance(node, ast.BoolOp | ast.Compare | ast.UnaryOp):
+            return "truth", self.truth(node)
+        return self._refuse(node, f"is not allowed in a filter; allowed are {_ALLOWED}")
+
+    def _constant(self, node: ast.expr, value: object) -> _Part:
+        if isinstance(value, bool):
+            return "truth", lambda line: value
+        if isinstance(value, int | float):
+            return "number", lambda line: value
+        if isinstance(value, str):
+            return "text", lambda line: value
+        return self._refuse(node, f"is not allowed in a filter; allowed are {_ALLOWED}")
+
+    def _list(self, node: ast.Tuple | ast.List | ast.Set) -> _Part:
+        parts = [self._value(element) for element in node.elts]
+        kinds = {kind for kind, _ in parts}
+        if len(kinds) != 1:
+            self._refuse(node, "must hold one or more values of one kind")
+        gets = [get for _, get in parts]
+        return f"list of {kinds.pop()}", lambda line: [get(line) for get in gets]
+
+    def _name(self, node: ast.Name | ast.Attribute) -> _Part:
+        dotted = ast.unparse(node)
+        name: Name | None = self._names.get(dotted)
+        if name:
+            return name.kind, name.get
+        if dotted in self._words:
+            return "text", lambda line: dotted
+        return self._refuse(
+            node,
+            f"is no name here; names are {', '.join(self._names)}; "
+            f"words that need no quotes are {', '.join(self._words)}",
+        )
+
+    def _refuse(self, node: ast.expr, why: str) -> NoReturn:
+        part = ast.get_source_segment(self._source, node) or ""
+        before = self._source.encode()[: node.col_offset].decode(errors="replace")
+        raise FilterError(f"filter column {len(before) + 1}: {shown(part)!r} {why}")
+
+
+def _example(kind: str) -> str:
+    """How a value of that kind is made a condition."""
+    return {"number": "latency > 0.01", "text": "name == 'LED'"}.get(
+        kind, "name in ('LED', 'Stop')"
+    )

@@ -1,0 +1,156 @@
+"""The live view: one frozen value in, one picture out. Owns no terminal, no clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.layout import Layout
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from analyzer.car_view import car_view
+from analyzer.records import (
+    DeviceRecord,
+    Fault,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    Severity,
+    faults_of,
+)
+from analyzer.render import SEVERITY_COLOURS
+from analyzer.statistics import Latencies, Snapshot
+from captures.errors import shown
+from spec.protocol import Protocol
+
+SIDE_WIDTH = 30
+FAULT_ROWS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the live view shows: `title` says where it listens, `captured` what is kept of it."""
+
+    protocol: Protocol
+    snapshot: Snapshot
+    title: str
+    captured: str = ""
+
+
+def live_view(view: View) -> RenderableType:
+    """The picture of a moment. It fills the console it is drawn on, from 80 x 24 up."""
+    layout = Layout()
+    layout.split_column(
+        Layout(_head(view), size=1),
+        Layout(name="body"),
+        Layout(_faults(view.snapshot), size=FAULT_ROWS + 2),
+    )
+    layout["body"].split_row(Layout(name="frames"), Layout(name="side", size=SIDE_WIDTH))
+    layout["frames"].update(_Frames(view.snapshot.recent))
+    layout["side"].split_column(
+        Layout(Panel(car_view(view.protocol, view.snapshot.state), title="predicted"), size=10),
+        Layout(Panel(_numbers(view.snapshot), title="line")),
+    )
+    return layout
+
+
+def _head(view: View) -> RenderableType:
+    bar = Table.grid(expand=True)
+    bar.add_column(no_wrap=True, overflow="ellipsis")
+    bar.add_column(justify="right", no_wrap=True)
+    elapsed = view.snapshot.t / 1e9
+    clock = f"{elapsed // 60:02.0f}:{elapsed % 60:04.1f}"
+    captured = f"  ● {shown(view.captured)}" if view.captured else ""
+    bar.add_row(
+        Text.assemble(("bilprov ", "bold"), shown(view.title)), Text(f"{captured}  {clock}")
+    )
+    return bar
+
+
+class _Frames:
+    """As many of the last records as there is room for, the newest at the bottom."""
+
+    def __init__(self, records: tuple[Record, ...]) -> None:
+        self._records = records
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        room = max(1, (options.height or console.height) - 2)
+        table = Table.grid(padding=(0, 1, 0, 0), expand=True)
+        for justify, ratio in (("right", None), ("left", None), ("left", None), ("left", 1)):
+            table.add_column(justify=justify, ratio=ratio, no_wrap=True, overflow="ellipsis")  # type: ignore[arg-type]
+        for record in self._records[-room:]:
+            table.add_row(*_cells(record))
+        yield Panel(table, title="frames", height=options.height)
+
+
+def _cells(record: Record) -> tuple[Text, ...]:
+    if isinstance(record, HostRecord):
+        words = record.judgement.describe() if record.judgement else "garbage"
+        sign, hex_text, t = "→", record.value.hex, record.value.t
+    elif isinstance(record, DeviceRecord):
+        value = record.value
+        words = value.name or f"unused {value.byte}"
+        words += "" if value.latency is None else f"  {value.latency / 1e6:.3f} ms"
+        sign, hex_text, t = "←", value.hex, value.t
+    elif isinstance(record, LineRecord):
+        sign, hex_text, t = "-", "", record.value.t
+        words = f"{record.value.event} {record.value.detail}"
+    else:
+        sign, hex_text, t, words = "!", "", record.fault.t, record.fault.kind
+    if len(hex_text) > 11:
+        hex_text = f"{hex_text[:8]} …"
+    style = _style(record)
+    return (
+        Text(f"{t / 1e9:.6f}", "dim"),
+        Text(sign, "bold cyan" if sign == "→" else "bold"),
+        Text(hex_text, style),
+        Text(shown(words), style),
+    )
+
+
+def _style(record: Record) -> str:
+    severity = max((fault.severity for fault in faults_of(record)), default=None)
+    if severity is not None and severity > Severity.INFO:
+        return SEVERITY_COLOURS[severity]
+    return "" if isinstance(record, LineRecord | FaultRecord) else "green"
+
+
+def _faults(snapshot: Snapshot) -> RenderableType:
+    counts = "  ".join(f"{kind} {count}" for kind, count in snapshot.faults)
+    rows = [_fault(fault) for fault in snapshot.recent_faults[-FAULT_ROWS:]]
+    if not rows:
+        rows = [Text("none so far", "dim")]
+    return Panel(
+        Group(*rows), title=f"faults  {counts}" if counts else "faults", title_align="left"
+    )
+
+
+def _fault(fault: Fault) -> Text:
+    line = Text(f"{fault.t / 1e9:.6f} ", "dim", no_wrap=True, overflow="ellipsis")
+    line.append(fault.kind, f"bold {SEVERITY_COLOURS[fault.severity]}")
+    return line.append(f"  {shown(fault.reason)}", "default")
+
+
+def _numbers(snapshot: Snapshot) -> RenderableType:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(no_wrap=True)
+    for label, words in (
+        ("frames", f"{snapshot.instructions}, {snapshot.frame_rate:.0f}/s"),
+        ("answers", f"{snapshot.responses}"),
+        ("host", f"{snapshot.byte_rates[0]:.0f} B/s {snapshot.loads[0]:.0%}"),
+        ("device", f"{snapshot.byte_rates[1]:.0f} B/s {snapshot.loads[1]:.0%}"),
+        ("latency", _latency(snapshot.latencies)),
+    ):
+        table.add_row(label, words)
+    return table
+
+
+def _latency(latencies: Latencies | None) -> str:
+    if latencies is None:
+        return "none yet"
+    values = (latencies.median, latencies.ninety_fifth, latencies.longest)
+    return "/".join(f"{value / 1e6:.3g}" for value in values) + " ms"

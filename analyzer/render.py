@@ -1,0 +1,117 @@
+"""Records as lines of text, one for each frame, byte or fault. Strings out; prints nothing.
+
+A full line carries more frames than rich can mark up, so what a frame looks like is worked out once
+for each distinct frame and kept.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import click
+
+from analyzer.records import (
+    DeviceRecord,
+    Fault,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    Severity,
+)
+from captures.errors import shown
+from captures.schemas import State
+
+HEX_WIDTH = 11  # up to four bytes in line; longer frames push the rest aside
+WORDS_WIDTH = 22
+
+SEVERITY_COLOURS = {
+    Severity.INFO: "cyan",
+    Severity.WARNING: "yellow",
+    Severity.ERROR: "red",
+}
+
+
+class LineRenderer:
+    """Renders records for one output.
+
+    `colour` adds ANSI colour codes: only for a terminal that wants them. `arrows` are the signs for
+    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others.
+    """
+
+    def __init__(self, *, colour: bool, arrows: tuple[str, str] = ("→", "←")) -> None:
+        self._colour = colour
+        self._to_device, self._to_host = arrows
+        self._host = lru_cache(maxsize=8192)(self._host_text)
+        self._device = lru_cache(maxsize=8192)(self._device_text)
+        self._state = lru_cache(maxsize=8192)(self._state_text)
+
+    def line(self, record: Record) -> str:
+        """One line without its end, safe for a terminal and for a pipe."""
+        if isinstance(record, HostRecord):
+            value = record.value
+            words = record.judgement.describe() if record.judgement else "garbage"
+            severity = _severity(record.faults)
+            text = self._host(value.hex, words, severity)
+            why = self._paint(f"  {value.reason}", severity) if value.reason else ""
+            return f"{_time(value.t)} {text}{self._state(record.state)}{why}"
+        if isinstance(record, DeviceRecord):
+            return f"{_time(record.value.t)} {self._device_line(record)}"
+        if isinstance(record, FaultRecord):
+            return self._fault_line(record.fault)
+        return self._line_event(record)
+
+    def _host_text(self, hex_text: str, words: str, severity: Severity | None) -> str:
+        body = f"{hex_text:<{HEX_WIDTH}}  {words:<{WORDS_WIDTH}}"
+        return f"{self._to_device} {self._paint(body, severity)}"
+
+    def _device_line(self, record: DeviceRecord) -> str:
+        value = record.value
+        name = value.name or f"unused {value.byte}"
+        text = self._device(value.hex, name, _severity(record.faults))
+        latency = "" if value.latency is None else f" {value.latency / 1e6:8.3f} ms"
+        why = self._paint(f"  {value.reason}", _severity(record.faults)) if value.reason else ""
+        return f"{text}{latency}{why}".rstrip()
+
+    def _device_text(self, hex_text: str, name: str, severity: Severity | None) -> str:
+        return f"{self._to_host} {self._paint(f'{hex_text:<{HEX_WIDTH}}  {name:<13}', severity)}"
+
+    def _fault_line(self, fault: Fault) -> str:
+        words = f"{fault.kind}: {fault.reason}"
+        return f"{_time(fault.t)} ! {self._paint(words, fault.severity)}"
+
+    def _line_event(self, record: LineRecord) -> str:
+        if record.faults:
+            return self._fault_line(record.faults[0])
+        value = record.value
+        where = f"{value.tap} line" if value.tap else "line"
+        detail = f": {shown(value.detail)}" if value.detail else ""
+        return f"{_time(value.t)} - {where} {shown(value.event)}{detail}"
+
+    def _state_text(self, state: State) -> str:
+        words = state_words(state)
+        return f"  {click.style(words, dim=True) if self._colour else words}"
+
+    def _paint(self, text: str, severity: Severity | None) -> str:
+        if not self._colour:
+            return text
+        if severity is None:
+            return click.style(text, fg="green")
+        return click.style(text, fg=SEVERITY_COLOURS[severity])
+
+
+ASCII_ARROWS = (">", "<")
+
+
+def state_words(state: State) -> str:
+    """The predicted state in words: `forward speed 255 steering +64 led 5`."""
+    steering = f" steering {state.steering:+d}" if state.steering else ""
+    return f"{state.motion} speed {state.speed}{steering} led {state.led}"
+
+
+def _severity(faults: tuple[Fault, ...]) -> Severity | None:
+    return max((fault.severity for fault in faults), default=None)
+
+
+def _time(t: int) -> str:
+    return f"{t / 1e9:12.6f}"

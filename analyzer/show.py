@@ -1,0 +1,69 @@
+"""Text, tables and JSON on standard output: drawn on a terminal, plain lines in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import msgspec
+from rich.console import Console, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+# Wide enough that nothing wraps: a line in a pipe is one fact, for grep.
+_PIPE_WIDTH = 100_000
+
+
+def show(*parts: RenderableType) -> None:
+    """Print the parts, as wide as the terminal; in a pipe unwrapped and without trailing blanks."""
+    console = Console(highlight=False, markup=False, emoji=False)
+    if console.is_terminal:
+        for part in parts:
+            console.print(part)
+        return
+    plain = Console(
+        highlight=False, markup=False, emoji=False, color_system=None, width=_PIPE_WIDTH
+    )
+    with plain.capture() as captured:
+        for part in parts:
+            plain.print(part)
+    lines = captured.get().split("\n")
+    sys.stdout.write("\n".join(line.rstrip() for line in lines))
+
+
+def show_json(value: Any) -> None:
+    """Print one value as indented JSON."""
+    text = msgspec.json.format(msgspec.json.encode(value), indent=2).decode()
+    sys.stdout.write(text + "\n")
+
+
+def heading(text: str) -> Text:
+    """A title over a table or a block."""
+    return Text(text, style="bold")
+
+
+def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> RenderableType:
+    """Labels on the left, what they say on the right; rows that say nothing are left out."""
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column()
+    for label, said in rows:
+        if said:
+            grid.add_row(Text(label), said if isinstance(said, Text) else Text(said))
+    return Padding(grid, (0, 0, 0, indent), expand=False)
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: str = "") -> RenderableType:
+    """A table with a line of titles. Columns named in `right` are set to the right."""
+    drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for name in columns:
+        last = name == columns[-1]
+        side = "right" if name in right.split() else "left"
+        drawn.add_column(
+            Text(name), justify="right" if side == "right" else "left", no_wrap=not last
+        )
+    for row in rows:
+        drawn.add_row(*(Text(cell) for cell in row))
+    return Padding(drawn, (0, 0, 0, 2), expand=False)

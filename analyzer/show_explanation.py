@@ -1,0 +1,175 @@
+"""An explanation as a picture of its bits, and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import Any
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from analyzer.show import facts, heading
+from spec.bits import BitGroup
+from spec.codec import spaced
+from spec.explain import Explanation, FrameExplanation, ResponseExplanation
+
+_COLOURS = ("cyan", "magenta", "green", "yellow", "blue")
+_FAULT = "bold red"
+
+
+def drawn(explanation: Explanation) -> Iterator[RenderableType]:
+    """The parts to print: for each frame or response its bits, then what follows from them."""
+    parts = (*map(_frame, explanation.frames), *map(_response, explanation.responses))
+    for index, part in enumerate(parts):
+        if index:
+            yield Text()
+        yield from part
+
+
+def _frame(frame: FrameExplanation) -> Iterator[RenderableType]:
+    judgement = frame.judgement
+    title = heading(spaced(judgement.frame))
+    title.append(f"  {judgement.describe()}", style="" if judgement.valid else "red")
+    yield title
+    yield _bits(frame.groups, judgement.frame)
+    yield Text()
+    yield facts(_frame_facts(frame))
+
+
+def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
+    judgement = frame.judgement
+    style = "green" if judgement.valid else "red"
+    yield "answer", Text(frame.answer, style=style)
+    yield "why", judgement.reason
+    yield "clause", judgement.clause
+    yield "robot", frame.action
+    sets = ", ".join(f"{name} becomes {value}" for name, value in frame.changes)
+    kept = f"{', '.join(frame.keeps)} stay as they were" if frame.keeps else ""
+    yield "state", "; ".join(part for part in (sets, kept) if part)
+    for reading in frame.readings:
+        told = [
+            f"{reading.id}, {reading.clause}: {reading.point}",
+            f"our default: {reading.default}",
+        ]
+        told += (f"otherwise: {choice} -> {verdict}" for choice, verdict in reading.others)
+        yield "reading", "\n".join(told)
+    for erratum in frame.errata:
+        yield "erratum", f"{erratum.id}, {erratum.clause}: {erratum.correction}"
+    if frame.nearest:
+        meant = frame.nearest
+        told_meant = Text(spaced(meant.frame), style="bold")
+        told_meant.append(f"  {meant.describe()}\n{'; '.join(frame.differences)}", style="not bold")
+        yield "nearest", told_meant
+
+
+def _response(response: ResponseExplanation) -> Iterator[RenderableType]:
+    known = response.response
+    title = heading(f"{response.byte:02x}")
+    title.append(f"  {response.group.meaning}", style="" if known else "red")
+    yield title
+    yield _bits((response.group,), bytes([response.byte]))
+    yield Text()
+    document = f' ("{known.document}")' if known else ""
+    yield facts([("meaning", response.meaning + document), ("clause", response.clause)])
+
+
+def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
+    """Each byte's bits on one line, and under it one line for each group: underlined and named."""
+    grid = Table.grid(padding=(0, 2))
+    for _ in range(5):
+        grid.add_column(no_wrap=True)
+    grid.add_column()
+    number = 0
+    for byte, members in groupby(groups, key=lambda group: group.byte):
+        row = list(members)
+        styles = [
+            _FAULT if group.fault else _COLOURS[(number + i) % len(_COLOURS)]
+            for i, group in enumerate(row)
+        ]
+        number += len(row)
+        bits = Text(" ").join(
+            Text(group.bits, style) for group, style in zip(row, styles, strict=True)
+        )
+        coded = spaced(data[byte : byte + row[0].size])
+        grid.add_row(Text(str(byte), "dim"), Text(coded, "bold"), bits)
+        at = 0
+        for group, style in zip(row, styles, strict=True):
+            line = Text(" " * at).append("━" * len(group.bits), style)
+            shown = (group.name, str(group.value), group.meaning)
+            grid.add_row("", "", line, *(Text(part, style) for part in shown))
+            at += len(group.bits) + 1
+    return Padding(grid, (0, 0, 0, 2), expand=False)
+
+
+def as_json(explanation: Explanation) -> dict[str, Any]:
+    """The same values for machines."""
+    return {
+        "hex": spaced(explanation.data),
+        "frames": [_frame_json(frame) for frame in explanation.frames],
+        "responses": [_response_json(response) for response in explanation.responses],
+    }
+
+
+def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
+    judgement, meant = frame.judgement, frame.nearest
+    return {
+        "offset": frame.offset,
+        "hex": spaced(judgement.frame),
+        "words": judgement.describe(),
+        "id": judgement.id,
+        "length": judgement.length,
+        "missing": frame.missing,
+        "name": judgement.instruction.name if judgement.instruction else None,
+        "fields": dict(judgement.fields),
+        "valid": judgement.valid,
+        "judgement": judgement.response.name,
+        "code": judgement.response.code,
+        "reason": judgement.reason,
+        "clause": judgement.clause,
+        "bits": _groups_json(frame.groups),
+        "answer": frame.answer,
+        "action": frame.action,
+        "stops": frame.stops,
+        "changes": dict(frame.changes),
+        "keeps": list(frame.keeps),
+        "readings": [
+            {
+                "id": reading.id,
+                "clause": reading.clause,
+                "point": reading.point,
+                "default": reading.default,
+                "others": [{"choice": c, "verdict": v} for c, v in reading.others],
+            }
+            for reading in frame.readings
+        ],
+        "errata": [
+            {"id": erratum.id, "clause": erratum.clause, "correction": erratum.correction}
+            for erratum in frame.errata
+        ],
+        "nearest": meant
+        and {
+            "hex": spaced(meant.frame),
+            "words": meant.describe(),
+            "differences": list(frame.differences),
+        },
+    }
+
+
+def _response_json(response: ResponseExplanation) -> dict[str, Any]:
+    known = response.response
+    return {
+        "offset": response.offset,
+        "hex": f"{response.byte:02x}",
+        "name": known.name if known else None,
+        "document": known.document if known else None,
+        "meaning": response.meaning,
+        "clause": response.clause,
+        "bits": _groups_json((response.group,)),
+    }
+
+
+def _groups_json(groups: Iterable[BitGroup]) -> list[dict[str, Any]]:
+    return [{name: getattr(group, name) for name in group.__slots__} for group in groups]

@@ -1,0 +1,213 @@
+"""The protocol, its readings and its errata as tables and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from analyzer.show import facts, heading, table
+from spec.codec import judge, spaced
+from spec.errata import Finding
+from spec.fields import Outcome
+from spec.motion import Effect
+from spec.protocol import InstructionSpec, Protocol
+from spec.readings import ERRATA, EXAMPLES, READINGS, Reading
+
+
+def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
+    """Header, instructions, responses, effects and defaults."""
+    yield heading(f"{protocol.name} {protocol.version}")
+    yield Text(protocol.document, style="dim")
+    yield Text(f"grammar {protocol.origin}, sha256 {protocol.sha256}", style="dim")
+    yield from _titled(f"Header, one byte ({protocol.clauses.header})")
+    yield table(
+        ("bits", "name", "meaning"),
+        [(str(width), name, prose) for name, width, prose in protocol.header_bits],
+        right="bits",
+    )
+    yield from _titled(f"Instructions ({protocol.clauses.instructions})")
+    yield table(
+        ("id", "name", "document", "frame", "data", "meaning"),
+        [_instruction_row(protocol, spec) for spec in protocol.instructions],
+        right="id",
+    )
+    if protocol.unused_ids:
+        answer = protocol.answers[Outcome.UNKNOWN_ID].name
+        unused = ", ".join(map(str, protocol.unused_ids))
+        yield Text(f"  unused: {unused} (answered {answer}, stops the robot)", style="dim")
+    yield from _titled("Effects on the motion state")
+    yield table(("after", "becomes"), _effect_rows(protocol))
+    yield from _titled(f"Responses, one byte ({protocol.clauses.responses})")
+    yield table(
+        ("code", "name", "document", "meaning"),
+        [(str(r.code), r.name, r.document, r.prose) for r in protocol.responses],
+        right="code",
+    )
+    yield from _titled("Defaults where the document is silent")
+    yield facts(_defaults(protocol))
+
+
+def _titled(text: str) -> Iterator[RenderableType]:
+    yield Text()
+    yield heading(text)
+
+
+def _instruction_row(protocol: Protocol, spec: InstructionSpec) -> tuple[str, ...]:
+    header = f"{protocol.header_bytes[spec.id, spec.length]:02x}"
+    frame = " ".join([header, *(".." for _ in range(spec.length))])
+    data = " ".join(f"{f.name}={f.low}..{f.high}" for f in spec.fields)
+    return str(spec.id), spec.name, spec.document, frame, data, spec.prose
+
+
+def _effect_rows(protocol: Protocol) -> Iterator[tuple[str, str]]:
+    for spec in protocol.instructions:
+        yield spec.name, _effect(spec.effect)
+    yield "a faulty instruction", _effect(protocol.on_fault)
+    start = asdict(protocol.power_on)
+    yield "power-on", ", ".join(f"{name} = {value}" for name, value in start.items())
+
+
+def _effect(effect: Effect) -> str:
+    words = [
+        f"{variable} = {'-' if value[1] < 0 else ''}{value[0]}"
+        if isinstance(value, tuple)
+        else f"{variable} = {value}"
+        for variable, value in effect.assignments
+    ]
+    return ", ".join(words) or "nothing changes"
+
+
+def _defaults(protocol: Protocol) -> Iterator[tuple[str, str]]:
+    line, timing = protocol.line, protocol.timing
+    yield "line", f"{line.baud} baud, 8 data bits, parity {line.parity}, {line.stopbits:g} stop"
+    for name, value in asdict(timing).items():
+        yield name.replace("_", " "), f"{value:g} ms"
+
+
+def protocol_json(protocol: Protocol) -> dict[str, Any]:
+    """The whole protocol for machines."""
+    return {
+        "name": protocol.name,
+        "version": protocol.version,
+        "document": protocol.document,
+        "grammar": {"origin": protocol.origin, "sha256": protocol.sha256},
+        "header": [
+            {"name": name, "bits": width, "meaning": prose}
+            for name, width, prose in protocol.header_bits
+        ],
+        "instructions": [_instruction_json(protocol, spec) for spec in protocol.instructions],
+        "unused_ids": list(protocol.unused_ids),
+        "responses": [
+            {**asdict(response), "outcome": response.outcome.value}
+            for response in protocol.responses
+        ],
+        "on_fault": _effect_json(protocol.on_fault),
+        "power_on": asdict(protocol.power_on),
+        "timing_ms": asdict(protocol.timing),
+        "line": asdict(protocol.line),
+        "clauses": asdict(protocol.clauses),
+    }
+
+
+def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, Any]:
+    shown = ("name", "prose", "offset", "size", "low", "high", "bits")
+    return {
+        "id": spec.id,
+        "name": spec.name,
+        "document": spec.document,
+        "prose": spec.prose,
+        "length": spec.length,
+        "header": f"{protocol.header_bytes[spec.id, spec.length]:02x}",
+        "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
+        "effect": _effect_json(spec.effect),
+    }
+
+
+def _effect_json(effect: Effect) -> dict[str, Any]:
+    return {
+        variable: {"field": value[0], "factor": value[1]} if isinstance(value, tuple) else value
+        for variable, value in effect.assignments
+    }
+
+
+def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[RenderableType]:
+    """Each reading in full: the point, what the document says, our default, other choices."""
+    for index, reading in enumerate(readings):
+        if index:
+            yield Text()
+        title = heading(reading.id)
+        title.append(f"  {reading.point}", style="not bold")
+        yield title
+        yield facts(
+            [
+                ("clause", reading.clause),
+                ("document", f'"{reading.quote}"' if reading.quote else "silent"),
+                ("default", Text(reading.default, style="green")),
+                *((verdict, choice) for choice, verdict in reading.others),
+            ]
+        )
+
+
+def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
+    """Readings for machines; `others` are pairs of choice and verdict."""
+    return [
+        {**asdict(r), "others": [{"choice": c, "verdict": v} for c, v in r.others]}
+        for r in readings
+    ]
+
+
+def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[RenderableType]:
+    """What the grammar found in the document's own examples, then what only others can see."""
+    yield heading(
+        f"{len(EXAMPLES)} example lines of the document run through the grammar: "
+        f"{len(findings)} contradict{'s' if len(findings) == 1 else ''} its own tables"
+    )
+    for finding in findings:
+        name = finding.erratum.id if finding.erratum else "new"
+        meant = judge(protocol, finding.meant)
+        yield Text()
+        title = Text(name, style="bold red")
+        title.append(
+            f"  example {finding.example.section}, line {finding.example.line}: "
+            f"{finding.example.bits}",
+            style="not bold default",
+        )
+        yield title
+        yield facts(
+            [
+                ("document", f'"{finding.example.comment}"'),
+                ("found", finding.reason),
+                ("nearest", f"{spaced(finding.meant)}  {meant.describe()}"),
+                ("correction", finding.erratum.correction if finding.erratum else ""),
+            ]
+        )
+    found = [finding.erratum for finding in findings]
+    rest = [erratum for erratum in ERRATA if erratum not in found]
+    yield from _titled("Not found by running the examples")
+    for erratum in rest:
+        title = heading(erratum.id)
+        title.append(f"  {erratum.clause}; it takes {erratum.shows} to see it", style="not bold")
+        yield title
+        yield facts([("document", f'"{erratum.quote}"'), ("correction", erratum.correction)])
+
+
+def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
+    """Errata for machines: what was `found` by running the examples, and `all` that are known."""
+    return {
+        "examples": len(EXAMPLES),
+        "found": [
+            {
+                "id": finding.erratum.id if finding.erratum else None,
+                "example": asdict(finding.example),
+                "sent": spaced(finding.sent),
+                "reason": finding.reason,
+                "nearest": spaced(finding.meant),
+            }
+            for finding in findings
+        ],
+        "all": [asdict(erratum) for erratum in ERRATA],
+    }

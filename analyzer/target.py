@@ -1,0 +1,110 @@
+"""A device that a recording is sent to: writes, reads, decodes, and always leaves it homed."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from types import TracebackType
+from typing import Self
+
+from analyzer.comparison import Run
+from analyzer.link_errors import LinkError
+from analyzer.pairing import MILLISECOND
+from analyzer.ports import Port, wait_readable
+from analyzer.session import Session
+from analyzer.stopping import Stopper
+from captures.schemas import Chunk
+from spec.protocol import Protocol
+
+_TRIES = 5  # an opened Arduino resets, and boots for some seconds
+
+
+class Target:
+    """One device on an open port; a context manager that homes it on every way out.
+
+    `timeout` (ns) is how long a frame may pause as it is sent here. `run` is what was sent and
+    answered so far.
+    """
+
+    def __init__(self, protocol: Protocol, port: Port, timeout: int, stopper: Stopper) -> None:
+        self.run = Run()
+        self._protocol = protocol
+        self._port = port
+        self._stopper = stopper
+        self._session = Session(protocol, timeout=timeout, skew=0)
+        self._start = time.monotonic_ns()
+
+    def begin(self) -> None:
+        """Bring the device to a stop between frames. Raises LinkError if it never answers."""
+        for _ in range(_TRIES):
+            if self._home() or self._stopper.stopped:
+                break
+        else:
+            raise LinkError(
+                f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
+            )
+        self._start = time.monotonic_ns()
+
+    def send(self, data: bytes) -> None:
+        """Send host bytes. Raises LinkError."""
+        self.pump(0)
+        for record in self._session.feed(Chunk(self._now(), "host", data)):
+            self.run.record(record)
+        self._port.write(data)
+
+    def pump(self, seconds: float) -> None:
+        """Read what the device answers, waiting at most so long for it. Raises LinkError."""
+        now = self._now()
+        wait_readable([self._port], max(0.0, seconds), [self._stopper.fileno()])
+        data = self._port.read()
+        records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
+        for record in [*records, *self._session.advance(now)]:
+            self.run.record(record)
+
+    def settle(self) -> None:
+        """Read until nothing is awaited any more: each instruction is answered or given up."""
+        while (due := self._session.deadline) is not None and not self._stopper.stopped:
+            self.pump(min(0.1, (due - self._now()) / 1e9))
+
+    def finish(self) -> None:
+        """The last byte was sent: wait for what is awaited, and close the account."""
+        self.settle()
+        self.pump(self._protocol.timing.answer_deadline / 1000)  # an answer too many
+        for record in self._session.finish():
+            self.run.record(record)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with contextlib.suppress(LinkError):  # the port has gone: nothing can be said to it
+            self._home()
+        self._port.close()
+
+    def _home(self) -> bool:
+        """Fill up whatever frame the device may be in, with stops; tell whether it answered."""
+        self._port.drain_input()
+        self._port.write(bytes([self._protocol.filler]) * self._protocol.longest_frame)
+        answered = False
+        give_up = time.monotonic() + self._protocol.timing.answer_longest / 1000
+        quiet = self._protocol.timing.answer_deadline / 1000
+        while time.monotonic() < give_up:
+            # A second Ctrl-C changes nothing here: the device is brought to a stop first.
+            wait_readable([self._port], quiet if answered else give_up - time.monotonic())
+            if not self._port.read():
+                break
+            answered = True
+        return answered
+
+    def _now(self) -> int:
+        return time.monotonic_ns() - self._start
+
+
+def scaled_timeout(timeout: int, rate: float) -> int:
+    """The truncation time-out (ns) of a recording that is sent `rate` times as fast."""
+    return max(MILLISECOND, round(timeout / rate)) if rate else timeout

@@ -1,0 +1,153 @@
+"""Brings the line to a frame boundary and the robot to rest: before, between and after the cases.
+
+As many stops as the longest frame has bytes do it from any state, whatever the device is owed.
+"""
+
+from __future__ import annotations
+
+from conformance.asks import Script, Seen, listen, see, send
+from conformance.judging import MS, look_words
+from conformance.run import Ended, GaveUp, Run
+from conformance.setup import frames_to
+from conformance.verdicts import Axis, Verdict
+from spec.motion import Motion, State
+
+
+def pad(run: Run) -> bytes:
+    """What homes a line: the only byte that is harmless as header and as data, often enough."""
+    return bytes([run.protocol.filler]) * run.protocol.longest_frame
+
+
+def home(run: Run) -> Script[None]:
+    """Home, and make the case before final; an answer too many is charged to it.
+
+    Raises GaveUp when the device no longer answers.
+    """
+    limits, due = run.limits, run.protocol.longest_frame
+    pause = (run.profile.truncation_timeout or 0) + limits.deadline
+    if run.missing:
+        # What did not come in time may still come: it belongs to the case before, not the next.
+        late = yield from listen(None, limits.longest)
+        if late.answers:
+            run.charge(late.answers, "the answer came later than the longest time allowed")
+        run.waste(limits.longest)
+    run.missing = False
+    for _ in range(2):
+        yield from send(pad(run))
+        heard = yield from run.answers(due, limits.deadline)
+        more = yield from listen(None, limits.settle)
+        got = heard.answers + more.answers
+        if len(got) > due:
+            yield from _too_many(run, got[: len(got) - due])
+        if len(got) >= due:
+            run.close()
+            return
+        # Owed data or flushed until idle: both are over after a pause.
+        more = yield from listen(None, pause)
+        if len(got) + len(more.answers) >= due:
+            run.close()
+            return
+    # A device that loses what it is sent ahead still takes one instruction at a time. The first
+    # of them may be swallowed as data that the device is still owed.
+    in_time = tries = 0
+    while tries < 2 * due and (tries < 4 or in_time):
+        yield from send(pad(run)[:1])
+        heard = yield from run.answers(1, pause)
+        tries += 1
+        in_time = in_time + 1 if heard.answers else 0
+        if in_time == 2:
+            run.close()
+            return
+    after = f" after {run.open_id}" if run.open_id else ""
+    run.charge((), "the device stopped answering")
+    raise GaveUp(f"the device stopped answering{after}")
+
+
+def _too_many(run: Run, extra: tuple[tuple[int, int], ...]) -> Script[None]:
+    what = "1 more answer" if len(extra) == 1 else f"{len(extra)} more answers"
+    run.charge(extra, f"{what} came later than the case")
+    flood = yield from listen(None, run.limits.silence)
+    if len(flood.answers) > len(extra):
+        run.charge(flood.answers[:8], "the device sends without being asked")
+
+
+def leave(run: Run) -> Script[Ended | None]:
+    """Home for the last time, confirmed by the probe where there is one.
+
+    Returns what ended the run while it was leaving, None if nothing did.
+    """
+    seen: Seen | None = None
+    try:
+        for _ in range(3):
+            yield from send(pad(run))
+            yield from listen(run.protocol.longest_frame, run.limits.deadline)
+            if not run.looks_freely:
+                return None
+            seen = yield from watch(run, moving=False, patience=run.limits.deadline)
+            if not seen.look.moving:
+                return None
+            yield from listen(None, run.profile.truncation_timeout or run.limits.deadline)
+    except Ended as ended:
+        return ended
+    assert seen is not None
+    case = run.special(
+        "leave/stopped", run.protocol.clauses.safety, "the run leaves the robot at rest", pad(run)
+    )
+    fault = Axis(Verdict.FAIL, "stopped", look_words(seen.look), "THE ROBOT STILL MOVES")
+    run.end(case, {"stop": fault})
+    return None
+
+
+def set_up(run: Run, state: State) -> Script[str]:
+    """Bring a homed robot to a state, one instruction at a time.
+
+    Returns "" or what is wrong: an instruction that was not answered exactly once.
+    """
+    frames = frames_to(run.protocol, state)
+    answered = 0
+    for frame in frames:
+        sent = yield from send(frame)
+        heard = yield from run.answers(1)
+        answered += len(heard.answers)
+        run.profile.latencies += [t - sent for t, _ in heard.answers[:1]]
+    if answered == len(frames):
+        return ""
+    return f"{answered} answers to {len(frames)} instructions of the set-up"
+
+
+def watch(run: Run, *, moving: bool, patience: int) -> Script[Seen]:
+    """Look until the robot moves (or stands still), for at most `patience` ns.
+
+    Link and probe are two lines: what is seen beside a fresh answer may be older than the answer.
+    """
+    seen = yield from see()
+    start = seen.asked
+    while seen.look.moving is (not moving) and seen.now - start < patience:
+        yield from _pause(run, 2 * MS)
+        seen = yield from see()
+    return seen
+
+
+def _pause(run: Run, pause: int) -> Script[None]:
+    """Wait; what is heard meanwhile is the open case's, if there is one."""
+    heard = yield from listen(None, pause)
+    if heard.answers and run.open_id:
+        run.hear(heard)
+
+
+def see_motions(run: Run) -> Script[None]:
+    """In which kinds of motion the robot moves at all: without it no stop can be judged."""
+    if not run.looks_freely:
+        return
+    moves: set[Motion] = set()
+    _, fast = run.protocol.limits.get("speed", (0, 0))
+    for spec in run.protocol.instructions:
+        motion = spec.effect.motion
+        if motion is None or motion is Motion.STOPPED or spec.fields:
+            continue
+        yield from set_up(run, State(motion=motion, speed=fast))
+        seen = yield from watch(run, moving=True, patience=run.limits.deadline)
+        if seen.look.moving:
+            moves.add(motion)
+        yield from home(run)
+    run.moves = moves

@@ -1,0 +1,226 @@
+"""One run's books: limits, what can be seen, what was measured, the case still open, the results.
+
+A case stays open until the line has been homed after it, because an answer that comes late is
+charged to it; then it is final and reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from conformance.asks import Heard, Script, listen
+from conformance.cases import Case, special
+from conformance.judging import MS, NOT_OBSERVABLE, answer_words
+from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
+from spec.codec import spaced
+from spec.motion import Motion
+from spec.protocol import Protocol
+
+
+class Ended(Exception):
+    """The run cannot go on: what a drive throws into the script, in one sentence.
+
+    `error` is true when the kit, the port or the probe failed, false when the user interrupted;
+    `line_works` tells whether the robot can still be homed.
+    """
+
+    def __init__(self, sentence: str, *, error: bool, line_works: bool) -> None:
+        super().__init__(sentence)
+        self.error = error
+        self.line_works = line_works
+
+
+class GaveUp(Exception):
+    """The device makes the rest of the run pointless: the sentence says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How long the runner waits, in ns.
+
+    `deadline` for an answer, `longest` until a missing one is given up, `silence` after an answer
+    before the next step, `hold` while a thorough case watches the stop, `grace` how much later than
+    the answer a stop may be seen although it was in time (the link's own jitter), `settle` for what
+    may still be under way, `boot` for the first answer, `never` before a truncated frame counts as
+    never answered. `waste` is how long in all to wait for answers that do not come; None for ever.
+    """
+
+    deadline: int = 100 * MS
+    longest: int = 1000 * MS
+    silence: int = 20 * MS
+    hold: int = 250 * MS
+    grace: int = 0
+    settle: int = MS
+    boot: int = 10_000 * MS
+    never: int = 2500 * MS
+    waste: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Eyes:
+    """What can be seen: nothing (`open` false), everything, or what few looks show (`sparse`).
+
+    `why` says why something is not observable.
+    """
+
+    open: bool
+    sparse: bool = False
+    why: str = "no probe; see --probe"
+
+
+@dataclass
+class Profile:
+    """What was measured on the device; times in ns, None where it was not."""
+
+    truncation_timeout: int | None = None
+    truncation_answered: bool | None = None
+    latencies: list[int] = field(default_factory=list)
+
+
+@dataclass
+class _Open:
+    case: Case
+    axes: dict[str, Axis]
+    heard: list[tuple[int, int]]
+    sent: int
+
+
+class Run:
+    """The books of one run. `begin` and `report` are called as cases begin and become final."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        limits: Limits,
+        eyes: Eyes,
+        *,
+        begin: Callable[[str], None],
+        report: Callable[[CaseResult], None],
+        truncation_timeout: int | None = None,
+    ) -> None:
+        self.protocol = protocol
+        self.limits = limits
+        self.eyes = eyes
+        self.profile = Profile(truncation_timeout=truncation_timeout)
+        self.begin = begin
+        self.results: list[CaseResult] = []
+        self.moves: set[Motion] | None = None
+        self._report = report
+        self._open: _Open | None = None
+        self._wasted = 0
+        self.missing = False
+        self._nudges = 0
+
+    # -- the case that is open --------------------------------------------------------------------
+
+    def open(self, case: Case, axes: dict[str, Axis], heard: Heard, sent: int) -> None:
+        """From now on this case is judged; `sent` is when its stimulus had gone."""
+        self._open = _Open(case, dict(axes), list(heard.answers), sent)
+
+    def close(self) -> None:
+        """The case before is final."""
+        if self._open is not None:
+            done, self._open = self._open, None
+            self.end(done.case, done.axes, done.heard, done.sent)
+
+    def end(
+        self,
+        case: Case,
+        axes: dict[str, Axis],
+        heard: Iterable[tuple[int, int]] = (),
+        sent: int = 0,
+    ) -> None:
+        """A case's result."""
+        result = CaseResult(
+            id=case.id,
+            clause=case.clause,
+            requirement=case.requirement,
+            verdict=worst(axis.verdict for axis in axes.values()),
+            axes=axes,
+            reading=next((a.reading for a in axes.values() if a.reading), case.reading),
+            sent=tuple(spaced(frame) for frame in case.sent if frame),
+            received=tuple(Received(f"{code:02x}", t - sent) for t, code in heard),
+        )
+        self.results.append(result)
+        self._report(result)
+
+    @property
+    def axes(self) -> dict[str, Axis]:
+        """The axes of the open case."""
+        assert self._open is not None
+        return self._open.axes
+
+    def hear(self, more: Heard) -> tuple[Heard, int]:
+        """Answers that the open case got; returns all of them, and when its stimulus had gone."""
+        assert self._open is not None
+        self._open.heard += more.answers
+        return Heard(tuple(self._open.heard), more.now), self._open.sent
+
+    def worsen(self, name: str, verdict: Verdict, actual: str, reason: str) -> None:
+        """An axis gets worse, never better; the first reason of the worst verdict stays."""
+        axis = self.axes[name]
+        if verdict > axis.verdict:
+            self.axes[name] = Axis(verdict, axis.expected, actual, reason, axis.reading)
+
+    def charge(self, late: Iterable[tuple[int, int]], reason: str) -> None:
+        """What came too late belongs to the case before, if there is one."""
+        if self._open is not None:
+            self._open.heard += late
+            codes = tuple(code for _, code in self._open.heard)
+            self.worsen("answer", Verdict.FAIL, answer_words(self.protocol, codes), reason)
+
+    @property
+    def open_id(self) -> str:
+        """The open case's id, "" between cases."""
+        return self._open.case.id if self._open else ""
+
+    # -- patience ---------------------------------------------------------------------------------
+
+    def answers(self, count: int, patience: int | None = None) -> Script[Heard]:
+        """Listen for answers that are due, for `patience` ns (default: the longest allowed).
+
+        When not all came, `missing` says that they may still come.
+        """
+        patience = self.limits.longest if patience is None else patience
+        heard = yield from listen(count, patience)
+        if len(heard.answers) < count:
+            self.missing = True
+            self.waste(patience)
+        return heard
+
+    def waste(self, time: int) -> None:
+        """Count time (ns) that went into waiting for something that did not come."""
+        self._wasted += time
+
+    def check_patience(self) -> None:
+        """Raise GaveUp when too much time went into waiting for answers that did not come."""
+        if self.limits.waste is not None and self._wasted > self.limits.waste:
+            raise GaveUp(f"{self._wasted / 1e9:.0f} s went into waiting for what did not come")
+
+    def next_nudge(self) -> int:
+        """A count that rotates through the settings that are tried after a stop."""
+        self._nudges += 1
+        return self._nudges
+
+    # -- eyes -------------------------------------------------------------------------------------
+
+    def looks_at(self, case: Case) -> bool:
+        """Whether this case is looked at: every case, or the thorough ones where looks are dear."""
+        return self.eyes.open and (case.thorough or not self.eyes.sparse)
+
+    @property
+    def looks_freely(self) -> bool:
+        """Whether a look costs next to nothing."""
+        return self.eyes.open and not self.eyes.sparse
+
+    def blind(self, expected: str) -> Axis:
+        """The axis of what cannot be seen: never a pass."""
+        reason = f"{NOT_OBSERVABLE} ({self.eyes.why})"
+        return Axis(Verdict.INCONCLUSIVE, expected, "", reason)
+
+    def special(
+        self, ident: str, clause: str, requirement: str, stimulus: bytes, reading: str = ""
+    ) -> Case:
+        """A case that the runner itself stands for, not a generator."""
+        return special(self.protocol, ident, clause, requirement, stimulus, reading)

@@ -1,0 +1,47 @@
+"""The instructions that bring a robot into a state, found by their effects."""
+
+from __future__ import annotations
+
+from spec.codec import build
+from spec.motion import Motion, State
+from spec.protocol import InstructionSpec, Protocol
+
+
+def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
+    """The frames that bring a stopped robot to `state`: settings first, the motion last.
+
+    A variable that no instruction of the protocol sets is left as it is.
+    """
+    frames = [
+        frame
+        for variable in ("speed", "led", "steering")
+        if (frame := setting(protocol, variable, getattr(state, variable)))
+    ]
+    mover = moving_to(protocol, state.motion)
+    if mover and state.motion is not Motion.STOPPED:
+        frames.append(build(protocol, mover.name))
+    return tuple(frames)
+
+
+def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
+    """The instruction without data that sets this kind of motion."""
+    return next(
+        (s for s in protocol.instructions if s.effect.motion is motion and not s.fields), None
+    )
+
+
+def setting(protocol: Protocol, variable: str, value: int) -> bytes:
+    """The frame that sets a variable and leaves the motion alone, b"" if there is none."""
+    for spec in protocol.instructions:
+        if spec.effect.sets("motion"):
+            continue
+        for name, source in spec.effect.assignments:
+            if name != variable or not isinstance(source, tuple):
+                continue
+            field, factor = source
+            part = next(f for f in spec.fields if f.name == field)
+            wanted = value // factor
+            if wanted * factor == value and part.low <= wanted <= part.high:
+                values = {f.name: f.low for f in spec.fields} | {field: wanted}
+                return build(protocol, spec.name, values)
+    return b""

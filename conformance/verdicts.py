@@ -1,0 +1,78 @@
+"""Verdicts and the results that carry them. A verdict only gets worse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import IntEnum
+
+import msgspec
+
+
+class Verdict(IntEnum):
+    """From best to worst; a case takes the worst of its axes, a run the worst of its cases."""
+
+    SKIPPED = -1
+    PASS = 0
+    INFORMATIONAL = 1
+    NON_STRICT = 2
+    INCONCLUSIVE = 3
+    FAIL = 4
+    ERROR = 5
+
+    @property
+    def label(self) -> str:
+        """The verdict's name as it is written out: `non-strict`."""
+        return self.name.lower().replace("_", "-")
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """The worst verdict; nothing judged at all is a pass of nothing, SKIPPED."""
+    return max(verdicts, default=Verdict.SKIPPED)
+
+
+class Axis(msgspec.Struct, frozen=True):
+    """One axis of a case (answer, stop or state): what was expected and what was seen."""
+
+    verdict: Verdict
+    expected: str
+    actual: str
+    reason: str = ""
+    reading: str = ""
+
+
+class Received(msgspec.Struct, frozen=True):
+    """One answer byte: its hex, and its time in ns since the case's stimulus had been sent."""
+
+    hex: str
+    t: int
+
+
+class CaseResult(msgspec.Struct, frozen=True):
+    """A judged case. `sent` and `received` are the stimulus's, without the set-up."""
+
+    id: str
+    clause: str
+    requirement: str
+    verdict: Verdict
+    axes: dict[str, Axis]
+    reading: str
+    sent: tuple[str, ...]
+    received: tuple[Received, ...]
+
+    @property
+    def reason(self) -> str:
+        """The reason of the worst axis."""
+        return max(self.axes.values(), key=lambda axis: axis.verdict).reason
+
+
+def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:
+    """1 if any case failed; else 2 if any is an error; else 3 if any is inconclusive; else 0.
+
+    With `strict` a non-strict case counts as failed.
+    """
+    found = set(verdicts)
+    if Verdict.FAIL in found or (strict and Verdict.NON_STRICT in found):
+        return 1
+    if Verdict.ERROR in found:
+        return 2
+    return 3 if Verdict.INCONCLUSIVE in found else 0

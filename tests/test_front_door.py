@@ -1,0 +1,297 @@
+"""The front door, as real processes: what it loads, what it says, how it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import closing
+from pathlib import Path
+
+import click
+import pytest
+
+import bilprov
+from analyzer.ptys import open_pty
+from analyzer.records import DeviceRecord, HostRecord
+from captures.schemas import Chunk
+from captures.writer import CaptureWriter
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAVY = {"serial", "construct", "mcap", "numpy"}
+
+
+def run(*arguments: str, code: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command, or Python code around it, in a process of its own."""
+    start = ["-c", code] if code else ["-m", "bilprov"]
+    variables = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "COLUMNS")}
+    return subprocess.run(
+        [sys.executable, *start, *arguments],
+        cwd=ROOT,
+        env={**variables, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def said(result: subprocess.CompletedProcess[str]) -> str:
+    """The one sentence on standard error; fails where there is more, or a traceback."""
+    assert result.returncode == 2, result
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("bilprov: ")
+    return lines[0]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
+def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        "import sys, atexit, bilprov\n"
+        "atexit.register(lambda: sys.stderr.write(' '.join(sys.modules)))\n"
+        "bilprov.main()"
+    )
+    result = run(*arguments, code=code)
+    assert result.returncode == 0
+    assert not HEAVY & set(result.stderr.split())
+
+
+def test_importing_the_library_loads_nothing_heavy() -> None:
+    result = run(code="import sys, bilprov; print(*sys.modules)")
+    assert not HEAVY & set(result.stdout.split())
+
+
+def test_help_fits_80_columns_without_colour_codes_in_a_pipe() -> None:
+    result = run("--help", GITHUB_ACTIONS="true")
+    assert "\x1b" not in result.stdout
+    assert max(map(len, result.stdout.splitlines())) <= 80
+    for name, row in bilprov.COMMANDS.items():
+        assert name in result.stdout
+        assert row.panel in result.stdout
+
+
+@pytest.mark.parametrize("variable", [{"LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii"}])
+def test_a_narrow_locale_is_no_reason_to_fail(variable: dict[str, str]) -> None:
+    result = run("spec", "show", **variable)
+    assert result.returncode == 0
+    assert result.stderr == ""
+
+
+def test_version_is_one_plain_line() -> None:
+    name, version = run("--version").stdout.split()
+    assert name == "bilprov"
+    assert version[0].isdigit()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["explian"], "no such command 'explian', did you mean explain?"),
+        (["frobnicate"], "no such command 'frobnicate'; see bilprov --help"),
+        (["--grammer"], "did you mean --grammar?"),
+        (["--grammar"], "option '--grammar' requires an argument"),
+        (["explain"], "missing argument 'HEX...'; see bilprov explain --help"),
+        (["explain", "00", "--format", "xml"], "'xml' is not one of"),
+        (["explain", "00", "--grammar", "x.py"], "it goes before the subcommand"),
+        (["ports", "extra"], "unexpected extra argument (extra)"),
+        (["--grammar", "/nowhere/g.py", "spec", "show"], "cannot be read"),
+        (["info", "/nowhere/c.mcap"], "does not exist"),
+        (["explain", "\x1b[31mred\u202e"], "is not hex"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], part: str) -> None:
+    sentence = said(run(*arguments))
+    assert part in sentence
+    assert sentence.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("source", "part"),
+    [
+        ("", "declares no HEADER"),
+        ("def (", "SyntaxError"),
+        ("1/0", "ZeroDivisionError"),
+        ("raise SystemError('a\\nb')", "SystemError: a b"),
+    ],
+)
+def test_a_grammar_that_does_not_load_is_one_sentence(
+    tmp_path: Path, source: str, part: str
+) -> None:
+    file = tmp_path / "g.py"
+    file.write_text(source)
+    assert part in said(run("--grammar", str(file), "explain", "00"))
+
+
+def test_no_arguments_show_the_help_as_wrong_use() -> None:
+    result = run()
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert "Usage: bilprov" in result.stderr
+
+
+BROKEN_COMMAND = """
+import sys, bilprov, types
+import rich_click as click
+module = types.ModuleType("broken")
+def body(*, error={error}):
+    raise error
+module.broken = click.command("broken")(body)
+sys.modules["broken"] = module
+bilprov.COMMANDS["broken"] = bilprov.Row("Analyze", "broken", "broken", "")
+bilprov.main(["broken"])
+"""
+
+
+def test_a_bug_shows_its_traceback_and_does_not_blame_the_device() -> None:
+    result = run(code=BROKEN_COMMAND.format(error="KeyError('oops')"))
+    assert result.returncode == 2
+    assert "Traceback" in result.stderr
+    assert "KeyError: 'oops'" in result.stderr
+    last = result.stderr.splitlines()[-1]
+    assert last.startswith("bilprov: this is a bug in bilprov, not in the device")
+
+
+def test_a_fault_of_the_system_is_one_sentence() -> None:
+    result = run(code=BROKEN_COMMAND.format(error="OSError(28, 'No space left on device', 'x')"))
+    assert said(result) == "bilprov: x: No space left on device"
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [("SystemExit(3)", 3), ("SystemExit()", 0), ("click.exceptions.Exit(1)", 1)],
+)
+def test_a_command_ends_with_the_exit_code_it_asks_for(error: str, status: int) -> None:
+    assert run(code=BROKEN_COMMAND.format(error=error)).returncode == status
+
+
+def test_ctrl_c_ends_quietly_with_130() -> None:
+    result = run(code=BROKEN_COMMAND.format(error="KeyboardInterrupt()"))
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
+
+
+def test_a_signal_in_the_middle_ends_quietly_with_130(tmp_path: Path) -> None:
+    fifo = tmp_path / "grammar.py"
+    os.mkfifo(fifo)  # reading it waits until somebody writes
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bilprov", "--grammar", str(fifo), "spec", "show"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    with fifo.open("wb"):  # returns once the command reads
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (130, b"", b"")
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    result = subprocess.run(
+        [sys.executable, "-m", "bilprov", "spec", "readings"],
+        cwd=ROOT,
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        timeout=60,
+        check=False,
+    )
+    os.close(writer)
+    assert (result.returncode, result.stderr) == (0, b"")
+
+
+def test_a_full_disk_is_one_sentence() -> None:
+    with Path("/dev/full").open("wb") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "bilprov", "encode", "Stop"],
+            cwd=ROOT,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert (result.returncode, result.stderr) == (2, "bilprov: No space left on device\n")
+
+
+@pytest.mark.parametrize("name", bilprov.COMMANDS)
+def test_every_subcommand_is_where_the_table_says(name: str) -> None:
+    context = click.Context(bilprov.front_door)
+    _, command, _ = bilprov.front_door.resolve_command(context, [name])
+    assert command is not None
+    assert command.name == name
+
+
+@pytest.mark.parametrize("name", bilprov.COMMANDS)
+def test_every_subcommand_explains_itself(name: str) -> None:
+    result = run(name, "--help")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert f"Usage: bilprov {name}" in result.stdout
+    assert max(map(len, result.stdout.splitlines())) <= 80
+
+
+def test_the_library_hands_on_exactly_what_it_lists() -> None:
+    assert sorted(bilprov.__all__) == sorted([*bilprov.API, "main"])
+    assert dir(bilprov) == sorted(bilprov.__all__)
+    for name in bilprov.__all__:
+        assert getattr(bilprov, name).__doc__
+
+
+def test_an_unknown_name_of_the_library_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'frob'"):
+        bilprov.frob  # noqa: B018
+
+
+def test_the_library_decodes_encodes_and_explains() -> None:
+    (record,) = bilprov.decode(b"\x81\x05")
+    assert record.value.fields == {"rgb": 5}
+    (answer,) = bilprov.decode(b"\x02", "device")
+    assert answer.value.name == "BAD_DATA"
+    assert bilprov.encode("LED", {"rgb": 5}) == b"\x81\x05"
+    assert bilprov.judge(b"\x81\x09").response.name == "BAD_DATA"
+    assert len(bilprov.explain(b"\x20\x00").frames) == 2
+    assert len(bilprov.explain(b"\x20\x00", "device").responses) == 2
+    assert bilprov.load_protocol().name
+
+
+def test_the_library_reads_a_capture_as_decoded_records(tmp_path: Path) -> None:
+    file = tmp_path / "c.mcap"
+    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
+        writer.chunk(Chunk(0, "host", b"\x81\x05"))
+        writer.chunk(Chunk(2_000_000, "device", b"\x02"))
+    instruction, answer = bilprov.read_capture(file)
+    assert instruction.value.name == "LED"
+    assert (answer.value.instruction, answer.value.latency) == (0, 2_000_000)
+    assert answer.value.agrees is False
+    assert len(list(bilprov.open_capture(file))) == 2
+
+
+def test_the_library_sniffs_two_ports_as_an_iterator() -> None:
+    heard = threading.Event()
+
+    def keep_sending(port: int) -> None:
+        while not heard.wait(0.05):  # opening a port throws away what was sent before
+            os.write(port, b"\x81\x05")
+
+    with open_pty() as host, open_pty() as device:
+        sender = threading.Thread(target=keep_sending, args=(host.master,))
+        sender.start()
+        try:
+            with closing(bilprov.sniff(host.name, device.name)) as records:
+                instruction = next(records)
+                os.write(device.master, b"\x00")
+                answer = next(record for record in records if isinstance(record, DeviceRecord))
+        finally:
+            heard.set()
+            sender.join()
+    assert isinstance(instruction, HostRecord)
+    assert instruction.data == b"\x81\x05"
+    assert answer.value.agrees is True
+
+
+def test_sniffing_one_line_twice_is_refused() -> None:
+    with open_pty() as host, pytest.raises(ValueError, match="tapped"):
+        next(bilprov.sniff(host.name, host.name))
