@@ -18,20 +18,20 @@ _LONGEST = 60_000.0  # ms that a file may ask for
 
 
 def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
-    """A session set up as the one that recorded the capture.
-
-    `timeout` (ns) is the truncation time-out; None for the recorded one, the protocol's own where
-    the file does not tell.
-    """
-    if timeout is None:
-        timeout = _nanoseconds(capture, "truncation_timeout_ms")
+    """A session set up as the one that recorded the capture; `timeout` as in `capture_timeout`."""
     skew = _nanoseconds(capture, "skew_ms")
     return Session(
         protocol,
-        timeout=timeout or None,
+        timeout=capture_timeout(capture, protocol, timeout),
         heard=heard(capture),
         skew=SKEW if skew is None else skew,
     )
+
+
+def capture_timeout(capture: Capture, protocol: Protocol, timeout: int | None = None) -> int:
+    """The truncation time-out in ns: the one given, else the recorded one, else the protocol's."""
+    recorded = _nanoseconds(capture, "truncation_timeout_ms")
+    return timeout or recorded or round(protocol.timing.truncation_timeout * MILLISECOND)
 
 
 def heard(capture: Capture) -> frozenset[Direction]:

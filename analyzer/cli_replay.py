@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 import rich_click as click
 
@@ -20,24 +22,194 @@ from analyzer.cli_options import (
 from analyzer.comparison import Run, differences
 from analyzer.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
-from analyzer.line_settings import LineSettings
 from analyzer.outputs import Format, Output, Shown, chosen_format
 from analyzer.pairing import MILLISECOND
 from analyzer.pipeline import Pipeline
-from analyzer.playing import Event, interruptible, played
+from analyzer.playing import interruptible, played
 from analyzer.ports import open_port
-from analyzer.records import (
-    DeviceRecord,
-    Fault,
-    FaultRecord,
-    HostRecord,
-    Record,
-    Severity,
-)
-from analyzer.session import BOTH, Session
+from analyzer.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
 from analyzer.statistics import Statistics
 from analyzer.stopping import Stopper
 from analyzer.target import Target, scaled_timeout
 from captures.errors import shown
+from captures.player import paced
 from captures.reader import Capture, open_capture
+from captures.schemas import Chunk
+from captures.topics import HOST_RAW
 from spec.protocol import Protocol
+
+
+@click.command()
+@click.argument("path", metavar="FILE.mcap")
+@click.option(
+    "--rate",
+    type=click.FloatRange(0),
+    default=1.0,
+    show_default=True,
+    help="1 is recorded time, 2 twice as fast, 0 as fast as it goes.",
+)
+@click.option("--start", type=click.FloatRange(0), help="Begin at this second of the capture.")
+@click.option("--end", type=click.FloatRange(0), help="End before this second of the capture.")
+@filter_option
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["live", "lines", "jsonl"]),
+    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
+)
+@click.option(
+    "--to",
+    "port",
+    metavar="PORT",
+    help="Also send the host's bytes to a device there and compare its answers.",
+)
+@click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
+@line_options
+@timeout_option
+@click.pass_obj
+def replay(
+    grammar: str | None,
+    path: str,
+    rate: float,
+    start: float | None,
+    end: float | None,
+    expression: str | None,
+    style: Format | None,
+    port: str | None,
+    yes: bool,
+    baud: int | None,
+    parity: str | None,
+    stopbits: str | None,
+    truncation_timeout: float | None,
+) -> int:
+    """Play a capture again.
+
+    It is decoded from its raw bytes, and shown as `sniff` would have shown it. With --to the host's
+    bytes between --start and --end go to a device too, with their recorded timing (at --rate 0 each
+    frame when the one before is answered), and every answer that differs from the recorded one is
+    reported: exit code 1 if there is any, 3 if the recording holds no answers.
+    """
+    if start is not None and end is not None and end <= start:
+        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
+    protocol = load_protocol(grammar)
+    test = compiled(expression, protocol)
+    capture = open_capture(path)
+    for sentence in said_about(capture, protocol):
+        note(sentence)
+    timeout = None if truncation_timeout is None else round(truncation_timeout * MILLISECOND)
+    window = _Window(start, end)
+    with ExitStack() as stack:
+        stopper = stack.enter_context(Stopper())
+        target = None
+        if port is not None:
+            if not capture.contents.counts.get(HOST_RAW):
+                raise click.UsageError(f"{shown(path)} holds no bytes of the host to send")
+            confirm_motion(f"the device at {port} will move as recorded in {shown(path)}", yes=yes)
+            settings = line_settings(protocol, baud, parity, stopbits)
+            frame_pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
+            opened = open_port(port, settings)
+            target = stack.enter_context(Target(protocol, opened, frame_pause, stopper))
+        session = capture_session(capture, protocol, timeout)
+        statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
+        title = f"replay of {shown(capture.path.name)}"
+        output = opened_output(chosen_format(style), protocol, statistics, title)
+        stack.callback(output.close)
+        pipeline = Pipeline(session, statistics, output, Shown(output, test), wanted=window.holds)
+        if target is None:
+            _show(capture, pipeline, rate, window, stopper)
+            return 0
+        return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """What is shown and sent, in seconds of the capture; None is its beginning or its end."""
+
+    start: float | None
+    end: float | None
+
+    @property
+    def first(self) -> int | None:
+        """Its first ns."""
+        return None if self.start is None else round(self.start * 1e9)
+
+    @property
+    def after(self) -> int | None:
+        """The ns after its last."""
+        return None if self.end is None else round(self.end * 1e9)
+
+    def has(self, t: int) -> bool:
+        """Whether a moment (ns) lies inside."""
+        first, after = self.first, self.after
+        return (first is None or t >= first) and (after is None or t < after)
+
+    def holds(self, record: Record) -> bool:
+        """Whether a record lies inside; a frame does where its first byte does."""
+        return self.has(record.fault.t if isinstance(record, FaultRecord) else record.value.t)
+
+
+def _show(
+    capture: Capture, pipeline: Pipeline, rate: float, window: _Window, stopper: Stopper
+) -> None:
+    now = 0
+    sleep = interruptible(stopper, lambda: pipeline.advance(now))
+    for event in played(capture.events(), rate, sleep=sleep, start=window.first, end=window.after):
+        if stopper.stopped:
+            return
+        now = event.t
+        pipeline.event(event)
+        pipeline.advance(now)
+    pipeline.finish()
+
+
+def _send(
+    protocol: Protocol,
+    capture: Capture,
+    pipeline: Pipeline,
+    output: Output,
+    target: Target,
+    rate: float,
+    window: _Window,
+    stopper: Stopper,
+) -> int:
+    """Send what the window holds, compare, and give the exit code."""
+    recorded = Run()
+    target.begin()
+    inside = (event for event in capture.events() if window.has(event.t))
+    for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
+        if stopper.stopped:
+            break
+        records = pipeline.event(event)
+        _note_all(recorded, records)
+        if rate and isinstance(event, Chunk) and event.direction == "host":
+            target.send(event.data)
+        for record in records:
+            if not rate and isinstance(record, HostRecord):
+                target.send(record.data)
+                target.settle()
+        pipeline.advance(event.t)
+    _note_all(recorded, pipeline.finish())
+    target.finish()
+    if stopper.stopped:
+        note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
+        return 0
+    return _compare(protocol, recorded, target.run, output)
+
+
+def _note_all(run: Run, records: Iterable[Record]) -> None:
+    for record in records:
+        run.record(record)
+
+
+def _compare(protocol: Protocol, recorded: Run, now: Run, output: Output) -> int:
+    if not recorded.answers:
+        note("the recording holds no answers: there is nothing to compare with")
+        return 3
+    found = list(differences(protocol, recorded, now))
+    for difference in found:
+        about = difference.instruction
+        t = 0 if about is None else recorded.frames[about].value.t
+        fault = Fault(t, "difference", Severity.ERROR, difference.reason, about)
+        output.show(FaultRecord(fault, written_state(protocol.power_on)))
+    note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
+    return 1 if found else 0

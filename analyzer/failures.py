@@ -18,6 +18,7 @@ SENTENCES = (
     ("analyzer.link_errors", "LinkError"),
     ("analyzer.filters", "FilterError"),
     ("captures.errors", "CaptureError"),
+    ("conformance.probes", "ProbeError"),
 )
 
 

@@ -58,15 +58,13 @@ def live_view(view: View) -> RenderableType:
 
 
 def _head(view: View) -> RenderableType:
-    bar = Table.grid(expand=True)
-    bar.add_column(no_wrap=True, overflow="ellipsis")
-    bar.add_column(justify="right", no_wrap=True)
     elapsed = view.snapshot.t / 1e9
-    clock = f"{elapsed // 60:02.0f}:{elapsed % 60:04.1f}"
     captured = f"  ● {shown(view.captured)}" if view.captured else ""
-    bar.add_row(
-        Text.assemble(("bilprov ", "bold"), shown(view.title)), Text(f"{captured}  {clock}")
-    )
+    right = Text(f"{captured}  {elapsed // 60:02.0f}:{elapsed % 60:04.1f}", no_wrap=True)
+    bar = Table.grid(expand=True)
+    bar.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
+    bar.add_column(no_wrap=True, width=right.cell_len)  # a long title is cut, the clock never
+    bar.add_row(Text.assemble(("bilprov ", "bold"), shown(view.title)), right)
     return bar
 
 
@@ -107,8 +105,14 @@ def _cells(record: Record) -> tuple[Text, ...]:
         Text(f"{t / 1e9:.6f}", "dim"),
         Text(sign, "bold cyan" if sign == "→" else "bold"),
         Text(hex_text, style),
-        Text(shown(words), style),
+        Text.assemble((shown(words), style), (f"  {shown(_reason(record))}", "dim")),
     )
+
+
+def _reason(record: Record) -> str:
+    if isinstance(record, FaultRecord):
+        return record.fault.reason
+    return "" if isinstance(record, LineRecord) else record.value.reason
 
 
 def _style(record: Record) -> str:
@@ -129,28 +133,30 @@ def _faults(snapshot: Snapshot) -> RenderableType:
 
 
 def _fault(fault: Fault) -> Text:
-    line = Text(f"{fault.t / 1e9:.6f} ", "dim", no_wrap=True, overflow="ellipsis")
+    line = Text(no_wrap=True, overflow="ellipsis")
+    line.append(f"{fault.t / 1e9:.6f} ", "dim")
     line.append(fault.kind, f"bold {SEVERITY_COLOURS[fault.severity]}")
-    return line.append(f"  {shown(fault.reason)}", "default")
+    return line.append(f"  {shown(fault.reason)}")
 
 
 def _numbers(snapshot: Snapshot) -> RenderableType:
     table = Table.grid(padding=(0, 1, 0, 0))
     table.add_column(style="dim", no_wrap=True)
     table.add_column(no_wrap=True)
+    frames = f"{snapshot.instructions} → {snapshot.responses} ←"
     for label, words in (
-        ("frames", f"{snapshot.instructions}, {snapshot.frame_rate:.0f}/s"),
-        ("answers", f"{snapshot.responses}"),
+        ("frames", f"{frames} {snapshot.frame_rate:.0f}/s"),
         ("host", f"{snapshot.byte_rates[0]:.0f} B/s {snapshot.loads[0]:.0%}"),
         ("device", f"{snapshot.byte_rates[1]:.0f} B/s {snapshot.loads[1]:.0%}"),
-        ("latency", _latency(snapshot.latencies)),
+        *_latency(snapshot.latencies),
     ):
         table.add_row(label, words)
     return table
 
 
-def _latency(latencies: Latencies | None) -> str:
+def _latency(latencies: Latencies | None) -> tuple[tuple[str, str], ...]:
     if latencies is None:
-        return "none yet"
-    values = (latencies.median, latencies.ninety_fifth, latencies.longest)
-    return "/".join(f"{value / 1e6:.3g}" for value in values) + " ms"
+        return (("latency", "none yet"),)
+    values = (latencies.median / 1e6, latencies.ninety_fifth / 1e6, latencies.longest / 1e6)
+    median, most, longest = (f"{ms:.3g}" if abs(ms) < 100 else f"{ms:.0f}" for ms in values)
+    return (("latency", f"{median} ms median"), ("", f"{most} 95 %, {longest} max"))

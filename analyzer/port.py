@@ -130,6 +130,17 @@ class Port:
             return None
         return {name: sum(buffer[at] for at in places) for name, places in _COUNTERS.items()}
 
+    def modem_line(self, line: str) -> bool | None:
+        """Return whether `cts`, `dsr`, `dcd` or `ri` is asserted; None where there is no such line.
+
+        Raises LinkError when the port is closed.
+        """
+        self._require_open()
+        try:
+            return bool(getattr(self._handle, {"dcd": "cd"}.get(line, line)))
+        except (*FAULTS, NotImplementedError, AttributeError):
+            return None
+
     def close(self) -> None:
         """Close the port; never raises, and more than once is as good as once."""
         sock = getattr(self._handle, "_socket", None)

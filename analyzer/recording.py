@@ -10,7 +10,7 @@ from typing import Self
 from analyzer.pairing import MILLISECOND
 from analyzer.records import DeviceRecord, Fault, HostRecord, Record, faults_of
 from analyzer.version import kit_version
-from captures.schemas import Chunk, Direction, Line, Log, State, Time
+from captures.schemas import CaseMark, Chunk, Direction, Line, Log, Look, State, Time
 from captures.writer import CaptureWriter
 from spec.protocol import Protocol
 
@@ -77,6 +77,10 @@ class Recorder:
             self._writer.write(record.value, record.value.t)
         for fault in faults_of(record):
             self._writer.write(self._log(fault), fault.t)
+
+    def mark(self, value: CaseMark | Look, t: int) -> None:
+        """Write a case's begin or end, or a reading of the probe, at `t` ns since the start."""
+        self._writer.write(value, t)
 
     def tick(self, now: int) -> None:
         """Let time pass (ns since the start): what has waited for 0.1 s reaches the disk."""

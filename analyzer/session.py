@@ -12,16 +12,10 @@ from functools import lru_cache, partial
 
 from analyzer import oddities
 from analyzer.pairing import MILLISECOND, Held, Pair, Pairing
-from analyzer.records import (
-    DeviceRecord,
-    FaultRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-    written_state,
-)
-from captures.schemas import Chunk, Direction, Instruction, Line, Response
-from spec.codec import Judgement, judge, spaced
+from analyzer.record_forms import answer_record, frame_record, garbage_record
+from analyzer.records import FaultRecord, LineRecord, Record, written_state
+from captures.schemas import Chunk, Direction, Line
+from spec.codec import Judgement, judge
 from spec.framing import Framed, Framer
 from spec.protocol import Protocol
 
@@ -172,41 +166,15 @@ class Session:
             effect = judgement.instruction.effect
         self._motion = effect.apply(self._motion, dict(judgement.fields))
         self._state = written_state(self._motion)
-        value = Instruction(
-            t=framed.start,
-            end=framed.end,
-            kind=framed.kind,
-            hex=spaced(framed.data),
-            sequence=sequence,
-            id=judgement.id,
-            name=judgement.name if judgement.instruction else None,
-            length=judgement.length,
-            fields=dict(judgement.fields),
-            judgement=judgement.response.name,
-            reason=judgement.reason,
-        )
         faults = oddities.of_frame(judgement, framed.known, sequence)
-        yield HostRecord(value, framed.data, judgement, self._state, faults)
+        yield frame_record(framed, judgement, sequence, self._state, faults)
         if self._paired:
             for pair in self._pairing.instruction(sequence, framed.end, judgement):
                 yield from self._paired_up(pair)
 
     def _garbage(self, framed: Framed, reason: str) -> Record:
-        value = Instruction(
-            t=framed.start,
-            end=framed.end,
-            kind="garbage",
-            hex=spaced(framed.data),
-            sequence=None,
-            id=None,
-            name=None,
-            length=None,
-            fields={},
-            judgement=None,
-            reason=reason,
-        )
         faults = oddities.of_garbage(framed.known, reason)
-        return HostRecord(value, framed.data, None, self._state, faults)
+        return garbage_record(framed, reason, self._state, faults)
 
     def _answer(self, byte: int, now: int) -> Iterator[Record]:
         if not self._paired:
@@ -229,29 +197,16 @@ class Session:
     def _paired_up(self, pair: Pair) -> Iterator[Record]:
         for passed in pair.passed:
             yield FaultRecord(oddities.unanswered(passed, pair.held.t), self._state)
-        yield self._response(pair.held, oddities.of_answer(self._protocol, pair, self._skew), pair)
+        verdict = oddities.of_answer(self._protocol, pair, self._skew)
+        yield answer_record(self._protocol, pair.held, pair.waiting, verdict, self._state)
 
     def _unsolicited(self, held: Held) -> Record:
         near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
         return self._unpaired(held, oddities.unsolicited_because(self._sequence, near_loss))
 
     def _unpaired(self, held: Held, why: oddities.Why) -> Record:
-        return self._response(held, oddities.of_unpaired(self._protocol, held, why), None)
-
-    def _response(self, held: Held, verdict: oddities.Verdict, pair: Pair | None) -> Record:
-        answer = self._protocol.codes.get(held.byte)
-        value = Response(
-            t=held.t,
-            hex=f"{held.byte:02x}",
-            byte=held.byte,
-            name=answer.name if answer else None,
-            instruction=pair.waiting.sequence if pair else None,
-            latency=held.t - pair.waiting.end if pair else None,
-            agrees=verdict.agrees,
-            reason="; ".join(fault.reason for fault in verdict.faults),
-        )
-        answered = pair.waiting.judgement if pair else None
-        return DeviceRecord(value, answer, answered, self._state, verdict.faults)
+        verdict = oddities.of_unpaired(self._protocol, held, why)
+        return answer_record(self._protocol, held, None, verdict, self._state)
 
     def _line(self, event: Line, now: int) -> Iterator[Record]:
         lost = event.event in LOSSES

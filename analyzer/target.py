@@ -61,6 +61,12 @@ class Target:
         for record in [*records, *self._session.advance(now)]:
             self.run.record(record)
 
+    def wait(self, seconds: float) -> None:
+        """Let time pass (s), reading meanwhile; Ctrl-C ends it. Raises LinkError."""
+        until = time.monotonic() + seconds
+        while not self._stopper.stopped and (left := until - time.monotonic()) > 0:
+            self.pump(left)
+
     def settle(self) -> None:
         """Read until nothing is awaited any more: each instruction is answered or given up."""
         while (due := self._session.deadline) is not None and not self._stopper.stopped:

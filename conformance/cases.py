@@ -105,7 +105,7 @@ class _Setups:
 
     def __init__(self, protocol: Protocol, seed: int) -> None:
         draw = random.Random(seed)
-        self._motions = cycle(moving_motions(protocol))
+        self._motions = _blocks(draw, moving_motions(protocol))
         top = {name: high for name, (_, high) in protocol.limits.items()}
         low = {name: least for name, (least, _) in protocol.limits.items()}
         fast = top.get("speed", 0)
@@ -125,6 +125,12 @@ class _Setups:
             steering=next(self._steers),
             led=next(self._leds),
         )
+
+
+def _blocks(draw: random.Random, motions: tuple[Motion, ...]) -> Iterator[Motion]:
+    """Each motion as often as the others, in no fixed step with what is sent."""
+    while True:
+        yield from draw.sample(motions, len(motions))
 
 
 def _shuffled(draw: random.Random, values: range) -> list[int]:

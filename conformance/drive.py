@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeVar
 
 from captures.schemas import Look
 from conformance.asks import Ask, Heard, Listen, Script, See, Seen, Send
+from conformance.run import Ended
 
 T = TypeVar("T")
 
@@ -47,24 +48,29 @@ class Link(Protocol):
         """Do one ask. Raises conformance.run.Ended when it cannot."""
 
 
-def drive(script: Script[T], link: Link, *, stop: Callable[[], BaseException | None]) -> T:
+def drive(script: Script[T], link: Link, interrupted: Callable[[], bool]) -> T:
     """Run a script over a link to its end and return what it returns.
 
-    `stop` is asked before each ask; what it returns is thrown into the script, once.
+    `interrupted` is asked before each ask; the first time that it says so the script is told, and
+    then only homes the robot.
     """
     reply: Any = None
     error: BaseException | None = None
+    told = False
     while True:
         try:
             ask = script.throw(error) if error else script.send(reply)
         except StopIteration as end:
             return end.value  # type: ignore[no-any-return]  # what the generator's type says
-        error = stop()
-        if error is None:
-            try:
-                reply = link.do(ask)
-            except Exception as failure:
-                error = failure
+        error = None
+        if interrupted() and not told:
+            told = True
+            error = Ended("interrupted by the user", error=False, line_works=True)
+            continue
+        try:
+            reply = link.do(ask)
+        except Ended as ended:
+            error = ended
 
 
 class VirtualLink:
@@ -84,12 +90,12 @@ class VirtualLink:
         """Do one ask at once."""
         match ask:
             case Send(data):
+                if self._tap:
+                    self._tap.sent(data, self._now)
                 for index in range(len(data)):
                     self._pass(self._now + self._byte_time)
                     self._device.receive(data[index : index + 1], self._now)
                     self._collect()
-                if self._tap:
-                    self._tap.sent(data, self._now)
                 return self._now
             case Listen(count, patience):
                 until = self._now + patience

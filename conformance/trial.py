@@ -6,6 +6,7 @@ from conformance.asks import Heard, Script, Seen, listen, see, send
 from conformance.cases import Case, Class
 from conformance.homing import set_up, watch
 from conformance.judging import (
+    MOVING,
     MS,
     NOT_OBSERVABLE,
     answer_words,
@@ -138,7 +139,8 @@ def _state(run: Run, case: Case) -> Script[None]:
 
 
 def _judge_state(run: Run, case: Case, seen: Seen) -> Axis:
-    axis = judge_state(case.expected, case.setup, seen.look, case.occasion)
+    elsewhere = MOVING if case.stop and seen.look.moving else ()
+    axis = judge_state(case.expected, case.setup, seen.look, case.occasion, elsewhere)
     if axis.verdict is Verdict.FAIL and run.moves == set():
         reason = "never seen moving in any kind of motion: is the motor power on?"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)

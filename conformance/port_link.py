@@ -1,0 +1,117 @@
+"""Does asks on a real port, in real time: the port is read while anything is waited for."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+
+from analyzer.link_errors import LinkError
+from analyzer.port import Port
+from analyzer.ports import wait_readable
+from conformance.asks import Ask, Heard, Listen, See, Seen, Send
+from conformance.drive import Tap
+from conformance.probes import Probe, ProbeError
+from conformance.run import Ended
+
+_HELD = 1 << 16  # answers kept between two asks: a device that floods must not fill the memory
+
+
+class PortLink:
+    """A port and, where there is one, a probe. `stop` is readable once the user wants to stop."""
+
+    def __init__(
+        self,
+        port: Port,
+        probe: Probe | None,
+        stop: int,
+        tap: Tap | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._port = port
+        self._probe = probe
+        self._stop = stop
+        self._stopping = False
+        self._tap = tap
+        self._clock = clock
+        self._start = clock()
+        self._heard: list[tuple[int, int]] = []
+        self._sent = 0
+        # What a pty or a socket takes has arrived; a UART sends it byte by byte.
+        there = "://" in port.name or os.path.realpath(port.name).startswith("/dev/pts/")
+        self._byte_time = 0 if there else port.settings.byte_time
+
+    def now(self) -> int:
+        """The time in ns since the link was made."""
+        return self._clock() - self._start
+
+    def do(self, ask: Ask) -> int | Heard | Seen:
+        """Do one ask. Raises Ended when the port or the probe is lost."""
+        try:
+            match ask:
+                case Send(data):
+                    return self._send(data)
+                case Listen(count, patience):
+                    return self._listen(count, patience)
+                case See():
+                    return self._see()
+        except LinkError as error:
+            raise Ended(str(error), error=True, line_works=False) from error
+        except ProbeError as error:
+            raise Ended(str(error), error=True, line_works=True) from error
+
+    def _send(self, data: bytes) -> int:
+        self._read()
+        begun = self.now()
+        self._port.write(data)
+        if self._tap:
+            self._tap.sent(data, begun)
+        self._sent = max(self.now(), begun + len(data) * self._byte_time)
+        return self._sent
+
+    def _listen(self, count: int | None, patience: int) -> Heard:
+        until = max(self.now(), self._sent) + patience
+        while True:
+            self._read()
+            now = self.now()
+            enough = count is not None and len(self._heard) >= count
+            if enough or now >= until or self._wait(until - now):
+                break
+        heard, self._heard = tuple(self._heard), []
+        return Heard(heard, self.now())
+
+    def _see(self) -> Seen:
+        assert self._probe is not None
+        asked = self.now()
+        until = asked + int(self._probe.patience * 1e9)
+        self._probe.ask()
+        while True:
+            waits = self._probe.fileno()
+            if waits is not None and not self._wait(until - self.now(), waits):
+                if self.now() >= until:
+                    raise ProbeError(f"the probe did not answer in {self._probe.patience:g} s")
+                continue
+            look = self._probe.take(self.now())
+            if look is not None:
+                if self._tap:
+                    self._tap.looked(look)
+                return Seen(asked, self.now(), look)
+
+    def _wait(self, patience: int, other: int | None = None) -> bool:
+        """Wait for the port, and read it. True if the user wants to stop or `other` is ready."""
+        also = [fd for fd in (other, None if self._stopping else self._stop) if fd is not None]
+        _, ready = wait_readable([self._port], max(patience, 0) / 1e9, also)
+        self._read()
+        if self._stop in ready and not self._stopping:
+            self._stopping = True
+            return other is None
+        return other is not None and other in ready
+
+    def _read(self) -> None:
+        data = self._port.read()
+        if data:
+            now = self.now()
+            if self._tap:
+                self._tap.received(data, now)
+            room = _HELD - len(self._heard)
+            self._heard += [(now, byte) for byte in data[:room]]

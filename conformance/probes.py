@@ -1,0 +1,279 @@
+"""How a stop is seen: the probes of `--probe`. Each is asked, and answers with a Look.
+
+A probe offers something that select can wait for, so that the port goes on being read meanwhile.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from typing import Any, Protocol
+
+import msgspec
+
+from analyzer.outlets import parse_address
+from analyzer.port import Port
+from captures.errors import shown
+from captures.schemas import Look
+
+MODEM_LINES = ("cts", "dsr", "dcd", "ri")
+
+
+class ProbeError(Exception):
+    """The probe cannot be asked or does not answer as agreed, in one sentence."""
+
+
+class Probe(Protocol):
+    """Something that sees whether the robot moves."""
+
+    @property
+    def sparse(self) -> bool:
+        """Whether a look is dear, so that only the thorough cases are looked at."""
+
+    @property
+    def patience(self) -> float:
+        """How long an answer may take, in s."""
+
+    def ask(self) -> None:
+        """Begin a look. Raises ProbeError."""
+
+    def fileno(self) -> int | None:
+        """What select waits for until `take` has something; None if it has it at once."""
+
+    def take(self, now: int) -> Look | None:
+        """The look, as of `now` (ns); None while it is not there yet. Raises ProbeError."""
+
+    def close(self) -> None:
+        """Give the probe up."""
+
+
+def open_probe(name: str, port: Port) -> Probe | None:
+    """The probe of that name: `none`, `tcp:HOST:PORT`, `exec:COMMAND`, `modem:LINE` or `ask`.
+
+    Raises ProbeError, in one sentence, for a name that is none of these or cannot be reached.
+    """
+    kind, _, rest = name.partition(":")
+    if name == "none":
+        return None
+    if name == "ask":
+        return AskProbe()
+    if kind == "tcp" and rest:
+        return TcpProbe(rest)
+    if kind == "exec" and rest:
+        return ExecProbe(rest)
+    if kind == "modem" and rest in MODEM_LINES:
+        return ModemProbe(port, rest)
+    raise ProbeError(
+        f"--probe is {name!r}; it can be tcp:HOST:PORT, exec:COMMAND, modem:cts|dsr|dcd|ri, ask or "
+        "none (and sim, for the target sim)"
+    )
+
+
+class _Facets(msgspec.Struct):
+    """What a line of the tcp probe may say; anything else in it is ignored."""
+
+    moving: bool | None = None
+    motion: str | None = None
+    speed: float | None = None
+    steering: float | None = None
+    led: float | None = None
+    left: float | None = None
+    right: float | None = None
+
+
+def _whole(value: float | None) -> int | None:
+    """A number as an integer that keeps its sign: a wheel that turns slowly still turns."""
+    if value is None:
+        return None
+    away = -1 if value < 0 else 1
+    return round(value) or (away if value else 0)
+
+
+def parse_look(line: bytes, now: int) -> Look:
+    """A line of JSON as a Look. Raises ProbeError for what is not an object of known facets."""
+    try:
+        facets = msgspec.json.decode(line, type=_Facets)
+    except msgspec.DecodeError as error:
+        raise ProbeError(
+            f"the probe answered {shown(line.decode(errors='replace'))!r}, which is not a line of "
+            f'JSON such as {{"moving": true}} ({error})'
+        ) from error
+    numbers = {
+        name: _whole(getattr(facets, name))
+        for name in ("speed", "steering", "led", "left", "right")
+    }
+    motion = None if facets.motion is None else shown(facets.motion)
+    return Look(t=now, moving=facets.moving, motion=motion, **numbers)
+
+
+class TcpProbe:
+    """One connection for the whole run: `state` and a newline, one line of JSON back."""
+
+    sparse = False
+    patience = 1.0
+
+    def __init__(self, address: str) -> None:
+        self._name = f"tcp:{address}"
+        try:
+            host, port = parse_address(address)
+            self._socket = socket.create_connection((host, port), timeout=self.patience)
+        except ValueError as error:
+            raise ProbeError(f"--probe {self._name}: {error}") from error
+        except OSError as error:
+            raise ProbeError(
+                f"the probe at {self._name} cannot be reached ({error.strerror or error}); is it "
+                "running there?"
+            ) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+        self._held = b""
+
+    def ask(self) -> None:
+        """Ask for the state."""
+        try:
+            self._socket.sendall(b"state\n")
+        except OSError as error:
+            raise ProbeError(f"the probe at {self._name} hung up ({error.strerror})") from error
+
+    def fileno(self) -> int:
+        """The connection."""
+        return self._socket.fileno()
+
+    def take(self, now: int) -> Look | None:
+        """The answer, once its line is complete."""
+        try:
+            data = self._socket.recv(4096)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise ProbeError(f"the probe at {self._name} hung up ({error.strerror})") from error
+        if not data:
+            raise ProbeError(f"the probe at {self._name} hung up")
+        line, newline, self._held = (self._held + data).partition(b"\n")
+        if not newline:
+            self._held = line
+            if len(line) > 1 << 16:
+                raise ProbeError(f"the probe at {self._name} sends no end of line")
+            return None
+        return parse_look(line, now)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+
+class ExecProbe:
+    """A command a look: exit 0 stopped; exit 1 and `moving` on its output moving; else unknown."""
+
+    sparse = True
+    patience = 10.0
+
+    def __init__(self, command: str) -> None:
+        self._command = command
+        self._process: subprocess.Popen[bytes] | None = None
+        self._output = b""
+
+    def ask(self) -> None:
+        """Start the command."""
+        self._output = b""
+        try:
+            self._process = subprocess.Popen(
+                self._command, shell=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+            )
+        except OSError as error:
+            raise ProbeError(f"--probe exec: {error}") from error
+
+    def fileno(self) -> int:
+        """The command's output."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        return self._process.stdout.fileno()
+
+    def take(self, now: int) -> Look | None:
+        """What the command said, once it has ended."""
+        assert self._process is not None
+        data = os.read(self.fileno(), 4096)
+        self._output = (self._output + data)[:4096]
+        if data:
+            return None
+        try:
+            code = self._process.wait(timeout=self.patience)
+        except subprocess.TimeoutExpired as error:
+            self.close()
+            raise ProbeError(f"the probe's command {self._command!r} does not end") from error
+        self.close()
+        if code in (126, 127):
+            raise ProbeError(f"the probe's command {self._command!r} cannot be run (exit {code})")
+        if code == 0:
+            return Look(t=now, moving=False)
+        return Look(t=now, moving=True if code == 1 and b"moving" in self._output else None)
+
+    def close(self) -> None:
+        """End the command."""
+        process, self._process = self._process, None
+        if process is not None:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+class ModemProbe:
+    """A modem line of the port itself, wired so that it is asserted while the robot moves."""
+
+    sparse = False
+    patience = 1.0
+
+    def __init__(self, port: Port, line: str) -> None:
+        self._port = port
+        self._line = line
+        if port.modem_line(line) is None:
+            raise ProbeError(f"{port.name} has no modem lines, so --probe modem:{line} cannot see")
+
+    def ask(self) -> None:
+        """Nothing to begin."""
+
+    def fileno(self) -> None:
+        """It is there at once."""
+
+    def take(self, now: int) -> Look:
+        """The line as it is."""
+        return Look(t=now, moving=self._port.modem_line(self._line))
+
+    def close(self) -> None:
+        """Nothing to give up."""
+
+
+class AskProbe:
+    """A person who watches the robot and answers yes or no."""
+
+    sparse = True
+    patience = 600.0
+
+    def __init__(self) -> None:
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            raise ProbeError("--probe ask needs a terminal where somebody can answer")
+
+    def ask(self) -> None:
+        """Put the question."""
+        sys.stderr.write("\rDoes the robot move now? [y/n, Enter = cannot tell] ")
+        sys.stderr.flush()
+
+    def fileno(self) -> int:
+        """The terminal."""
+        return sys.stdin.fileno()
+
+    def take(self, now: int) -> Look:
+        """The answer as typed."""
+        answer: Any = sys.stdin.readline().strip().lower()
+        moving = {"y": True, "yes": True, "n": False, "no": False}.get(answer)
+        return Look(t=now, moving=moving)
+
+    def close(self) -> None:
+        """Leave the terminal as it is."""
+        with contextlib.suppress(OSError):
+            sys.stderr.flush()

@@ -1,0 +1,114 @@
+"""Shows a report: a table of classes and verdicts, then each case that did not pass."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from conformance.report import Report, reproduce
+from conformance.verdicts import CaseResult, Verdict
+
+STYLES = {
+    Verdict.PASS: "green",
+    Verdict.INFORMATIONAL: "cyan",
+    Verdict.NON_STRICT: "yellow",
+    Verdict.INCONCLUSIVE: "magenta",
+    Verdict.FAIL: "bold red",
+    Verdict.ERROR: "bold white on red",
+    Verdict.SKIPPED: "dim",
+}
+_SHOWN = 12  # cases a verdict, unless all are asked for
+
+
+def show(report: Report, console: Console, *, everything: bool = False) -> None:
+    """Print the summary; `everything` lists every case that did not pass."""
+    if report.results:
+        console.print(_table(report))
+    for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.NON_STRICT):
+        found = [result for result in report.results if result.verdict is verdict]
+        _cases(report, found, console, len(found) if everything else _SHOWN)
+    for name, (done, of) in report.coverage.items():
+        if report.results and done:
+            console.print(Text(f"{name}: {done} of {of}", "dim"))
+    timeout = report.profile.get("truncation_timeout_ms")
+    latency = report.profile.get("latency_median_ms")
+    if timeout is not None:
+        console.print(Text(f"measured truncation time-out: {timeout} ms", "dim"))
+    if latency is not None:
+        slowest = report.profile.get("latency_max_ms")
+        console.print(Text(f"answers after {latency} ms (median), {slowest} ms (longest)", "dim"))
+    console.print(Text(f"seed {report.seed}", "dim"))
+    console.print(conclusion(report))
+
+
+def conclusion(report: Report) -> Text:
+    """The one line that says how it ended."""
+    if report.unusable:
+        return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
+    counts = {name: count for name, count in report.counts.items() if count}
+    words = ", ".join(f"{count} {name}" for name, count in counts.items())
+    if report.exit == 0:
+        text = Text(f"{report.device} conforms: {words}", STYLES[Verdict.PASS])
+    elif report.exit == 1:
+        text = Text(f"{report.device} does not conform: {words}", STYLES[Verdict.FAIL])
+    else:
+        text = Text(
+            f"{report.device} was not judged in full: {words}", STYLES[Verdict.INCONCLUSIVE]
+        )
+    if report.ended:
+        text.append(f" (ended early: {report.ended})")
+    return text
+
+
+def _table(report: Report) -> Table:
+    columns = [v for v in Verdict if any(r.verdict is v for r in report.results)]
+    table = Table(title=f"{report.device}, {report.grammar['name']} {report.grammar['version']}")
+    table.add_column("cases")
+    for verdict in columns:
+        table.add_column(verdict.label, justify="right", style=STYLES[verdict])
+    groups: dict[str, Counter[Verdict]] = {}
+    for result in report.results:
+        groups.setdefault(result.id.split("/")[0], Counter())[result.verdict] += 1
+    for name, counts in groups.items():
+        table.add_row(name, *(str(counts[v] or "") for v in columns))
+    if len(groups) > 1:
+        total = Counter(result.verdict for result in report.results)
+        table.add_section()
+        table.add_row("all", *(str(total[v]) for v in columns))
+    return table
+
+
+def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:
+    if not found:
+        return
+    verdict = found[0].verdict
+    for result in found[:most]:
+        sent = " | ".join(result.sent) or "nothing"
+        console.print(
+            f"[{STYLES[verdict]}]{verdict.label}[/] [bold]{escape(result.id)}[/] "
+            f"({escape(result.clause)}) {escape(result.requirement)}"
+        )
+        console.print(f"    sent {sent}", markup=False, highlight=False)
+        for name, axis in result.axes.items():
+            if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
+                continue
+            expected = f"expected {axis.expected}; " if axis.expected else ""
+            actual = f"got {axis.actual}" if axis.actual else ""
+            line = f"    {name}: {expected}{actual}"
+            if axis.reason:
+                line += f" - {axis.reason}" if expected or actual else axis.reason
+            if axis.reading:
+                line += f" [{axis.reading}]"
+            console.print(line, markup=False, highlight=False)
+    left = len(found) - most
+    if left > 0:
+        console.print(
+            f"    and {left} more {verdict.label} (--verbose lists them all)", style="dim"
+        )
+    if verdict is Verdict.FAIL:
+        again = reproduce(report, found[0].id)
+        console.print(f"    again: {again}", markup=False, highlight=False)

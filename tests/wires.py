@@ -1,0 +1,179 @@
+"""Real ends for tests: ptys to sniff, a robot on a pty, and the command as a process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from analyzer.ptys import open_pty
+from analyzer.serve import serve
+from analyzer.stopping import Stopper
+from captures.schemas import Chunk, Line
+from spec.codec import judge
+from spec.framing import Framer
+from spec.protocol import Protocol
+
+ROOT = Path(__file__).resolve().parent.parent
+MS = 1_000_000
+PATIENCE = 20.0  # s; a test that waits longer hangs
+
+
+def bilprov(*arguments: str, stdin: bytes = b"", **environment: str) -> Any:
+    """Run the command to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "bilprov", *arguments],
+        input=stdin,
+        capture_output=True,
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        timeout=60,
+        check=False,
+    )
+
+
+def json_lines(output: bytes) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in output.splitlines()]
+
+
+class Running:
+    """The command while it runs."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self.stdout, self.stderr = self.process.stdout, self.process.stderr
+
+    def wait_for(self, path: Path) -> None:
+        """Wait until the capture exists: from then on the ports are open."""
+        give_up = time.monotonic() + PATIENCE
+        while not path.exists():
+            assert self.process.poll() is None, self.stderr.read().decode()
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+
+    def end(self, how: signal.Signals = signal.SIGINT) -> tuple[int, bytes, bytes]:
+        """Stop it; gives exit code, standard output and standard error."""
+        self.process.send_signal(how)
+        return self.result()
+
+    def result(self) -> tuple[int, bytes, bytes]:
+        """Wait for its end."""
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, out, err
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Running]:
+    command = Running(*arguments)
+    try:
+        yield command
+    finally:
+        if command.process.poll() is None:
+            command.process.kill()
+        command.process.wait()
+        command.stdout.close()
+        command.stderr.close()
+
+
+class PtyRobot:
+    """A device that judges by the protocol; `wrong` maps frames to answers that it gives instead."""
+
+    def __init__(self, protocol: Protocol, wrong: dict[bytes, int] | None = None) -> None:
+        self.frames: list[bytes] = []
+        self._protocol = protocol
+        self._wrong = wrong or {}
+        self._framer = Framer(protocol.lengths, 50 * MS)
+        self._answers = bytearray()
+
+    def receive(self, data: bytes, now: int) -> None:
+        self._take(self._framer.feed(data, now))
+
+    def advance(self, now: int) -> bytes:
+        self._take(self._framer.advance(now))
+        answers = bytes(self._answers)
+        self._answers.clear()
+        return answers
+
+    def deadline(self) -> int | None:
+        return self._framer.deadline
+
+    def probe(self, now: int) -> bytes:
+        return b"{}"
+
+    def _take(self, records: Any) -> None:
+        for record in records:
+            self.frames.append(record.data)
+            code = judge(self._protocol, record.data).response.code
+            self._answers.append(self._wrong.get(record.data, code))
+
+
+@contextmanager
+def served(robot: PtyRobot) -> Iterator[str]:
+    """Serve a robot on a pty; gives the pty's name."""
+    names: list[str] = []
+    ready = threading.Event()
+
+    def announce(name: str) -> None:
+        names.append(name)
+        ready.set()
+
+    with Stopper() as stopper:
+        thread = threading.Thread(
+            target=serve,
+            args=(robot,),
+            kwargs={
+                "pty": True,
+                "listen": None,
+                "probe_listen": None,
+                "announce": announce,
+                "stop": stopper,
+            },
+        )
+        thread.start()
+        try:
+            assert ready.wait(PATIENCE)
+            yield names[0]
+        finally:
+            stopper.stop()
+            thread.join(PATIENCE)
+
+
+def conversation(
+    exchanges: Sequence[tuple[bytes, bytes]], period: int = 20 * MS, latency: int = MS
+) -> list[Chunk | Line]:
+    """Events of a host that waits for each answer; times in ns."""
+    events: list[Chunk | Line] = []
+    for at, (said, answered) in enumerate(exchanges, 1):
+        events.append(Chunk(at * period, "host", said))
+        if answered:
+            events.append(Chunk(at * period + latency, "device", answered))
+    return events
+
+
+__all__ = [
+    "MS",
+    "PtyRobot",
+    "Running",
+    "bilprov",
+    "conversation",
+    "json_lines",
+    "open_pty",
+    "running",
+    "served",
+]
