@@ -98,13 +98,15 @@ def replay(
         note(sentence)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MILLISECOND)
     window = _Window(start, end)
+    if port is not None:
+        if not capture.contents.counts.get(HOST_RAW):
+            raise click.UsageError(f"{shown(path)} holds no bytes of the host to send")
+        # Before Ctrl-C is taken over, so that it can end the question.
+        confirm_motion(f"the device at {port} will move as recorded in {shown(path)}", yes=yes)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         target = None
         if port is not None:
-            if not capture.contents.counts.get(HOST_RAW):
-                raise click.UsageError(f"{shown(path)} holds no bytes of the host to send")
-            confirm_motion(f"the device at {port} will move as recorded in {shown(path)}", yes=yes)
             settings = line_settings(protocol, baud, parity, stopbits)
             frame_pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
             opened = open_port(port, settings)

@@ -77,7 +77,7 @@ def chosen_format(asked: Format | None) -> Format:
     """The format asked for; else live on a terminal and lines in a pipe."""
     if asked is not None:
         return asked
-    return "live" if sys.stdout.isatty() else "lines"
+    return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
 
 
 def passes(record: Record, test: Callable[[JsonLine], bool] | None) -> bool:

@@ -90,12 +90,13 @@ def conform(
     tap: Tap | None = None,
     interrupted: Callable[[], bool] = lambda: False,
     name: str = "sim",
+    fault: str | None = None,
 ) -> Report:
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
     `device` is anything with the four methods of `conformance.drive.Device` (times in ns), the
-    kit's own simulator if None; one without `look` is judged by its answers alone. Raises
-    ValueError when no case is left to run.
+    kit's own simulator if None; one without `look` is judged by its answers alone. `name` and
+    `fault` only say in the report what it was. Raises ValueError when no case is left to run.
     """
     grammar = grammar or load_protocol()
     options = options or Options()
@@ -114,7 +115,12 @@ def conform(
         watcher=watcher,
         interrupted=interrupted,
         name=name,
-        about={"kind": "virtual", "line": str(settings), "probe": "sim" if eyes.open else "none"},
+        about={
+            "kind": "virtual",
+            "line": str(settings),
+            "probe": "sim" if eyes.open else "none",
+            "fault": fault,
+        },
     )
 
 

@@ -298,7 +298,7 @@ def _bad_data(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 Outcome.BAD_DATA,
                 f"{spec.name} does not take the data {spaced(data)}",
                 protocol.clauses.instructions,
-                reading="R-led-upper-bits" if any(f.bits for f in spec.fields) else "",
+                reading=next((f.reading for f in spec.fields if f.reading), ""),
             )
 
 

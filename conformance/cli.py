@@ -33,7 +33,7 @@ from conformance.probes import Probe, open_probe
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
 from conformance.report import Report, as_json
-from conformance.simulator import Fault, Simulator
+from conformance.simulator import CONFORMING, Fault, Simulator
 from conformance.summary import show
 from spec.protocol import Protocol
 
@@ -151,6 +151,7 @@ class _Job:
             watcher=stack.enter_context(Progress(count, tap)),
             tap=tap,
             interrupted=lambda: stopper.stopped,
+            fault=None if device.fault is CONFORMING else device.fault.name,
         )
 
     def on_port(

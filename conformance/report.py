@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -167,4 +168,10 @@ def _case(report: Report, result: CaseResult) -> dict[str, Any]:
 
 def reproduce(report: Report, ident: str) -> str:
     """The command that tries this case again."""
-    return f"bilprov conform {report.device} --seed {report.seed} --only {ident!r}"
+    words = ["bilprov", "conform", report.device, "--seed", str(report.seed), "--only", ident]
+    probe, fault = report.link.get("probe"), report.link.get("fault")
+    if report.link["kind"] == "port" and probe:
+        words += ["--probe", probe]
+    if fault:
+        words += ["--fault", fault]
+    return shlex.join(words)

@@ -76,6 +76,9 @@ class Fault:
     begins: Callable[[Simulator, int], Sequence[int]] | None = None
 
 
+CONFORMING = Fault("none", "none", "behaves as the kit reads the document", exit=0)
+
+
 @dataclass
 class _Pending:
     """What is still to come, in order of time: answer bytes and states."""
@@ -89,7 +92,7 @@ class Simulator:
 
     def __init__(self, protocol: Protocol, fault: Fault | None = None, latency: int = 0) -> None:
         self.protocol = protocol
-        self.fault = fault or Fault("none", "none", "behaves as the kit reads the document")
+        self.fault = fault or CONFORMING
         self.latency = latency
         timeout = self.fault.timeout
         self._framer = Framer(
@@ -111,7 +114,7 @@ class Simulator:
             data = self.fault.hear(self, data, now)
         for byte in data:
             fresh = not self._framer.held
-            records = list(self._framer.feed(bytes([byte]), now))
+            records = self._framer.feed(bytes([byte]), now)
             if fresh and not records and self.fault.begins:
                 for code in self.fault.begins(self, byte):
                     self.answer(code, now)

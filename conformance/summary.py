@@ -30,7 +30,10 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
         console.print(_table(report))
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.NON_STRICT):
         found = [result for result in report.results if result.verdict is verdict]
-        _cases(report, found, console, len(found) if everything else _SHOWN)
+        if verdict is Verdict.INCONCLUSIVE and not everything:
+            _reasons(found, console)
+        else:
+            _cases(report, found, console, len(found) if everything else _SHOWN)
     for name, (done, of) in report.coverage.items():
         if report.results and done:
             console.print(Text(f"{name}: {done} of {of}", "dim"))
@@ -38,7 +41,7 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
     latency = report.profile.get("latency_median_ms")
     if timeout is not None:
         console.print(Text(f"measured truncation time-out: {timeout} ms", "dim"))
-    if latency is not None:
+    if latency is not None and report.link["kind"] == "port":
         slowest = report.profile.get("latency_max_ms")
         console.print(Text(f"answers after {latency} ms (median), {slowest} ms (longest)", "dim"))
     console.print(Text(f"seed {report.seed}", "dim"))
@@ -80,6 +83,16 @@ def _table(report: Report) -> Table:
         table.add_section()
         table.add_row("all", *(str(total[v]) for v in columns))
     return table
+
+
+def _reasons(found: list[CaseResult], console: Console) -> None:
+    """What could not be judged, by reason: it is rarely about the single case."""
+    counts = Counter(result.reason for result in found)
+    for reason, count in counts.most_common(_SHOWN):
+        cases = "1 case" if count == 1 else f"{count} cases"
+        first = next(result.id for result in found if result.reason == reason)
+        line = Text(f"inconclusive {cases}", STYLES[Verdict.INCONCLUSIVE])
+        console.print(line.append(f" ({first} is the first): {reason}", "default"))
 
 
 def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:

@@ -110,16 +110,26 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     elif arrived < length:
         outcome = Outcome.TOO_FEW
         reason = f"{instruction.name}: {_bytes(length)} announced, {arrived} came"
-        clause = protocol.clauses.header
+        clause = protocol.clauses.responses
         reading = "R-truncated-long" if length > instruction.length else "R-truncated-known"
     elif length != instruction.length:
         outcome = Outcome.TOO_MANY if length > instruction.length else Outcome.TOO_FEW
         reason = f"{instruction.name} takes {_bytes(instruction.length)}, the header says {length}"
+        clause = protocol.clauses.responses
         reading = "R-known-length"
     else:
-        fields, fault = _fields(instruction, frame)
-        outcome = Outcome.BAD_DATA if fault else Outcome.VALID
-        reason = fault
+        fields = tuple(
+            (part.name, part.parse(frame[1 + part.offset :][: part.size]))
+            for part in instruction.fields
+        )
+        outcome, reason = Outcome.VALID, ""
+        for part, (_, value) in zip(instruction.fields, fields, strict=True):
+            if outcome is Outcome.VALID and not part.low <= value <= part.high:
+                outcome, reading = Outcome.BAD_DATA, part.reading
+                reason = (
+                    f"{instruction.name}.{part.name} is {value}, allowed are {part.low} to "
+                    f"{part.high} (frame {spaced(frame)}, byte {1 + part.offset})"
+                )
     return Judgement(
         frame=frame,
         id=identity,
@@ -132,21 +142,6 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         clause=clause,
         reading=reading,
     )
-
-
-def _fields(instruction: InstructionSpec, frame: bytes) -> tuple[tuple[tuple[str, int], ...], str]:
-    """The decoded fields, and what is wrong with the first bad one ("" if nothing)."""
-    decoded, fault = [], ""
-    for spec in instruction.fields:
-        start = 1 + spec.offset
-        value = spec.parse(frame[start : start + spec.size])
-        decoded.append((spec.name, value))
-        if not fault and not spec.low <= value <= spec.high:
-            fault = (
-                f"{instruction.name}.{spec.name} is {value}, allowed are {spec.low} to "
-                f"{spec.high} (frame {spaced(frame)}, byte {start})"
-            )
-    return tuple(decoded), fault
 
 
 def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None) -> bytes:

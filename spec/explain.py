@@ -146,11 +146,6 @@ def _readings(judgement: Judgement, errata: Iterable[Erratum]) -> tuple[Reading,
         ids.add("R-drain-unused")
     elif judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW) and judgement.length:
         ids.add("R-drain-known")
-    elif judgement.outcome is Outcome.BAD_DATA and judgement.instruction:
-        specs = judgement.instruction.fields
-        pairs = zip(specs, judgement.fields, strict=True)
-        if any(spec.bits and value > spec.high for spec, (_, value) in pairs):
-            ids.add("R-led-upper-bits")
     places = {erratum.clause for erratum in errata}
     return tuple(r for r in READINGS if r.id in ids or r.clause in places)
 

@@ -30,11 +30,15 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
     """An integer that must lie in `low`..`high` (both included).
 
     `bits` names its lowest bits, most significant first, where each stands for something:
-    "RGB" says that R is bit 2, G bit 1 and B bit 0.
+    "RGB" says that R is bit 2, G bit 1 and B bit 0. `reading` names the reading that a value out
+    of the range rests on.
     """
 
-    def __init__(self, subcon: Construct, low: int, high: int, bits: str = "") -> None:
+    def __init__(
+        self, subcon: Construct, low: int, high: int, bits: str = "", reading: str = ""
+    ) -> None:
         super().__init__(subcon)
+        self.reading = reading
         self.low = low
         self.high = high
         self.bits = bits

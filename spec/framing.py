@@ -6,7 +6,7 @@ time-out cut short, or garbage (bytes that are known to belong to no frame).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -59,27 +59,28 @@ class Framer:
             return None
         return self._end + self._timeout
 
-    def advance(self, now: int) -> Iterator[Framed]:
+    def advance(self, now: int) -> list[Framed]:
         """Let time pass: what the time-out cuts short until `now` (ns) comes out."""
         deadline = self.deadline
-        if deadline is not None and now >= deadline:
-            yield self._take("truncated", deadline)
+        if deadline is None or now < deadline:
+            return []
+        return [self._take("truncated", deadline)]
 
-    def feed(self, data: bytes, now: int) -> Iterator[Framed]:
+    def feed(self, data: bytes, now: int) -> list[Framed]:
         """Bytes that came at `now` (ns)."""
-        yield from self.advance(now)
+        records = self.advance(now)
         for byte in data:
             if not self._held:
                 self._start = now
             self._held.append(byte)
             self._end = now
             if not self.missing:
-                yield self._take("instruction", now)
+                records.append(self._take("instruction", now))
+        return records
 
-    def drop(self, now: int, kind: Kind = "garbage") -> Iterator[Framed]:
+    def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
         """Give up the frame begun: bytes were lost, or the stream ends; the next is a header."""
-        if self._held:
-            yield self._take(kind, now)
+        return [self._take(kind, now)] if self._held else []
 
     def _take(self, kind: Kind, known: int) -> Framed:
         record = Framed(kind, self._start, self._end, known, bytes(self._held))

@@ -73,7 +73,9 @@ INSTRUCTIONS = {
     * "Stops, then rotates on the spot to the left at the speed set before.",
     8: "LED"  # E5, R-led-id
     / Instruction(
-        "rgb" / Ranged(Byte, 0, 7, bits="RGB") * "colours, 1 on and 0 off",  # R-led-upper-bits
+        "rgb"
+        / Ranged(Byte, 0, 7, bits="RGB", reading="R-led-upper-bits")
+        * "colours, 1 on and 0 off",
         document="LED",
         effect=Sets(led=From("rgb")),
     )

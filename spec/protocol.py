@@ -6,6 +6,7 @@ text (whoever has the file reads it), and pickles as that text.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -34,7 +35,10 @@ class GrammarError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
-    """One data field: where it lies in the data (bytes), its range, its bits' names."""
+    """One data field: where it lies in the data (bytes), its range, its bits' names.
+
+    `reading` is what a value out of the range rests on, "" if the document is plain.
+    """
 
     name: str
     prose: str
@@ -43,6 +47,7 @@ class FieldSpec:
     low: int
     high: int
     bits: str
+    reading: str
     parse: Callable[[bytes], int] = field(repr=False, compare=False)
     build: Callable[[int], bytes] = field(repr=False, compare=False)
 
@@ -187,8 +192,9 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     """
     space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
     try:
-        exec(compile(source, origin, "exec"), space)
-    except Exception as error:
+        # dont_inherit: a grammar does not take this file's __future__ imports for its own.
+        exec(compile(source, origin, "exec", dont_inherit=True), space)
+    except (Exception, SystemExit) as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         what = error.msg if isinstance(error, SyntaxError) else error
         raise GrammarError(
@@ -196,6 +202,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             "start from a copy of spec/grammar.py"
         ) from error
     try:
+        _require_each_id_once(source)
         return _read(space, source, origin)
     except GrammarError as error:
         raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
@@ -204,6 +211,16 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             f"the grammar {origin} cannot be used: {' '.join(str(error).split())}; "
             "compare it with spec/grammar.py"
         ) from error
+
+
+def _require_each_id_once(source: str) -> None:
+    """Python keeps the last of two equal keys without a word, and an instruction is gone."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Dict):
+            keys = [key.value for key in node.keys if isinstance(key, ast.Constant)]
+            twice = _twice([str(key) for key in keys])
+            if twice:
+                raise GrammarError(f"the number {twice} stands twice in line {node.lineno} and on")
 
 
 def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
@@ -226,6 +243,9 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     missing = [o.value for o in Outcome if o not in {spec.outcome for spec in responses}]
     if missing:
         raise GrammarError(f"no response stands for {', '.join(missing)}")
+    twice = _twice([spec.outcome.value for spec in responses])
+    if twice:
+        raise GrammarError(f"two responses stand for {twice}")
     return Protocol(
         source=source,
         origin=origin,
@@ -307,6 +327,7 @@ def _instruction(identity: int, declaration: Construct, longest: int) -> Instruc
                 low=ranged.low,
                 high=ranged.high,
                 bits=ranged.bits,
+                reading=ranged.reading,
                 parse=ranged.subcon.parse,
                 build=ranged.subcon.build,
             )

@@ -36,17 +36,17 @@ FAULTY = "FAULTY = Sets(motion=Motion.STOPPED, steering=0)"
 POWER = "POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)"
 ID = '"id" / BitsInteger(4)'
 LENGTH = '"length" / BitsInteger(4)'
-LED = 'Ranged(Byte, 0, 7, bits="RGB")'
+LED = 'Ranged(Byte, 0, 7, bits="RGB"'
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 SETS_SPEED = 'effect=Sets(speed=From("speed"))'
 
 # Each mutation: what is replaced by what, all at once.
 MUTATIONS = {
-    "the LED takes four bits": {LED: 'Ranged(Byte, 0, 15, bits="RGB")'},
-    "the LED takes any byte": {LED: 'Ranged(Byte, 0, 255, bits="RGB")'},
-    "the LED takes two bits": {LED: 'Ranged(Byte, 0, 3, bits="RGB")'},
-    "the LED cannot be switched off": {LED: 'Ranged(Byte, 1, 7, bits="RGB")'},
-    "the LED's bits are blue, green, red": {LED: 'Ranged(Byte, 0, 7, bits="BGR")'},
+    "the LED takes four bits": {LED: 'Ranged(Byte, 0, 15, bits="RGB"'},
+    "the LED takes any byte": {LED: 'Ranged(Byte, 0, 255, bits="RGB"'},
+    "the LED takes two bits": {LED: 'Ranged(Byte, 0, 3, bits="RGB"'},
+    "the LED cannot be switched off": {LED: 'Ranged(Byte, 1, 7, bits="RGB"'},
+    "the LED's bits are blue, green, red": {LED: 'Ranged(Byte, 0, 7, bits="BGR"'},
     "the LED has the ID of example 5.3": {'8: "LED"': '9: "LED"'},
     "the LED does nothing": {'effect=Sets(led=From("rgb"))': "effect=Sets()"},
     "the LED stops": {

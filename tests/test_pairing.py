@@ -6,7 +6,7 @@ from analyzer.records import Severity, faults_of
 from analyzer.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
-from tests.test_session import decoded, devices, hosts, kinds
+from tests.test_session import Event, decoded, devices, hosts, kinds
 from tests.wires import MS, conversation
 
 
@@ -39,7 +39,7 @@ def test_latency_counts_from_the_last_byte_of_the_instruction(protocol: Protocol
 
 
 def test_an_instruction_without_an_answer_is_reported_once(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x20"), Line(5000 * MS, "close")]
+    events: list[Event] = [Chunk(0, "host", b"\x20"), Line(5000 * MS, "close")]
 
     records = decoded(Session(protocol), events)
 
@@ -178,7 +178,7 @@ def test_one_lost_answer_is_found_where_codes_tell(protocol: Protocol) -> None:
 
 
 def test_answers_around_lost_bytes_are_not_held_against_the_device(protocol: Protocol) -> None:
-    events = [
+    events: list[Event] = [
         Chunk(0, "host", b"\x20"),
         Line(MS, "gap"),
         Chunk(2 * MS, "device", b"\x00"),

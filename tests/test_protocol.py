@@ -286,6 +286,14 @@ BROKEN: dict[str, tuple[Any, ...]] = {
         (STRENGTH, f'"strength" / Ranged(Byte, 0, 1), {STRENGTH}'),
         "Right has two fields named strength",
     ),
+    "same id twice": (('5: "Left"', '4: "Left"'), "the number 4 stands twice in line"),
+    "two responses for one outcome": (
+        (
+            '"TOO_FEW_DATA",\n            Outcome.TOO_FEW',
+            '"TOO_FEW_DATA",\n            Outcome.TOO_MANY',
+        ),
+        "no response stands for too few data bytes",
+    ),
     "id out of the header": (('8: "LED"', '16: "LED"'), "the header cannot carry the ID 16"),
     "negative id": (('8: "LED"', '-1: "LED"'), "the header cannot carry the ID -1"),
     "id that is no number": (

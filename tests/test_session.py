@@ -34,8 +34,10 @@ def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
     t = 0
     for pause, (what, data) in drawn:
         t += pause
-        if what == "host" or what == "device":
-            events.append(Chunk(t, what, data))
+        if what == "host":
+            events.append(Chunk(t, "host", data))
+        elif what == "device":
+            events.append(Chunk(t, "device", data))
         else:
             events.append(Line(t, what))
     return events
@@ -177,7 +179,7 @@ def test_the_time_out_can_be_chosen(protocol: Protocol) -> None:
 def test_lost_bytes_leave_the_frame_begun_as_garbage_and_the_next_byte_is_a_header(
     protocol: Protocol,
 ) -> None:
-    events = [
+    events: list[Event] = [
         Chunk(0, "host", b"\x9f\x00\x00"),
         Line(MS, "gap", "host", "3 bytes"),
         Chunk(2 * MS, "host", b"\x20"),
@@ -194,7 +196,7 @@ def test_lost_bytes_leave_the_frame_begun_as_garbage_and_the_next_byte_is_a_head
 
 
 def test_lost_device_bytes_leave_the_host_frame_alone(protocol: Protocol) -> None:
-    events = [
+    events: list[Event] = [
         Chunk(0, "host", b"\x11"),
         Line(MS, "gap", "device"),
         Chunk(2 * MS, "host", b"\x05"),
@@ -271,7 +273,11 @@ def test_what_merely_happens_on_a_line_is_no_fault(protocol: Protocol, event: st
 
 @pytest.mark.parametrize("side", ["host", "device"])
 def test_one_direction_alone_is_not_paired(protocol: Protocol, side: str) -> None:
-    events = [Chunk(0, "host", b"\x00"), Chunk(2000 * MS, "device", b"\x00"), Line(4000 * MS, "x")]
+    events: list[Event] = [
+        Chunk(0, "host", b"\x00"),
+        Chunk(2000 * MS, "device", b"\x00"),
+        Line(4000 * MS, "x"),
+    ]
     heard = frozenset({side})
 
     records = decoded(Session(protocol, heard=heard), events)  # type: ignore[arg-type]

@@ -92,7 +92,7 @@ def running(*arguments: str) -> Iterator[Running]:
 
 
 class PtyRobot:
-    """A device that judges by the protocol; `wrong` maps frames to answers that it gives instead."""
+    """A device that judges by the protocol; `wrong` maps frames to other answers."""
 
     def __init__(self, protocol: Protocol, wrong: dict[bytes, int] | None = None) -> None:
         self.frames: list[bytes] = []
