@@ -40,7 +40,7 @@ types: setup
 	$(BIN)/mypy
 
 pictures: setup ## draw the README's pictures anew
-	$(BIN)/python -m conformance.demo --picture docs
+	$(BIN)/python -m conformance.pictures docs
 
 clean: ## remove what was made
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import rich_click as click
 
 from analyzer.capture_session import capture_line, capture_session, capture_timeout, said_about
-from analyzer.cli_options import (
+from analyzer.options import (
     compiled,
     filter_option,
     line_options,

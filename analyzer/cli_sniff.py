@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import rich_click as click
 
-from analyzer.cli_options import (
+from analyzer.options import (
     compiled,
     filter_option,
     line_options,

@@ -83,9 +83,11 @@ class Session:
             self._out_of_step = None
             for framed in self._framer.feed(event.data, now):
                 out += self._framed(framed)
+                out += self._until(now)  # as if each frame had come by itself
         else:
             for byte in event.data:
                 out += self._answer(byte, now)
+                out += self._until(now)
         return out
 
     def advance(self, now: int) -> list[Record]:
@@ -187,12 +189,8 @@ class Session:
             # (R-answer-point); only a frame that may still be valid was not to be answered yet.
             if known and known.length == length:
                 self._out_of_step = now + QUIET
-        pairs = list(self._pairing.answer(byte, now))
-        for pair in pairs:
+        for pair in self._pairing.answer(byte, now):
             yield from self._paired_up(pair)
-        patience = self._pairing.patience(self._framer.deadline)
-        if not pairs and patience is not None and patience <= now:  # no skew: nothing to wait for
-            yield from self._give_up_answer(now)
 
     def _paired_up(self, pair: Pair) -> Iterator[Record]:
         for passed in pair.passed:

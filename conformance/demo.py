@@ -52,7 +52,7 @@ def _first_line(process: subprocess.Popen[str], stream: int) -> str:
     return line.decode().strip()
 
 
-def _examples(protocol: Protocol) -> list[tuple[str, list[bytes]]]:
+def examples(protocol: Protocol) -> list[tuple[str, list[bytes]]]:
     """The document's three examples as it should have printed them, then as it did print them."""
     meant = {e.example: bytes.fromhex(e.meant) for e in ERRATA if e.example}
     printed: dict[str, list[bytes]] = {}
@@ -73,7 +73,7 @@ def _examples(protocol: Protocol) -> list[tuple[str, list[bytes]]]:
 def _drive(protocol: Protocol, port: Port) -> int:
     """Send every example, waiting for each answer; returns how many bytes went out."""
     sent = 0
-    for title, lines in _examples(protocol):
+    for title, lines in examples(protocol):
         click.secho(f"-- {title}", fg="cyan", err=True)
         for line in lines:
             framer = Framer(protocol.lengths, None)
@@ -99,7 +99,15 @@ def demo(folder: Path) -> int:
         assert simulator.stdout is not None
         robot = _first_line(simulator, simulator.stdout.fileno())
         click.echo(robot)
-        words: tuple[str, ...] = ("sniff", "--bridge", robot, "-w", str(capture), "--format", "lines")
+        words: tuple[str, ...] = (
+            "sniff",
+            "--bridge",
+            robot,
+            "-w",
+            str(capture),
+            "--format",
+            "lines",
+        )
         _say("2. Sniff the line while a driver sends the document's examples", *words)
         sniffer = subprocess.Popen(_bilprov(*words), stderr=subprocess.PIPE, text=True)
         assert sniffer.stderr is not None

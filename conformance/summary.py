@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -21,7 +20,8 @@ STYLES = {
     Verdict.ERROR: "bold white on red",
     Verdict.SKIPPED: "dim",
 }
-_SHOWN = 12  # cases a verdict, unless all are asked for
+_SHOWN = 2  # cases of each class and verdict, unless all are asked for
+_REASONS = 8
 
 
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
@@ -88,7 +88,7 @@ def _table(report: Report) -> Table:
 def _reasons(found: list[CaseResult], console: Console) -> None:
     """What could not be judged, by reason: it is rarely about the single case."""
     counts = Counter(result.reason for result in found)
-    for reason, count in counts.most_common(_SHOWN):
+    for reason, count in counts.most_common(_REASONS):
         cases = "1 case" if count == 1 else f"{count} cases"
         first = next(result.id for result in found if result.reason == reason)
         line = Text(f"inconclusive {cases}", STYLES[Verdict.INCONCLUSIVE])
@@ -96,32 +96,41 @@ def _reasons(found: list[CaseResult], console: Console) -> None:
 
 
 def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:
-    if not found:
-        return
-    verdict = found[0].verdict
-    for result in found[:most]:
-        sent = " | ".join(result.sent) or "nothing"
-        console.print(
-            f"[{STYLES[verdict]}]{verdict.label}[/] [bold]{escape(result.id)}[/] "
-            f"({escape(result.clause)}) {escape(result.requirement)}"
-        )
-        console.print(f"    sent {sent}", markup=False, highlight=False)
-        for name, axis in result.axes.items():
-            if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
-                continue
-            expected = f"expected {axis.expected}; " if axis.expected else ""
-            actual = f"got {axis.actual}" if axis.actual else ""
-            line = f"    {name}: {expected}{actual}"
-            if axis.reason:
-                line += f" - {axis.reason}" if expected or actual else axis.reason
-            if axis.reading:
-                line += f" [{axis.reading}]"
-            console.print(line, markup=False, highlight=False)
-    left = len(found) - most
-    if left > 0:
-        console.print(
-            f"    and {left} more {verdict.label} (--verbose lists them all)", style="dim"
-        )
-    if verdict is Verdict.FAIL:
-        again = reproduce(report, found[0].id)
-        console.print(f"    again: {again}", markup=False, highlight=False)
+    """The first `most` cases of each class in full, the others counted."""
+    classes: dict[str, list[CaseResult]] = {}
+    for result in found:
+        classes.setdefault(result.id.split("/")[0], []).append(result)
+    for name, results in classes.items():
+        for result in results[:most]:
+            _case(result, console)
+        left = len(results) - most
+        if left > 0:
+            more = f"      and {left} more of {name}; --verbose lists them"
+            console.print(Text(more, "dim"))
+    if found and found[0].verdict is Verdict.FAIL:
+        console.print(Text(f"again: {reproduce(report, found[0].id)}"))
+
+
+def _case(result: CaseResult, console: Console) -> None:
+    """One case: what was sent, and for each axis that is not well what was expected and seen."""
+    head = Text.assemble(
+        (result.verdict.label, STYLES[result.verdict]),
+        " ",
+        (result.id, "bold"),
+        (f"  {result.clause}", "dim"),
+    )
+    console.print(head)
+    rows = [("", result.requirement), ("sent", " | ".join(result.sent) or "nothing")]
+    for name, axis in result.axes.items():
+        if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
+            continue
+        reading = f" [{axis.reading}]" if axis.reading else ""
+        rows += [
+            (name, axis.reason + reading),
+            ("expected", axis.expected),
+            ("got", axis.actual),
+        ]
+    for label, words in rows:
+        if words:
+            line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
+            console.print(line)

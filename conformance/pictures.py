@@ -1,0 +1,75 @@
+"""Draws the README's pictures: the live view of a drive, and the summary of a faulty robot."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+from rich.console import Console, RenderableType
+
+from analyzer.grammar_file import load_protocol
+from analyzer.line_settings import LineSettings
+from analyzer.live_view import View, live_view
+from analyzer.session import Session
+from analyzer.statistics import Statistics
+from captures.schemas import Chunk
+from conformance.api import Options, conform
+from conformance.demo import examples
+from conformance.faults import fault_bank
+from conformance.judging import MS
+from conformance.simulator import Simulator
+from conformance.summary import show
+from spec.protocol import Protocol
+
+_LATENCY = int(0.4 * MS)
+_STEP = 12 * MS
+
+
+def drive_picture(protocol: Protocol) -> RenderableType:
+    """The live view after the document's examples were driven on the simulator."""
+    device = Simulator(protocol, latency=_LATENCY)
+    session = Session(protocol, skew=0)
+    line = protocol.line
+    settings = LineSettings(line.baud, line.parity, line.stopbits)
+    statistics = Statistics(protocol, settings.byte_time)
+    now = 0
+    # As printed first and as meant last, so that the picture ends with the robot under way.
+    for _, frames in reversed(examples(protocol)[:-1]):
+        for frame in frames:
+            events = [Chunk(now, "host", frame)]
+            device.receive(frame, now)
+            while (due := device.deadline()) is not None:
+                now = due
+                data = device.advance(now)
+                if data:
+                    events.append(Chunk(now, "device", data))
+            for event in events:
+                statistics.event(event)
+                for record in session.feed(event):
+                    statistics.record(record)
+            now += _STEP
+    captured = "drive.mcap"
+    return live_view(
+        View(protocol, statistics.snapshot(now), "/dev/ttyUSB0, /dev/ttyUSB1", captured)
+    )
+
+
+def draw(folder: Path) -> None:
+    """Write the pictures as SVG files into the folder."""
+    protocol = load_protocol()
+    console = Console(record=True, width=104, height=30, file=io.StringIO(), force_terminal=True)
+    console.print(drive_picture(protocol))
+    console.save_svg(str(folder / "live.svg"), title="bilprov sniff", unique_id="live")
+    console = Console(
+        record=True, width=104, file=io.StringIO(), force_terminal=True, highlight=False
+    )
+    fault = fault_bank(protocol)["restarts-by-itself"]
+    options = Options(only=("bad-data/*", "unused-id/9/*"))
+    report = conform(Simulator(protocol, fault), options=options, fault=fault.name)
+    show(report, console)
+    console.save_svg(str(folder / "conform.svg"), title="bilprov conform", unique_id="conform")
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))
