@@ -10,6 +10,9 @@ from dataclasses import dataclass
 import rich_click as click
 
 from analyzer.capture_session import capture_line, capture_session, capture_timeout, said_about
+from analyzer.comparison import Run, differences
+from analyzer.confirm import confirm_motion
+from analyzer.grammar_file import load_protocol
 from analyzer.options import (
     compiled,
     filter_option,
@@ -19,9 +22,6 @@ from analyzer.options import (
     opened_output,
     timeout_option,
 )
-from analyzer.comparison import Run, differences
-from analyzer.confirm import confirm_motion
-from analyzer.grammar_file import load_protocol
 from analyzer.outputs import Format, Output, Shown, chosen_format
 from analyzer.pairing import MILLISECOND
 from analyzer.pipeline import Pipeline

@@ -7,6 +7,9 @@ from contextlib import ExitStack
 
 import rich_click as click
 
+from analyzer.grammar_file import load_protocol
+from analyzer.line_settings import LineSettings
+from analyzer.link_errors import LinkError
 from analyzer.options import (
     compiled,
     filter_option,
@@ -17,9 +20,6 @@ from analyzer.options import (
     timeout_in_ns,
     timeout_option,
 )
-from analyzer.grammar_file import load_protocol
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError
 from analyzer.outputs import Format, Shown, chosen_format
 from analyzer.pipeline import Pipeline
 from analyzer.ports import open_port

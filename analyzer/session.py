@@ -16,6 +16,7 @@ from analyzer.record_forms import answer_record, frame_record, garbage_record
 from analyzer.records import FaultRecord, LineRecord, Record, written_state
 from captures.schemas import Chunk, Direction, Line
 from spec.codec import Judgement, judge
+from spec.fields import Outcome
 from spec.framing import Framed, Framer
 from spec.protocol import Protocol
 
@@ -81,8 +82,9 @@ class Session:
             out += self._line(event, now)
         elif event.direction == "host":
             self._out_of_step = None
-            for framed in self._framer.feed(event.data, now):
-                out += self._framed(framed)
+            for piece in self._frame_by_frame(event.data):
+                for framed in self._framer.feed(piece, now):
+                    out += self._framed(framed)
                 out += self._until(now)  # as if each frame had come by itself
         else:
             for byte in event.data:
@@ -106,6 +108,14 @@ class Session:
         while self._pairing.held:
             out.append(self._unsolicited(self._pairing.release()))
         return out
+
+    def _frame_by_frame(self, data: bytes) -> Iterator[bytes]:
+        """Cut a chunk where its frames end."""
+        at = 0
+        while at < len(data):
+            size = self._framer.missing or 1 + self._protocol.lengths[data[at]]
+            yield data[at : at + size]
+            at += size
 
     def _until(self, now: int) -> Iterator[Record]:
         while (due := self._due()) and due[0] <= now:
@@ -183,14 +193,21 @@ class Session:
             yield self._unpaired(Held(now, byte), oddities.ALONE)
             return
         if self._pairing.idle and self._framer.missing and self._out_of_step is None:
-            identity, length = self._protocol.headers[self._framer.held[0]]
-            known = self._protocol.by_id.get(identity)
-            # A device may answer a faulty header at once and take the data in silence
-            # (R-answer-point); only a frame that may still be valid was not to be answered yet.
-            if known and known.length == length:
+            answer = self._protocol.codes.get(byte)
+            ok = answer is not None and answer.outcome is Outcome.VALID
+            if ok or self._may_be_valid(self._framer.held[0]):
                 self._out_of_step = now + QUIET
         for pair in self._pairing.answer(byte, now):
             yield from self._paired_up(pair)
+
+    def _may_be_valid(self, header: int) -> bool:
+        """Whether a frame that begins so may be valid, and was not to be answered yet.
+
+        A device may refuse a faulty header at once and take its data in silence (R-answer-point).
+        """
+        identity, length = self._protocol.headers[header]
+        known = self._protocol.by_id.get(identity)
+        return known is not None and known.length == length
 
     def _paired_up(self, pair: Pair) -> Iterator[Record]:
         for passed in pair.passed:

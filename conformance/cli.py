@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 import rich_click as click
 from rich.console import Console
 
-from analyzer.cli_options import line_options, line_settings, note, timeout_in_ns
 from analyzer.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
+from analyzer.options import line_options, line_settings, note, timeout_in_ns
 from analyzer.port import Port
 from analyzer.ports import open_port
 from analyzer.recording import session_metadata

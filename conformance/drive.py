@@ -99,6 +99,7 @@ class VirtualLink:
                 return self._now
             case Listen(count, patience):
                 until = self._now + patience
+                self._collect()  # also what is there already, where nobody waits
                 while self._now < until and (count is None or len(self._heard) < count):
                     due = self._device.deadline()
                     self._pass(until if due is None else min(until, max(due, self._now)))

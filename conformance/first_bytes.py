@@ -41,6 +41,7 @@ def first_bytes(run: Run) -> Script[str]:
         run.begin(case.id)
         first = len(outcomes) == 1
         heard, sent = yield from _exchange(run, case, run.limits.boot if first else 0)
+        run.profile.measured(heard, sent)
         axes = {"answer": judge_answers(run.protocol, case.accepted, heard, sent, timed=True)}
         if first:
             axes["state"] = yield from _still(run, case.expected, "")

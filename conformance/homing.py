@@ -24,17 +24,15 @@ def home(run: Run) -> Script[None]:
     Raises GaveUp when the device no longer answers.
     """
     limits, due = run.limits, run.protocol.longest_frame
-    pause = (run.profile.truncation_timeout or 0) + limits.deadline
+    patience = run.usual
+    pause = (run.profile.truncation_timeout or 0) + patience
     if run.missing:
         # What did not come in time may still come: it belongs to the case before, not the next.
-        late = yield from listen(None, limits.longest)
-        if late.answers:
-            run.charge(late.answers, "the answer came later than the longest time allowed")
-        run.waste(limits.longest)
-    run.missing = False
+        run.late((yield from listen(None, run.patience)))
+        run.waste(run.patience)
     for _ in range(2):
         yield from send(pad(run))
-        heard = yield from run.answers(due, limits.deadline)
+        heard = yield from run.answers(due, patience)
         more = yield from listen(None, limits.settle)
         got = heard.answers + more.answers
         if len(got) > due:
@@ -80,7 +78,7 @@ def leave(run: Run) -> Script[Ended | None]:
     try:
         for _ in range(3):
             yield from send(pad(run))
-            yield from listen(run.protocol.longest_frame, run.limits.deadline)
+            yield from listen(run.protocol.longest_frame, run.usual)
             if not run.looks_freely:
                 return None
             seen = yield from watch(run, moving=False, patience=run.limits.deadline)
@@ -88,6 +86,14 @@ def leave(run: Run) -> Script[Ended | None]:
                 return None
             yield from listen(None, run.profile.truncation_timeout or run.limits.deadline)
     except Ended as ended:
+        if not ended.line_works:
+            return ended
+        # Interrupted, or the probe lost, while leaving: what was asked for last was not done.
+        try:
+            yield from send(pad(run))
+            yield from listen(run.protocol.longest_frame, run.usual)
+        except Ended as again:
+            return again
         return ended
     assert seen is not None
     case = run.special(
@@ -109,7 +115,7 @@ def set_up(run: Run, state: State) -> Script[str]:
         sent = yield from send(frame)
         heard = yield from run.answers(1)
         answered += len(heard.answers)
-        run.profile.latencies += [t - sent for t, _ in heard.answers[:1]]
+        run.profile.measured(heard, sent)
     if answered == len(frames):
         return ""
     return f"{answered} answers to {len(frames)} instructions of the set-up"
@@ -125,6 +131,8 @@ def watch(run: Run, *, moving: bool, patience: int) -> Script[Seen]:
     while seen.look.moving is (not moving) and seen.now - start < patience:
         yield from _pause(run, 2 * MS)
         seen = yield from see()
+    if seen.look.moving is (not moving):
+        run.waste(patience)
     return seen
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import replace
 
 from captures.schemas import Look
 from conformance.asks import Heard
@@ -162,6 +163,8 @@ def _legal(
         other = getattr(before, name) if how is _KEPT else 0
         if name == facet and getattr(look, name) == other:
             return reading, verdict
+        if facet == "wheels" and _turn_as(_with(expected, name, other), look):
+            return reading, verdict
     if facet in ("moving", "motion", "wheels"):
         slow_start = when == "set" and before.speed != expected.speed
         if slow_start and look.speed in (None, before.speed) and look.moving == before.moving:
@@ -170,6 +173,18 @@ def _legal(
         if when == "set" and before.steering != expected.steering and curve and facet != "moving":
             return "R-steer-rotating", Verdict.INFORMATIONAL
     return None
+
+
+def _with(state: State, name: str, value: int) -> State:
+    return replace(state, **{name: value})  # type: ignore[arg-type]  # motion is never one of them
+
+
+def _turn_as(state: State, look: Look) -> bool:
+    """Whether the wheels are seen to turn as in this state."""
+    if look.left is None or look.right is None:
+        return False
+    wanted, seen = _wheels(state, look.left, look.right)
+    return wanted == seen
 
 
 def _facets(expected: State, look: Look) -> list[tuple[str, object, object]]:

@@ -76,6 +76,16 @@ class Profile:
     truncation_timeout: int | None = None
     truncation_answered: bool | None = None
     latencies: list[int] = field(default_factory=list)
+    slowest: int = 0
+
+    def measured(self, heard: Heard, sent: int) -> None:
+        """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
+        for t, _ in heard.answers[:1]:
+            self.latencies.append(t - sent)
+            self.slowest = max(self.slowest, t - sent)
+
+
+_NEVER = 5  # answers that never came, until a missing one is no longer waited for so long
 
 
 @dataclass
@@ -110,6 +120,7 @@ class Run:
         self._open: _Open | None = None
         self._wasted = 0
         self.missing = False
+        self._never_came = 0
         self._nudges = 0
 
     # -- the case that is open --------------------------------------------------------------------
@@ -155,6 +166,8 @@ class Run:
         """Answers that the open case got; returns all of them, and when its stimulus had gone."""
         assert self._open is not None
         self._open.heard += more.answers
+        if more.answers:
+            self.missing, self._never_came = False, 0
         return Heard(tuple(self._open.heard), more.now), self._open.sent
 
     def worsen(self, name: str, verdict: Verdict, actual: str, reason: str) -> None:
@@ -162,6 +175,11 @@ class Run:
         axis = self.axes[name]
         if verdict > axis.verdict:
             self.axes[name] = Axis(verdict, axis.expected, actual, reason, axis.reading)
+
+    def cut_short(self, verdict: Verdict, reason: str) -> None:
+        """The open case could not be judged to its end."""
+        if worst(axis.verdict for axis in self.axes.values()) < Verdict.FAIL:
+            self.worsen("answer", verdict, self.axes["answer"].actual, reason)
 
     def charge(self, late: Iterable[tuple[int, int]], reason: str) -> None:
         """What came too late belongs to the case before, if there is one."""
@@ -178,16 +196,37 @@ class Run:
     # -- patience ---------------------------------------------------------------------------------
 
     def answers(self, count: int, patience: int | None = None) -> Script[Heard]:
-        """Listen for answers that are due, for `patience` ns (default: the longest allowed).
+        """Listen for answers that are due, for `patience` ns (default: `patience`).
 
         When not all came, `missing` says that they may still come.
         """
-        patience = self.limits.longest if patience is None else patience
+        patience = self.patience if patience is None else patience
         heard = yield from listen(count, patience)
         if len(heard.answers) < count:
             self.missing = True
             self.waste(patience)
         return heard
+
+    @property
+    def usual(self) -> int:
+        """How long (ns) an answer may usually take: a device that is slow is slow always."""
+        return max(self.limits.deadline, min(2 * self.profile.slowest, self.limits.longest))
+
+    @property
+    def patience(self) -> int:
+        """How long (ns) to wait for an answer: until it is too late to be one.
+
+        A device whose missing answers never came late either is not waited for so long for ever.
+        """
+        return self.limits.longest if self._never_came < _NEVER else self.usual
+
+    def late(self, heard: Heard) -> None:
+        """What came, or did not, after an answer was given up: charged to the case before."""
+        self.missing = False
+        came = heard.answers or (self._open is not None and self._open.heard)
+        self._never_came = 0 if came else self._never_came + 1
+        if heard.answers:
+            self.charge(heard.answers, "the answer came later than the longest time allowed")
 
     def waste(self, time: int) -> None:
         """Count time (ns) that went into waiting for something that did not come."""
@@ -216,7 +255,8 @@ class Run:
 
     def blind(self, expected: str) -> Axis:
         """The axis of what cannot be seen: never a pass."""
-        reason = f"{NOT_OBSERVABLE} ({self.eyes.why})"
+        why = "not seen moving before" if self.looks_freely else self.eyes.why
+        reason = f"{NOT_OBSERVABLE} ({why})"
         return Axis(Verdict.INCONCLUSIVE, expected, "", reason)
 
     def special(

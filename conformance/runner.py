@@ -37,8 +37,13 @@ class Runner:
             yield from self._judge_all()
         except Ended as ended:
             self.ended = ended
+            verdict = Verdict.ERROR if ended.error else Verdict.INCONCLUSIVE
+            if self._left and self.books.open_id == self._left[0].id:
+                # Judged in part: what failed stays failed, what passed so far is no pass.
+                self._left.pop(0)
+                self.books.cut_short(verdict, str(ended))
             self.books.close()
-            if ended.error and self._left:
+            if ended.error and self._left and not self._charged():
                 axis = Axis(Verdict.ERROR, "", "not judged", str(ended))
                 self.books.end(self._left.pop(0), {"answer": axis})
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
@@ -68,6 +73,10 @@ class Runner:
             books.close()
             self._not_run(Verdict.INCONCLUSIVE, f"precondition lost: {gave_up}")
         self._not_run(Verdict.SKIPPED, "an earlier case failed (--fail-fast)")
+
+    def _charged(self) -> bool:
+        """Whether a case bears already that the kit, the port or the probe failed."""
+        return any(result.verdict is Verdict.ERROR for result in self.books.results)
 
     def _enough(self) -> bool:
         failed = any(result.verdict is Verdict.FAIL for result in self.books.results)

@@ -36,7 +36,7 @@ def try_case(run: Run, case: Case) -> Script[None]:
     heard = yield from _answers(run, case)
     run.open(case, {"answer": _judge(run, case, heard, sent)}, heard, sent)
     if case.arrived is None:
-        run.profile.latencies += [t - sent for t, _ in heard.answers[:1]]
+        run.profile.measured(heard, sent)
     answered = heard.answers[-1][0] if heard.answers else heard.now
     if not looks:
         if case.stop:
@@ -220,7 +220,6 @@ def _moves_again(run: Run, case: Case, expected: State, name: str) -> Script[Non
     seen = yield from watch(run, moving=expected.moving, patience=run.limits.deadline)
     words = look_words(seen.look)
     if seen.look.moving is (not expected.moving):
-        run.waste(run.limits.deadline)
         # A speed that the fault has zeroed is a legal other choice: then it rightly stands still.
         zeroed = run.axes["state"].reading == "R-fault-state" and seen.look.speed == 0
         verdict = Verdict.INFORMATIONAL if zeroed else Verdict.FAIL

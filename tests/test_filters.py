@@ -9,8 +9,7 @@ from analyzer.json_lines import JsonLine, json_line
 from analyzer.session import Session
 from captures.schemas import Line
 from spec.protocol import Protocol
-from tests.test_session import decoded
-from tests.wires import MS, conversation
+from tests.decoding import MS, conversation, decoded
 
 TALK = [
     (b"\x11\x7f", b"\0"),

@@ -6,8 +6,7 @@ from analyzer.records import Severity, faults_of
 from analyzer.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
-from tests.test_session import Event, decoded, devices, hosts, kinds
-from tests.wires import MS, conversation
+from tests.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
 
 
 def test_an_answer_belongs_to_the_oldest_instruction_that_waits(protocol: Protocol) -> None:

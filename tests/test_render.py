@@ -18,8 +18,7 @@ from analyzer.session import Session
 from analyzer.statistics import Snapshot, Statistics
 from captures.schemas import Line
 from spec.protocol import Protocol
-from tests.test_session import decoded
-from tests.wires import MS, conversation
+from tests.decoding import MS, conversation, decoded
 
 TALK = [
     (b"\x11\xff", b"\0"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -10,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from analyzer.playing import played
+from analyzer.ptys import open_pty
 from captures.schemas import Chunk, Line
 from captures.writer import CaptureWriter
 from spec.protocol import Protocol
-from tests.wires import MS, PtyRobot, bilprov, conversation, json_lines, open_pty, running, served
+from tests.decoding import MS, Event, conversation
+from tests.wires import PATIENCE, ROOT, PtyRobot, bilprov, json_lines, running, served
 
 TALK = [
     (b"\x11\x7f", b"\0"),
@@ -24,7 +28,6 @@ TALK = [
 ]
 START = 1_700_000_000_000_000_000
 
-Event = Chunk | Line
 Write = Callable[..., Path]
 
 
@@ -222,6 +225,37 @@ def test_without_a_terminal_a_device_moves_only_with_yes(
     assert run.returncode == 2
     assert b"--yes" in run.stderr
     assert robot.frames == []
+
+
+@pytest.mark.parametrize(("said", "code"), [(b"n\n", 2), (b"y\n", 0)])
+def test_on_a_terminal_the_user_is_asked_once(
+    capture: Write, protocol: Protocol, said: bytes, code: int
+) -> None:
+    robot = PtyRobot(protocol)
+    path = capture(conversation(TALK))
+    with served(robot) as port, open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "bilprov", "replay", str(path), "--rate", "0"),
+                *("--to", port),
+            ],
+            stdin=slave,
+            stdout=subprocess.DEVNULL,
+            stderr=slave,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        asked = b""
+        give_up = time.monotonic() + PATIENCE
+        while b"may it move" not in asked and time.monotonic() < give_up:
+            asked += terminal.read()
+        os.write(terminal.master, said)
+        status = process.wait(PATIENCE)
+
+    assert status == code
+    assert port.encode() in asked
+    assert bool(robot.frames) == (code == 0)
 
 
 def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:

@@ -8,13 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.records import DeviceRecord, HostRecord, LineRecord, Record, faults_of
+from analyzer.records import HostRecord, LineRecord, Record
 from analyzer.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
-from tests.wires import MS, conversation
-
-Event = Chunk | Line
+from tests.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
 
 EVENTS = st.lists(
     st.tuples(
@@ -41,25 +39,6 @@ def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
         else:
             events.append(Line(t, what))
     return events
-
-
-def decoded(session: Session, events: Iterable[Event]) -> list[Record]:
-    records: list[Record] = []
-    for event in events:
-        records += session.feed(event)
-    return records + session.finish()
-
-
-def hosts(records: Iterable[Record]) -> list[HostRecord]:
-    return [record for record in records if isinstance(record, HostRecord)]
-
-
-def devices(records: Iterable[Record]) -> list[DeviceRecord]:
-    return [record for record in records if isinstance(record, DeviceRecord)]
-
-
-def kinds(records: Iterable[Record]) -> list[str]:
-    return [fault.kind for record in records for fault in faults_of(record)]
 
 
 @given(EVENTS)
@@ -257,6 +236,19 @@ def test_an_answer_at_a_header_that_is_already_wrong_is_no_loss_of_step(
 
     assert [r.data for r in hosts(records)] == [b"\x92\x00\x00"]
     assert [r.value.instruction for r in devices(records)] == [0]
+
+
+def test_ok_in_the_midst_of_a_frame_with_a_faulty_header_shows_it_too(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x9f"),
+        Chunk(MS, "device", b"\x00"),
+        Chunk(30 * MS, "host", b"\x20"),
+        Chunk(31 * MS, "device", b"\x00"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert [r.value.kind for r in hosts(records)] == ["garbage", "instruction"]
 
 
 @pytest.mark.parametrize("event", ["break", "parity", "framing", "overrun", "unplugged"])

@@ -9,21 +9,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from analyzer.ptys import open_pty
 from analyzer.serve import serve
 from analyzer.stopping import Stopper
-from captures.schemas import Chunk, Line
 from spec.codec import judge
 from spec.framing import Framer
 from spec.protocol import Protocol
 
 ROOT = Path(__file__).resolve().parent.parent
-MS = 1_000_000
 PATIENCE = 20.0  # s; a test that waits longer hangs
 
 
@@ -98,7 +95,7 @@ class PtyRobot:
         self.frames: list[bytes] = []
         self._protocol = protocol
         self._wrong = wrong or {}
-        self._framer = Framer(protocol.lengths, 50 * MS)
+        self._framer = Framer(protocol.lengths, 50_000_000)
         self._answers = bytearray()
 
     def receive(self, data: bytes, now: int) -> None:
@@ -152,28 +149,3 @@ def served(robot: PtyRobot) -> Iterator[str]:
         finally:
             stopper.stop()
             thread.join(PATIENCE)
-
-
-def conversation(
-    exchanges: Sequence[tuple[bytes, bytes]], period: int = 20 * MS, latency: int = MS
-) -> list[Chunk | Line]:
-    """Events of a host that waits for each answer; times in ns."""
-    events: list[Chunk | Line] = []
-    for at, (said, answered) in enumerate(exchanges, 1):
-        events.append(Chunk(at * period, "host", said))
-        if answered:
-            events.append(Chunk(at * period + latency, "device", answered))
-    return events
-
-
-__all__ = [
-    "MS",
-    "PtyRobot",
-    "Running",
-    "bilprov",
-    "conversation",
-    "json_lines",
-    "open_pty",
-    "running",
-    "served",
-]

@@ -78,7 +78,7 @@ def answer_faults(protocol: Protocol) -> Iterator[Fault]:
             f"always-{spec.code}",
             family,
             f"answers {spec.name} to everything, but acts rightly",
-            EVERYTHING,
+            ALL_FAULTY if spec.outcome is Outcome.VALID else EVERYTHING,
             react=answers_with(spec.code),
         )
     yield Fault(

@@ -126,7 +126,7 @@ def parsing_faults(protocol: Protocol) -> Iterator[Fault]:
         "swallows-missing-data",
         family,
         "takes the data that an instruction needs, whatever length its header says",
-        ("*",),
+        ("wrong-length/*",),
         lengths=takes,
     )
 

@@ -66,7 +66,7 @@ def is_truncated(event: Event) -> bool:
 
 def is_named(spec: InstructionSpec) -> Callable[[Event], bool]:
     """Valid frames of that instruction."""
-    return lambda event: event.judgement.valid and event.judgement.instruction is spec
+    return lambda event: event.judgement.valid and event.judgement.id == spec.id
 
 
 def answers_with(*codes: int, delay: int = 0) -> React:

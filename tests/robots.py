@@ -1,0 +1,164 @@
+"""What the tests of the suite share: runs in virtual time that count looks, served simulators."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from analyzer.outlets import parse_address
+from captures.schemas import Look
+from conformance.api import Options, Unwatched, select_cases
+from conformance.asks import Ask, Heard, See, Seen
+from conformance.cases import Case
+from conformance.drive import VirtualLink, drive
+from conformance.run import Eyes, Limits, Run
+from conformance.runner import Runner
+from conformance.simulator import Simulator
+from conformance.verdicts import CaseResult, Verdict
+from spec.protocol import Protocol
+
+ROOT = Path(__file__).resolve().parent.parent
+MS = 1_000_000
+BYTE_TIME = 86_806  # ns at 115,200 8N1
+PATIENCE = 60.0  # s; a test that waits longer hangs
+
+ALL_SEEING = Eyes(open=True)
+FEW_LOOKS = Eyes(open=True, sparse=True)
+
+
+class CountingLink:
+    """Virtual time; counts what it is asked. `broken` is asked before each ask and may raise."""
+
+    def __init__(self, device: Any, broken: Callable[[int], None] = lambda asks: None) -> None:
+        self.asks = 0
+        self.looks: list[Look] = []
+        self._link = VirtualLink(device, BYTE_TIME)
+        self._broken = broken
+
+    def do(self, ask: Ask) -> int | Heard | Seen:
+        self._broken(self.asks)
+        self.asks += 1
+        reply = self._link.do(ask)
+        if isinstance(ask, See):
+            assert isinstance(reply, Seen)
+            self.looks.append(reply.look)
+        return reply
+
+
+def cases_of(
+    protocol: Protocol, *only: str, seed: int = 1, every_cut: bool = False
+) -> tuple[Case, ...]:
+    return select_cases(protocol, Options(only=only, seed=seed), every_cut=every_cut)
+
+
+def case_of(protocol: Protocol, ident: str, seed: int = 1) -> Case:
+    (case,) = cases_of(protocol, ident, seed=seed, every_cut=True)
+    return case
+
+
+def run_over(
+    link: CountingLink,
+    protocol: Protocol,
+    cases: Sequence[Case],
+    *,
+    eyes: Eyes = ALL_SEEING,
+    limits: Limits | None = None,
+    fail_fast: bool = False,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Runner:
+    """Run cases over a link to the end; the results are in `runner.books`."""
+    nobody = Unwatched()
+    books = Run(protocol, limits or Limits(), eyes, begin=nobody.begin, report=nobody.end)
+    runner = Runner(books, cases, fail_fast=fail_fast)
+    drive(runner.run(), link, interrupted)
+    return runner
+
+
+def failing(results: Sequence[CaseResult]) -> set[str]:
+    return {result.id for result in results if result.verdict is Verdict.FAIL}
+
+
+def matching(ident: str, globs: Sequence[str]) -> bool:
+    return any(fnmatchcase(ident, glob) for glob in globs)
+
+
+def command(*arguments: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
+    """The command as a process of its own, without a terminal."""
+    options = {"stdin": subprocess.DEVNULL, "timeout": PATIENCE} | options
+    variables = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "COLUMNS")}
+    return subprocess.run(
+        [sys.executable, "-m", "bilprov", *arguments],
+        capture_output=True,
+        cwd=options.pop("cwd", ROOT),
+        env=variables | {"PYTHONPATH": str(ROOT)},
+        check=False,
+        **options,
+    )
+
+
+def sentence(result: subprocess.CompletedProcess[bytes]) -> str:
+    """The last line on standard error, where what went wrong stands; no traceback before it."""
+    told = result.stderr.decode()
+    assert "Traceback" not in told, told
+    return told.splitlines()[-1]
+
+
+class Served:
+    """A `bilprov simulate` that runs: what it announced, and its probe."""
+
+    def __init__(self, process: subprocess.Popen[str], lines: list[str]) -> None:
+        self.process = process
+        self.port = lines[0]
+        self.probe = lines[1].removeprefix("probe ")
+
+    def state(self) -> dict[str, Any]:
+        """What its probe tells now."""
+        host, port = parse_address(self.probe.removeprefix("tcp:"))
+        with socket.create_connection((host, port), timeout=PATIENCE) as probe:
+            probe.sendall(b"state\n")
+            line = b""
+            while not line.endswith(b"\n"):
+                data = probe.recv(4096)
+                assert data, "the probe hung up"
+                line += data
+        state = json.loads(line)
+        assert isinstance(state, dict)
+        return state
+
+
+@contextmanager
+def simulate(*arguments: str, pty: bool = False, grammar: str = "") -> Iterator[Served]:
+    """Serve the simulator in a process of its own, on TCP or a pty, with its probe on TCP."""
+    line = [] if pty else ["--listen", "127.0.0.1:0"]
+    before = ["--grammar", grammar] if grammar else []
+    with subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *before, "simulate", *line]
+        + ["--probe-listen", "127.0.0.1:0", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        try:
+            lines = [process.stdout.readline().strip() for _ in range(2)]
+            assert all(lines), process.stderr.read()
+            yield Served(process, lines)
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+
+
+def at_rest(device: Simulator) -> bool:
+    return not device.state.moving

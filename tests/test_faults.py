@@ -1,0 +1,200 @@
+"""The bank of faulty devices: the suite fails each of them, in the cases that are meant to."""
+
+from __future__ import annotations
+
+import pytest
+
+from conformance.api import Options, conform
+from conformance.faults import fault_bank
+from conformance.simulator import Simulator
+from conformance.verdicts import Verdict
+from spec.protocol import Protocol, load
+from tests.conftest import ROOT
+from tests.robots import CountingLink, at_rest, cases_of, failing, matching, run_over
+
+# xdist must collect the same tests everywhere: the names come from the kit's own grammar.
+BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py"))
+
+# What each of these breaks, typed by hand: all of these cases fail, and no other.
+EXACTLY = {
+    "ok-to-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
+    "wrong-code-for-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
+    "ok-to-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "wrong-code-for-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "ok-to-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
+    "ok-to-too-few": [
+        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
+        "recovery/too-few/*",
+        "link/too-few",
+    ],
+    "wrong-code-for-truncated": [
+        "truncated/*",
+        "recovery/truncated/*",
+        "timing/truncation-timeout",
+    ],
+    "never-times-out": ["truncated/*", "recovery/truncated/*", "timing/truncation-timeout"],
+    "no-stop-on-unknown-id": ["unused-id/*", "recovery/unused-id/*"],
+    "no-stop-on-bad-data": ["bad-data/*", "recovery/bad-data/*"],
+    "no-stop-on-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
+    "no-stop-on-too-few": [
+        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
+        "recovery/too-few/*",
+    ],
+    "no-stop-on-truncated": ["truncated/*", "recovery/truncated/*"],
+    "unused-code-for-faults": [
+        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
+        "timing/truncation-timeout",
+    ],
+    "always-0": [
+        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
+        "timing/truncation-timeout",
+    ],
+    "stops-late": ["unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*"],
+    "accepts-id-15": ["unused-id/15/*", "truncated/15/*"],
+    "accepts-led-bit-3": ["bad-data/LED/[89]", "bad-data/LED/1[0-5]", "recovery/bad-data/*"],
+    "ignores-led-upper-bits": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "swallows-missing-data": [
+        f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")
+    ],
+    "stop-does-nothing": ["valid/Stop", "leave/stopped"],
+    "moves-at-power-on": ["power-on/*"],
+}
+# Devices of which too little is left to judge one by one: what else they break is not said.
+SWEEPING = {
+    "always-1",
+    "answers-at-header",
+    "double-answer",
+    "nibbles-swapped",
+    "sticks-after-50-faults",
+    "unused-code-for-valid",
+    "xon-xoff",
+}
+
+
+def test_the_bank_is_large_and_every_fault_says_what_it_does(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+
+    assert len(bank) >= 30
+    assert len({fault.doc for fault in bank.values()}) == len(bank)
+    for name, fault in bank.items():
+        assert name == fault.name
+        assert name == name.lower()
+        assert " " not in name
+        assert len(fault.doc) > 15
+        assert not fault.doc.endswith(".")
+
+
+def test_there_are_faults_of_every_family(protocol: Protocol) -> None:
+    families = {fault.family for fault in fault_bank(protocol).values()}
+
+    assert families == {"answer", "stop", "parsing", "motion", "setting", "history", "line"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("ok-to-unknown-id", "wrong-code-for-bad-data", "wrong-code-for-truncated"),
+        *("no-stop-on-unknown-id", "no-stop-on-too-few", "no-stop-on-truncated"),
+        *("double-answer", "answers-too-late", "never-times-out", "accepts-id-9"),
+        *("accepts-led-bit-3", "nibbles-swapped", "one-byte-too-many-is-fine"),
+        *("sticks-after-50-faults", "fault-changes-speed", "restarts-on-next-valid"),
+        *("never-moves", "echo", "dead", "always-0", "always-1"),
+    ],
+)
+def test_the_faults_that_the_contract_names_are_there(protocol: Protocol, name: str) -> None:
+    assert name in fault_bank(protocol)
+
+
+def test_only_a_broken_line_ends_in_2_and_only_no_motion_at_all_in_3(protocol: Protocol) -> None:
+    exits = {name: fault.exit for name, fault in fault_bank(protocol).items() if fault.exit != 1}
+
+    assert exits == {"echo": 2, "dead": 2, "never-moves": 3}
+
+
+def test_a_fault_that_fails_says_which_cases_catch_it(protocol: Protocol) -> None:
+    for name, fault in fault_bank(protocol).items():
+        assert bool(fault.caught_by) is (fault.exit == 1), name
+        assert ("*" in fault.caught_by) is (name in SWEEPING), name
+
+
+@pytest.mark.parametrize("name", BANK)
+def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, name: str) -> None:
+    fault = fault_bank(protocol)[name]
+    device = Simulator(protocol, fault)
+    cases = cases_of(protocol)
+    link = CountingLink(device)
+
+    runner = run_over(link, protocol, cases)
+
+    results = runner.books.results
+    found = failing(results)
+    verdicts = {result.verdict for result in results}
+    if fault.exit == 2:
+        assert runner.unusable
+        assert results == []
+        return
+    assert runner.unusable == ""
+    assert Verdict.ERROR not in verdicts
+    assert bool(found) is (fault.exit == 1)
+    assert {ident for ident in found if not matching(ident, fault.caught_by)} == set()
+    idle = [glob for glob in fault.caught_by if not any(matching(i, (glob,)) for i in found)]
+    assert idle == []
+    if fault.exit == 3:
+        assert Verdict.INCONCLUSIVE in verdicts
+    if name in EXACTLY:
+        ids = {result.id for result in results}
+        assert found == {ident for ident in ids if matching(ident, EXACTLY[name])}
+    run = [result.id for result in results if result.id in {case.id for case in cases}]
+    assert sorted(run) == sorted(case.id for case in cases)
+    assert at_rest(device) or name in ("stop-does-nothing", "restarts-by-itself")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_reference_passes_every_case_there_is(protocol: Protocol, seed: int) -> None:
+    report = conform(grammar=protocol, options=Options(seed=seed))
+
+    assert report.exit == 0
+    assert [r.id for r in report.results if r.verdict is not Verdict.PASS] == []
+    cases = [r for r in report.results if not r.id.startswith(("power-on", "link", "timing"))]
+    # 781 valid, 112 unused, 135 wrong lengths, 248 bad data, 1,920 cuts, and 20 of recovery
+    assert len(cases) == 781 + 112 + 135 + 248 + 1920 + 20
+    assert report.seed == seed
+    assert all(done == of for done, of in report.coverage.values())
+
+
+@pytest.mark.parametrize("name", ["echo", "dead"])
+def test_a_line_that_cannot_be_used_is_told_in_one_sentence(protocol: Protocol, name: str) -> None:
+    report = conform(Simulator(protocol, fault_bank(protocol)[name]), grammar=protocol)
+
+    assert report.exit == 2
+    assert report.results == ()
+    assert "\n" not in report.unusable
+    assert {"echo": "echo", "dead": "nobody answered"}[name] in report.unusable
+
+
+def test_a_robot_without_motor_power_is_not_failed_but_not_vouched_for(protocol: Protocol) -> None:
+    report = conform(
+        Simulator(protocol, fault_bank(protocol)["never-moves"]),
+        grammar=protocol,
+        options=Options(only=("unused-id/9/*", "valid/Forward")),
+    )
+
+    assert report.exit == 3
+    verdicts = {r.id: r.verdict for r in report.results}
+    assert verdicts["unused-id/9/0"] is Verdict.INCONCLUSIVE
+    assert verdicts["valid/Forward"] is Verdict.INCONCLUSIVE
+    reasons = [r.reason for r in report.results if r.verdict is Verdict.INCONCLUSIVE]
+    assert all("seen moving" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("name", ["no-stop-while-rotate-left", "speed-starts-it"])
+def test_a_fault_is_caught_whatever_the_seed(protocol: Protocol, name: str, seed: int) -> None:
+    fault = fault_bank(protocol)[name]
+    only = ("unused-id/*", "valid/Stop", "wrong-length/Speed/*")
+
+    report = conform(
+        Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=seed)
+    )
+
+    assert report.exit == 1

@@ -1,0 +1,913 @@
+"""What a device does where the document is silent gets the verdict that its reading names.
+
+Two tables: single axes judged from hand-made answers and looks, and whole runs against simulators
+that choose otherwise in one point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from captures.schemas import Look
+from conformance.api import Options, conform
+from conformance.asks import Heard
+from conformance.cases import Case, all_cases
+from conformance.judging import judge_answers, judge_state
+from conformance.report import Report
+from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
+from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from spec.motion import Motion, State
+from spec.protocol import Protocol
+from tests.vectors import READING_IDS
+
+MS = 1_000_000
+
+PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
+INCONCLUSIVE, FAIL, ERROR, SKIPPED = (
+    Verdict.INCONCLUSIVE,
+    Verdict.FAIL,
+    Verdict.ERROR,
+    Verdict.SKIPPED,
+)
+
+
+@pytest.fixture(scope="module")
+def cases(protocol: Protocol) -> dict[str, Case]:
+    return {case.id: case for case in all_cases(protocol, 1, every_cut=True)}
+
+
+# -- the answer axis ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ident", "codes", "verdict", "reading"),
+    [
+        ("valid/Speed/255", [0], PASS, ""),
+        ("valid/Speed/255", [1], FAIL, ""),
+        ("valid/Speed/255", [], FAIL, ""),
+        ("unused-id/9/0", [1], PASS, ""),
+        ("unused-id/9/0", [3], FAIL, ""),  # nothing is too many where nothing is announced
+        ("unused-id/9/0", [4], FAIL, ""),
+        ("unused-id/9/4", [1], PASS, ""),
+        ("unused-id/9/4", [3], NON_STRICT, "R-unused-length"),
+        ("unused-id/9/4", [4], NON_STRICT, "R-unused-length"),
+        ("unused-id/9/4", [2], FAIL, ""),
+        ("unused-id/9/4", [0], FAIL, ""),
+        ("unused-id/9/4", [], FAIL, ""),
+        ("wrong-length/Speed/3", [3], PASS, ""),
+        ("wrong-length/Speed/3", [1], FAIL, ""),  # R-known-length
+        ("wrong-length/Speed/3", [4], FAIL, ""),
+        ("wrong-length/Speed/3", [2], FAIL, ""),
+        ("wrong-length/Speed/0", [4], PASS, ""),
+        ("wrong-length/Speed/0", [1], FAIL, ""),
+        ("wrong-length/Speed/0", [3], FAIL, ""),
+        ("bad-data/LED/8", [2], PASS, ""),
+        ("bad-data/LED/8", [0], FAIL, ""),
+        ("truncated/Right/0", [4], PASS, ""),
+        ("truncated/Right/0", [], NON_STRICT, "R-truncated-known"),
+        ("truncated/Right/0", [3], FAIL, ""),
+        ("truncated/Right/0", [0], FAIL, ""),
+        ("truncated/9/4/2", [1], PASS, ""),
+        ("truncated/9/4/2", [4], NON_STRICT, "R-truncated-unused"),
+        ("truncated/9/4/2", [3], FAIL, ""),
+        ("truncated/Stop/4/2", [4], PASS, ""),
+        ("truncated/Stop/4/2", [3], NON_STRICT, "R-truncated-long"),
+        ("truncated/Stop/4/2", [1], FAIL, ""),
+        ("valid/Stop", [0, 0], FAIL, ""),
+        ("unused-id/9/4", [1, 1], FAIL, ""),
+        ("bad-data/LED/8", [2, 0], FAIL, ""),
+        ("valid/Stop", [5], FAIL, ""),
+        ("bad-data/LED/8", [255], FAIL, ""),
+        ("truncated/Right/0", [4, 200], FAIL, ""),
+    ],
+)
+def test_a_list_of_answers_gets_the_verdict_of_its_reading(
+    protocol: Protocol,
+    cases: dict[str, Case],
+    ident: str,
+    codes: list[int],
+    verdict: Verdict,
+    reading: str,
+) -> None:
+    case = cases[ident]
+    heard = Heard(tuple((i * MS, code) for i, code in enumerate(codes)), 20 * MS)
+
+    axis = judge_answers(protocol, case.accepted, heard, 0, timed=True)
+
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert bool(axis.reason) is (verdict is not PASS)
+
+
+@pytest.mark.parametrize("ident", ["valid/Stop", "unused-id/9/1", "truncated/Right/0"])
+def test_an_unused_code_is_never_right(
+    protocol: Protocol, cases: dict[str, Case], ident: str
+) -> None:
+    for code in range(5, 256):
+        heard = Heard(((0, code),), MS)
+        axis = judge_answers(protocol, cases[ident].accepted, heard, 0, timed=True)
+        assert axis.verdict is FAIL
+        assert f"{code:02x} unused" in axis.reason
+
+
+@pytest.mark.parametrize(
+    ("late", "verdict", "reading"),
+    [
+        (0, PASS, ""),
+        (100, PASS, ""),
+        (101, NON_STRICT, "R-answer-deadline"),
+        (1000, NON_STRICT, "R-answer-deadline"),
+        (1001, FAIL, "R-answer-deadline"),
+    ],
+)
+def test_an_answer_is_due_in_100_ms_and_wrong_after_a_second(
+    protocol: Protocol, cases: dict[str, Case], late: int, verdict: Verdict, reading: str
+) -> None:
+    heard = Heard(((5 * MS + late * MS, 0),), 5 * MS + late * MS)
+
+    axis = judge_answers(protocol, cases["valid/Stop"].accepted, heard, 5 * MS, timed=True)
+
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+
+
+def test_a_right_answer_is_not_slow_where_a_time_out_comes_first(
+    protocol: Protocol, cases: dict[str, Case]
+) -> None:
+    heard = Heard(((700 * MS, 4),), 700 * MS)
+
+    axis = judge_answers(protocol, cases["truncated/Right/0"].accepted, heard, 0, timed=False)
+
+    assert axis.verdict is PASS
+
+
+def test_a_slow_answer_of_another_reading_keeps_the_readings_name(
+    protocol: Protocol, cases: dict[str, Case]
+) -> None:
+    heard = Heard(((500 * MS, 3),), 500 * MS)
+
+    axis = judge_answers(protocol, cases["unused-id/9/4"].accepted, heard, 0, timed=True)
+
+    assert (axis.verdict, axis.reading) == (NON_STRICT, "R-unused-length")
+
+
+# -- the state axis -------------------------------------------------------------------------------
+
+DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
+RESTED = replace(DRIVING, motion=Motion.STOPPED, steering=0)
+TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
+
+
+def told(state: State, **other: Any) -> Look:
+    """A look that tells this state, or something else."""
+    facets = {
+        "t": 0,
+        "moving": state.moving,
+        "motion": str(state.visible_motion),
+        "speed": state.speed,
+        "steering": state.steering,
+        "led": state.led,
+    }
+    return Look(**(facets | other))
+
+
+@pytest.mark.parametrize(
+    ("when", "before", "expected", "look", "verdict", "reading"),
+    [
+        ("fault", DRIVING, RESTED, told(RESTED), PASS, ""),
+        ("fault", DRIVING, RESTED, told(RESTED, speed=0), INFORMATIONAL, "R-fault-state"),
+        ("fault", DRIVING, RESTED, told(RESTED, steering=40), INFORMATIONAL, "R-fault-state"),
+        ("fault", DRIVING, RESTED, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+        ("fault", DRIVING, RESTED, told(RESTED, speed=100), FAIL, ""),
+        ("fault", DRIVING, RESTED, told(RESTED, steering=39), FAIL, ""),
+        ("fault", DRIVING, RESTED, told(RESTED, led=2), FAIL, ""),
+        ("fault", DRIVING, RESTED, told(RESTED, speed=0, led=2), FAIL, ""),
+        ("stop", DRIVING, RESTED, told(RESTED, speed=0), NON_STRICT, "R-stop-speed"),
+        ("stop", DRIVING, RESTED, told(RESTED, steering=40), NON_STRICT, "R-stop-steering"),
+        ("stop", DRIVING, RESTED, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+        ("stop", DRIVING, RESTED, told(RESTED, speed=0, led=0), NON_STRICT, "R-stop-speed"),
+        ("stop", DRIVING, RESTED, told(RESTED, speed=7), FAIL, ""),
+        ("stop", DRIVING, RESTED, told(RESTED, led=7), FAIL, ""),
+        ("drive", DRIVING, TURNING, told(TURNING), PASS, ""),
+        ("drive", DRIVING, TURNING, told(TURNING, steering=0), INFORMATIONAL, "R-drive-steering"),
+        ("drive", DRIVING, TURNING, told(TURNING, steering=-40), FAIL, ""),
+        ("drive", DRIVING, TURNING, told(TURNING, speed=0), FAIL, ""),
+        ("drive", DRIVING, TURNING, told(DRIVING), FAIL, ""),
+        (
+            "set",
+            DRIVING,
+            replace(DRIVING, speed=90),
+            told(DRIVING),
+            NON_STRICT,
+            "R-speed-moving",
+        ),
+        ("set", DRIVING, replace(DRIVING, speed=90), told(DRIVING, speed=91), FAIL, ""),
+        ("set", DRIVING, replace(DRIVING, led=2), told(DRIVING), FAIL, ""),
+        ("set", DRIVING, replace(DRIVING, steering=9), told(DRIVING), FAIL, ""),
+        (
+            "set",
+            TURNING,
+            replace(TURNING, steering=-9),
+            told(TURNING, motion="forward", steering=-9),
+            INFORMATIONAL,
+            "R-steer-rotating",
+        ),
+        (
+            "set",
+            TURNING,
+            replace(TURNING, steering=-9),
+            told(TURNING, motion="stopped", moving=False, steering=-9),
+            FAIL,
+            "",
+        ),
+        ("set", RESTED, replace(RESTED, steering=9), told(DRIVING, steering=9), FAIL, ""),
+        # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
+        ("set", DRIVING, replace(DRIVING, speed=0), told(DRIVING, speed=0, moving=False), PASS, ""),
+    ],
+)
+def test_a_state_gets_the_verdict_of_its_reading(
+    when: str, before: State, expected: State, look: Look, verdict: Verdict, reading: str
+) -> None:
+    axis = judge_state(expected, before, look, when)
+
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert bool(axis.reason) is (verdict is not PASS)
+
+
+STRAIGHT = replace(DRIVING, steering=0)
+
+
+@pytest.mark.parametrize(
+    ("state", "left", "right", "verdict"),
+    [
+        (STRAIGHT, 100, 100, PASS),
+        (STRAIGHT, 100, 99, FAIL),
+        (STRAIGHT, -100, -100, FAIL),
+        (STRAIGHT, 0, 0, FAIL),
+        (DRIVING, 100, 60, PASS),
+        (DRIVING, 100, 100, PASS),  # no mixing law is given
+        (DRIVING, 100, -20, PASS),
+        (DRIVING, 60, 100, FAIL),
+        (replace(DRIVING, steering=-40), 60, 100, PASS),
+        (replace(DRIVING, steering=-40), 100, 60, FAIL),
+        (replace(DRIVING, motion=Motion.BACKWARD), -100, -60, PASS),
+        (replace(DRIVING, motion=Motion.BACKWARD), -60, -100, FAIL),
+        (replace(DRIVING, motion=Motion.BACKWARD), 100, 60, FAIL),
+        (TURNING, -100, 100, PASS),
+        (TURNING, -100, 20, PASS),
+        (TURNING, 100, -100, FAIL),
+        (TURNING, 100, 100, FAIL),
+        (RESTED, 0, 0, PASS),
+        (RESTED, 0, 1, FAIL),
+    ],
+)
+def test_wheels_are_judged_by_their_signs_and_by_which_is_faster(
+    state: State, left: int, right: int, verdict: Verdict
+) -> None:
+    axis = judge_state(state, state, told(state, left=left, right=right), "set")
+
+    assert axis.verdict is verdict
+
+
+@given(
+    facets=st.sets(st.sampled_from(["moving", "motion", "speed", "steering", "led"])),
+    when=st.sampled_from(["fault", "stop", "drive", "set"]),
+)
+def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
+    facets: set[str], when: str
+) -> None:
+    look = told(RESTED, **dict.fromkeys(facets))
+
+    assert judge_state(RESTED, DRIVING, look, when).verdict is PASS
+
+
+# -- whole runs -----------------------------------------------------------------------------------
+
+
+def on(matches: Callable[[Event], bool], change: React) -> React:
+    return lambda d, e, r: change(d, e, r) if matches(e) else r
+
+
+def named(*names: str) -> Callable[[Event], bool]:
+    return lambda e: e.judgement.valid and e.judgement.name in names
+
+
+def faulty(event: Event) -> bool:
+    return not event.judgement.valid
+
+
+def whole_fault(event: Event) -> bool:
+    return faulty(event) and event.kind == "instruction"
+
+
+def unused(event: Event) -> bool:
+    return event.judgement.instruction is None
+
+
+def cut(event: Event) -> bool:
+    return event.kind == "truncated"
+
+
+def code(*codes: int, delay: int = 0) -> React:
+    return lambda d, e, r: answers(r, *codes, delay=delay * MS)
+
+
+def late_answer(delay: int) -> React:
+    return lambda d, e, r: answers(r, *(c for _, c in r.answers), delay=delay * MS)
+
+
+def after(**facets: Any) -> React:
+    """The state that it goes into differs in these facets."""
+    return lambda d, e, r: replace(r, state=replace(r.state, **facets))
+
+
+def keeps(*facets: str) -> React:
+    return lambda d, e, r: replace(
+        r, state=replace(r.state, **{name: getattr(e.before, name) for name in facets})
+    )
+
+
+def drives_on(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    return replace(reaction, state=event.before)
+
+
+def stops_after(delay: int) -> React:
+    return lambda d, e, r: replace(r, state=e.before, later=((delay * MS, r.state),))
+
+
+def moves_again(delay: int) -> React:
+    return lambda d, e, r: replace(r, later=((delay * MS, e.before),))
+
+
+def both(first: React, second: React) -> React:
+    return lambda d, e, r: second(d, e, first(d, e, r))
+
+
+def speed_at_next_motion(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    """Speed while moving waits for the next motion instruction."""
+    if named("Speed")(event) and event.before.moving:
+        device.memory["speed"] = reaction.state.speed
+        return replace(reaction, state=event.before)
+    if event.judgement.valid and reaction.state.motion is not event.before.motion:
+        speed = device.memory.pop("speed", reaction.state.speed)
+        return replace(reaction, state=replace(reaction.state, speed=speed))
+    if named("Speed")(event):
+        device.memory.pop("speed", None)
+    return reaction
+
+
+def curves(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    """Steering during a rotation makes a curve of it."""
+    if event.before.motion in (Motion.ROTATE_LEFT, Motion.ROTATE_RIGHT):
+        return replace(reaction, state=replace(reaction.state, motion=Motion.FORWARD))
+    return reaction
+
+
+def stops_at_header(device: Simulator, byte: int) -> Sequence[int]:
+    """A header that is wrong by itself stops it; the answer comes after the data as ever."""
+    identity, length = device.protocol.headers[byte]
+    spec = device.protocol.by_id.get(identity)
+    if spec is None or spec.length != length:
+        device.state = device.protocol.on_fault.apply(device.state)
+    return ()
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A device that chooses otherwise, the cases it is shown, and the verdict that it earns.
+
+    `cases` have this verdict on this axis and name this reading; no other case of the run is worse.
+    """
+
+    name: str
+    fault: Fault
+    only: str
+    verdict: Verdict
+    axis: str
+    reading: str = ""
+    reason: str = ""
+    every: bool = True
+
+
+def choice(
+    name: str,
+    only: str,
+    verdict: Verdict,
+    axis: str,
+    reading: str = "",
+    reason: str = "",
+    *,
+    every: bool = True,
+    **fault: Any,
+) -> Choice:
+    return Choice(
+        name, Fault("x", "test", name, **fault), only, verdict, axis, reading, reason, every
+    )
+
+
+UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
+CHOICES = [
+    choice("the reference itself", "*/Right/0", PASS, "answer"),
+    choice(
+        "3 for an unused ID with data",
+        UNUSED_WITH_DATA,
+        NON_STRICT,
+        "answer",
+        "R-unused-length",
+        react=on(lambda e: unused(e) and e.judgement.length > 0, code(3)),
+    ),
+    choice(
+        "4 for an unused ID with data",
+        UNUSED_WITH_DATA,
+        NON_STRICT,
+        "answer",
+        "R-unused-length",
+        react=on(lambda e: unused(e) and e.judgement.length > 0, code(4)),
+    ),
+    choice(
+        "no stop for an unused ID with data",
+        UNUSED_WITH_DATA,
+        FAIL,
+        "stop",
+        "R-stop-latency",
+        react=on(lambda e: unused(e) and e.judgement.length > 0, drives_on),
+    ),
+    choice(
+        "BAD_HEADER for a known ID with a wrong length",
+        "wrong-length/Speed/*",
+        FAIL,
+        "answer",
+        react=on(lambda e: whole_fault(e) and not unused(e), code(1)),
+    ),
+    choice(
+        "LED upper bits ignored: 0 and no stop",
+        "bad-data/LED/*8",
+        FAIL,
+        "answer",
+        react=on(
+            lambda e: whole_fault(e) and e.judgement.name == "LED" and e.judgement.length == 1,
+            both(code(0), drives_on),
+        ),
+    ),
+    choice(
+        "LED upper bits: 0 with stop",
+        "bad-data/LED/*8",
+        FAIL,
+        "answer",
+        react=on(whole_fault, code(0)),
+    ),
+    choice(
+        "LED upper bits: 2 without stop",
+        "bad-data/LED/*8",
+        FAIL,
+        "stop",
+        "R-stop-latency",
+        react=on(whole_fault, drives_on),
+    ),
+    choice(
+        "Right without data takes the next byte",
+        "wrong-length/Right/0",
+        FAIL,
+        "answer",
+        "R-example-right",
+        "took the next byte",
+        lengths=bytes(1 if header == 0x40 else header & 15 for header in range(256)),
+    ),
+    choice(
+        "a stop without an answer after a cut",
+        "truncated/LE*",
+        NON_STRICT,
+        "answer",
+        "R-truncated-known",
+        react=on(cut, code()),
+    ),
+    choice(
+        "never times out",
+        "truncated/LED/0",
+        FAIL,
+        "stop",
+        "R-stop-latency",
+        timeout=None,
+    ),
+    choice(
+        "TOO_FEW_DATA for an unused ID that is cut short",
+        "truncated/9/3/*",
+        NON_STRICT,
+        "answer",
+        "R-truncated-unused",
+        react=on(lambda e: cut(e) and unused(e), code(4)),
+    ),
+    choice(
+        "TOO_MANY_DATA for what is cut short and too long",
+        "truncated/Stop/3/*",
+        NON_STRICT,
+        "answer",
+        "R-truncated-long",
+        react=on(
+            lambda e: cut(e) and not unused(e) and e.judgement.length > e.judgement.instruction.length,  # type: ignore[union-attr]  # noqa: E501
+            code(3),
+        ),
+    ),
+    choice(
+        "answers after 300 ms",
+        "*/LED/[57]",
+        NON_STRICT,
+        "answer",
+        "R-answer-deadline",
+        "slow",
+        react=late_answer(300),
+    ),
+    choice(
+        "answers after 1.1 s",
+        "*/LED/[57]",
+        FAIL,
+        "answer",
+        react=on(whole_fault, late_answer(1100)),
+        every=False,
+    ),
+    choice(
+        "two answers",
+        "wrong-length/Speed/*",
+        FAIL,
+        "answer",
+        react=on(whole_fault, lambda d, e, r: replace(r, answers=r.answers * 2)),
+    ),
+    choice(
+        "a second answer 15 ms later",
+        "wrong-length/Speed/*",
+        FAIL,
+        "answer",
+        react=on(whole_fault, lambda d, e, r: replace(r, answers=(*r.answers, (15 * MS, 0)))),
+    ),
+    choice(
+        "an unused code",
+        "wrong-length/Speed/*",
+        FAIL,
+        "answer",
+        "",
+        "never sends an unused code",
+        react=on(whole_fault, code(5)),
+    ),
+    choice(
+        "stops at a header that is wrong already",
+        "wrong-length/Speed/*",
+        PASS,
+        "stop",
+        begins=stops_at_header,
+    ),
+    choice(
+        "stops 50 ms after the answer",
+        "wrong-length/Speed/*",
+        NON_STRICT,
+        "stop",
+        "R-stop-latency",
+        react=on(faulty, stops_after(50)),
+    ),
+    choice(
+        "stops 150 ms after the answer",
+        "wrong-length/Speed/*",
+        FAIL,
+        "stop",
+        "R-stop-latency",
+        react=on(faulty, stops_after(150)),
+    ),
+    choice(
+        "moves again by itself 15 ms after the stop",
+        "wrong-length/Speed/*",
+        FAIL,
+        "stop",
+        "",
+        "moved again by itself",
+        react=on(whole_fault, moves_again(15)),
+    ),
+    choice(
+        "a fault zeroes the speed",
+        "wrong-length/Speed/*",
+        INFORMATIONAL,
+        "state",
+        "R-fault-state",
+        react=on(faulty, after(speed=0)),
+        every=False,
+    ),
+    choice(
+        "a fault keeps steering",
+        "wrong-length/Speed/*",
+        INFORMATIONAL,
+        "state",
+        "R-fault-state",
+        react=on(faulty, keeps("steering")),
+    ),
+    choice(
+        "a fault switches the LED off",
+        "wrong-length/Speed/*",
+        INFORMATIONAL,
+        "state",
+        "R-led-state",
+        react=on(faulty, after(led=0)),
+        every=False,
+    ),
+    choice(
+        "Stop keeps steering",
+        "valid/Stop",
+        NON_STRICT,
+        "state",
+        "R-stop-steering",
+        react=on(named("Stop"), keeps("steering")),
+    ),
+    choice(
+        "a fault keeps steering, also for Forward after it",
+        "bad-data/LED/*8",
+        INFORMATIONAL,
+        "state",
+        "R-fault-state",
+        react=on(faulty, keeps("steering")),
+    ),
+    choice(
+        "Stop zeroes the speed",
+        "valid/Stop",
+        NON_STRICT,
+        "state",
+        "R-stop-speed",
+        react=on(named("Stop"), after(speed=0)),
+    ),
+    choice(
+        "Stop switches the LED off",
+        "valid/Stop",
+        INFORMATIONAL,
+        "state",
+        "R-led-state",
+        react=on(named("Stop"), after(led=0)),
+    ),
+    choice(
+        "a direction straightens the steering",
+        "valid/*wa*d",
+        INFORMATIONAL,
+        "state",
+        "R-drive-steering",
+        react=on(named("Forward", "Backward"), after(steering=0)),
+    ),
+    choice(
+        "Speed waits for the next motion",
+        "valid/Speed/[12]",
+        NON_STRICT,
+        "state",
+        "R-speed-moving",
+        react=speed_at_next_motion,
+    ),
+    choice(
+        "steering makes a curve of a rotation",
+        "valid/*t/*",
+        INFORMATIONAL,
+        "state",
+        "R-steer-rotating",
+        react=on(named("Right", "Left"), curves),
+        every=False,
+    ),
+    choice(
+        "steering ends a rotation",
+        "valid/Right/1?",
+        FAIL,
+        "state",
+        react=on(
+            lambda e: (
+                named("Right")(e)
+                and e.before.motion in (Motion.ROTATE_LEFT, Motion.ROTATE_RIGHT)
+            ),
+            after(motion=Motion.STOPPED),
+        ),
+        every=False,
+    ),
+    choice(
+        "another speed at power-on",
+        "valid/Stop",
+        INFORMATIONAL,
+        "state",
+        "R-power-on",
+        power_on=State(speed=77),
+        every=False,
+    ),
+    choice(
+        "moves at power-on",
+        "valid/Stop",
+        FAIL,
+        "state",
+        "R-power-on",
+        power_on=State(Motion.BACKWARD, speed=77),
+        every=False,
+    ),
+    choice(
+        "knows version 1.0 only: no LED",
+        "valid/LED/*",
+        FAIL,
+        "answer",
+        react=on(lambda e: e.judgement.id == 8, lambda d, e, r: replace(
+            answers(r, 1), state=d.protocol.on_fault.apply(e.before)
+        )),
+        every=False,
+    ),
+]  # fmt: skip
+
+
+def run(protocol: Protocol, chosen: Choice) -> Report:
+    options = Options(only=(chosen.only,), truncation_timeout=50)
+    return conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+
+
+@pytest.mark.parametrize("chosen", CHOICES, ids=lambda c: c.name)
+def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
+    protocol: Protocol, chosen: Choice
+) -> None:
+    report = run(protocol, chosen)
+
+    assert report.verdict is chosen.verdict
+    assert report.exit == (1 if chosen.verdict is FAIL else 0)
+    found = [
+        result
+        for result in report.results
+        if chosen.axis in result.axes and result.axes[chosen.axis].verdict is chosen.verdict
+    ]
+    mine = [r for r in report.results if not r.id.startswith(("power-on", "link", "timing"))]
+    assert found
+    if chosen.every:
+        assert [r.id for r in mine if r not in found] == []
+    if chosen.verdict is not PASS:
+        assert any(r.axes[chosen.axis].reading == chosen.reading for r in found)
+        assert any(chosen.reason in r.axes[chosen.axis].reason for r in found)
+    assert chosen.reading in ("", *READING_IDS)
+
+
+@pytest.mark.parametrize(
+    "chosen", [c for c in CHOICES if c.verdict is NON_STRICT], ids=lambda c: c.name
+)
+def test_non_strict_fails_a_strict_run_only(protocol: Protocol, chosen: Choice) -> None:
+    options = Options(only=(chosen.only,), truncation_timeout=50, strict=True)
+
+    report = conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+
+    assert report.exit == 1
+    assert report.verdict is NON_STRICT
+
+
+@pytest.mark.parametrize(
+    ("timeout", "verdict"),
+    [(3, NON_STRICT), (6, PASS), (50, PASS), (900, PASS), (1100, NON_STRICT), (2400, NON_STRICT)],
+)
+def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
+    protocol: Protocol, timeout: int, verdict: Verdict
+) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", timeout=timeout * MS))
+
+    report = conform(device, grammar=protocol, options=Options(only=("truncated/L*",)))
+
+    assert report.profile["truncation_timeout_ms"] == pytest.approx(timeout)
+    (measured,) = [r for r in report.results if r.id == "timing/truncation-timeout"]
+    assert (measured.verdict, measured.reading) == (verdict, "R-truncation-timeout")
+    assert {r.verdict for r in report.results if r is not measured} == {PASS}
+
+
+class Banner:
+    """A device that sends a greeting by itself, `at` ns after it was made."""
+
+    def __init__(self, device: Simulator, at: int, greeting: bytes) -> None:
+        self._device = device
+        for byte in greeting:
+            device.answer(byte, at)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+
+def test_a_banner_before_the_first_instruction_is_informational(protocol: Protocol) -> None:
+    device = Banner(Simulator(protocol), 0, b"Hej!")
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
+
+    (at_rest,) = [r for r in report.results if r.verdict is not PASS]
+    assert (at_rest.id, at_rest.verdict) == ("power-on/at-rest", INFORMATIONAL)
+    assert at_rest.reading == "R-unsolicited"
+
+
+@pytest.mark.parametrize("at", [1, 30, 150])
+def test_a_byte_without_an_instruction_is_a_failure_later(protocol: Protocol, at: int) -> None:
+    device = Banner(Simulator(protocol), at * MS, b"!")
+
+    report = conform(device, grammar=protocol, options=Options(only=("wrong-length/*",)))
+
+    assert report.exit == 1
+
+
+def only_moving(look: Look) -> Look:
+    return Look(t=look.t, moving=look.moving)
+
+
+def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", show=only_moving))
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/*", "*-*/*/1")))
+
+    assert report.exit == 3
+    blind = [r for r in report.results if r.verdict is INCONCLUSIVE]
+    assert {r.id.split("/")[1] for r in blind} >= {"LED", "Speed", "Right", "Left", "Forward"}
+    for result in blind:
+        assert result.id.startswith("valid/")
+        assert result.axes["answer"].verdict is PASS
+        assert "not observable" in result.axes["state"].reason
+    leds = [r for r in report.results if r.id.startswith("valid/LED")]
+    assert sum(r.verdict is INCONCLUSIVE for r in leds) >= 6
+    seen = [r for r in report.results if r.id.startswith(("wrong-length", "unused", "bad"))]
+    assert {r.verdict for r in seen} == {PASS}
+
+
+def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
+    protocol: Protocol,
+) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", show=lambda look: Look(look.t, None)))
+
+    report = conform(device, grammar=protocol, options=Options(only=("*-*/*/1", "valid/Stop")))
+
+    assert report.exit == 3
+    assert FAIL not in {r.verdict for r in report.results}
+    mine = [r for r in report.results if not r.id.startswith("link")]
+    assert {r.verdict for r in mine} == {INCONCLUSIVE}
+
+
+def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol) -> None:
+    class Blind:
+        def __init__(self) -> None:
+            device = Simulator(protocol)
+            self.receive, self.advance = device.receive, device.advance
+            self.deadline = device.deadline
+
+    report = conform(Blind(), grammar=protocol, options=Options(only=("*/*/1",)))  # type: ignore[arg-type]
+
+    assert report.exit == 3
+    mine = [r for r in report.results if not r.id.startswith(("link", "timing", "power"))]
+    assert {r.axes["answer"].verdict for r in mine} == {PASS}
+    assert {r.axes["state"].verdict for r in mine} == {INCONCLUSIVE}
+    assert {"not observable" in r.axes["state"].reason for r in mine} == {True}
+
+
+# -- verdicts -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code", "strict"),
+    [
+        ([], 0, 0),
+        ([SKIPPED], 0, 0),
+        ([PASS, SKIPPED], 0, 0),
+        ([PASS, INFORMATIONAL], 0, 0),
+        ([PASS, NON_STRICT], 0, 1),
+        ([PASS, INCONCLUSIVE], 3, 3),
+        ([INCONCLUSIVE, NON_STRICT], 3, 1),
+        ([ERROR, INCONCLUSIVE], 2, 2),
+        ([ERROR, NON_STRICT], 2, 1),
+        ([FAIL, INCONCLUSIVE], 1, 1),
+        ([FAIL, ERROR, INCONCLUSIVE], 1, 1),
+    ],
+)
+def test_the_exit_code_follows_the_contract(
+    verdicts: list[Verdict], code: int, strict: int
+) -> None:
+    for order in permutations(verdicts):
+        assert exit_code(order) == code
+        assert exit_code(order, strict=True) == strict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "label"),
+    [
+        (SKIPPED, "skipped"),
+        (PASS, "pass"),
+        (INFORMATIONAL, "informational"),
+        (NON_STRICT, "non-strict"),
+        (INCONCLUSIVE, "inconclusive"),
+        (FAIL, "fail"),
+        (ERROR, "error"),
+    ],
+)
+def test_a_verdict_is_written_as_the_contract_writes_it(verdict: Verdict, label: str) -> None:
+    assert verdict.label == label
+
+
+@given(st.lists(st.sampled_from(Verdict), min_size=1))
+def test_the_worst_verdict_counts(verdicts: list[Verdict]) -> None:
+    order = [SKIPPED, PASS, INFORMATIONAL, NON_STRICT, INCONCLUSIVE, FAIL, ERROR]
+
+    assert worst(verdicts) is max(verdicts, key=order.index)
+
+
+def test_a_case_takes_the_worst_of_its_axes_and_its_reason() -> None:
+    axes = {
+        "answer": Axis(PASS, "", ""),
+        "stop": Axis(FAIL, "stopped", "moving", "drives on"),
+        "state": Axis(NON_STRICT, "", "", "another reading"),
+    }
+    result = CaseResult("x", "", "", worst(a.verdict for a in axes.values()), axes, "", (), ())
+
+    assert (result.verdict, result.reason) == (FAIL, "drives on")
