@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from analyzer.grammar_file import load_protocol as load_protocol
     from analyzer.live import sniff as sniff
     from captures.reader import open_capture as open_capture
+    from conformance.api import conform as conform
 
 __all__ = [
+    "conform",
     "decode",
     "encode",
     "explain",
@@ -42,6 +44,7 @@ __all__ = [
 
 # What the import hands on: name -> (module, attribute).
 API = {
+    "conform": ("conformance.api", "conform"),
     "decode": ("analyzer.api", "decode"),
     "encode": ("analyzer.api", "encode"),
     "explain": ("analyzer.api", "explain"),

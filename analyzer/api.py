@@ -7,12 +7,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from analyzer.capture_session import capture_session
 from analyzer.grammar_file import load_protocol
 from analyzer.records import DeviceRecord, HostRecord, Record
-from analyzer.session import BOTH, Session
+from analyzer.session import Session
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction
-from captures.topics import DEVICE_RAW, HOST_RAW
 from spec import codec
 from spec import explain as explaining
 from spec.codec import Judgement
@@ -68,10 +68,7 @@ def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator
     cannot be read as a capture.
     """
     capture = open_capture(path)
-    counts = capture.contents.counts
-    raw: dict[Direction, str] = {"host": HOST_RAW, "device": DEVICE_RAW}
-    heard = frozenset(side for side, topic in raw.items() if counts.get(topic))
-    session = Session(protocol or load_protocol(), heard=heard or BOTH)
+    session = capture_session(capture, protocol or load_protocol())
     for event in capture:
         yield from session.feed(event)
     yield from session.finish()

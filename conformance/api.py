@@ -121,6 +121,7 @@ def conform(
             "probe": "sim" if eyes.open else "none",
             "fault": fault,
         },
+        power=hasattr(device, "power_cycle"),
     )
 
 
@@ -135,18 +136,20 @@ def conform_port(
     interrupted: Callable[[], bool],
     watcher: Watcher | None = None,
     tap: Tap | None = None,
+    power: str | None = None,
 ) -> Report:
     """Run the cases on an open port in real time; the robot moves.
 
     `stop` is a descriptor that is readable once the user wants to stop, `interrupted` says whether
-    that is so. Raises ValueError when no case is left to run.
+    that is so. `power` is a shell command that switches the robot off and on. Raises ValueError
+    when no case is left to run.
     """
     if probe is None:
         eyes = Eyes(open=False)
     else:
         eyes = Eyes(True, probe.sparse, f"{probe_name} is asked only about a few cases")
     return _run(
-        PortLink(port, probe, stop, tap),
+        PortLink(port, probe, stop, tap, power),
         select_cases(grammar, options, every_cut=False),
         Limits(longest=_longest(grammar), grace=_GRACE, settle=2 * MS, waste=_WASTE),
         eyes,
@@ -156,6 +159,7 @@ def conform_port(
         interrupted=interrupted,
         name=port.name,
         about={"kind": "port", "line": str(port.settings), "probe": probe_name},
+        power=power is not None,
     )
 
 
@@ -176,6 +180,7 @@ def _run(
     interrupted: Callable[[], bool],
     name: str,
     about: dict[str, Any],
+    power: bool,
 ) -> Report:
     watcher = watcher or Unwatched()
     deadline = options.deadline or grammar.timing.answer_deadline
@@ -190,6 +195,7 @@ def _run(
         begin=watcher.begin,
         report=watcher.end,
         truncation_timeout=None if timeout is None else int(timeout * MS),
+        power=power,
     )
     runner = Runner(books, cases, fail_fast=options.fail_fast)
     drive(runner.run(), link, interrupted)

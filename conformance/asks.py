@@ -38,6 +38,11 @@ class See:
 
 
 @dataclass(frozen=True, slots=True)
+class PowerCycle:
+    """Switch the robot off and on; the reply is the time when it is on again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Heard:
     """Answer bytes as (time, byte), and the time when listening ended."""
 
@@ -59,7 +64,7 @@ class Seen:
     look: Look
 
 
-Ask = Send | Listen | See
+Ask = Send | Listen | See | PowerCycle
 Script = Generator[Ask, Any, T]
 
 
@@ -75,6 +80,13 @@ def listen(count: int | None, patience: int) -> Script[Heard]:
     heard = yield Listen(count, patience)
     assert isinstance(heard, Heard)
     return heard
+
+
+def power_cycle() -> Script[int]:
+    """Switch the robot off and on; returns the time (ns) when it is on again."""
+    now = yield PowerCycle()
+    assert isinstance(now, int)
+    return now
 
 
 def see() -> Script[Seen]:

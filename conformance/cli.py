@@ -49,6 +49,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.command()
 @click.argument("target", metavar="PORT|sim")
 @click.option("--probe", help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, modem:LINE, ask.")
+@click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
 @click.option("--only", multiple=True, metavar="GLOB", help="Only these cases; * crosses /.")
 @click.option("--list", "listing", is_flag=True, help="List the cases and send nothing.")
 @click.option("--fail-fast", is_flag=True, help="End after the first failure.")
@@ -70,6 +71,7 @@ def conform(
     grammar: str | None,
     target: str,
     probe: str | None,
+    power: str | None,
     only: tuple[str, ...],
     listing: bool,
     fail_fast: bool,
@@ -108,8 +110,10 @@ def conform(
         raise click.UsageError(f"the target sim brings its own probe; --probe {probe} is for ports")
     if not virtual and fault:
         raise click.UsageError("--fault is for the target sim; start `bilprov simulate --fault`")
+    if power is not None and (virtual or not power.startswith("exec:")):
+        raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
     _require_writable(json_path)
-    job = _Job(protocol, options, record)
+    job = _Job(protocol, options, record, power and power.removeprefix("exec:"))
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         if virtual:
@@ -133,7 +137,10 @@ def conform(
 class _Job:
     """One run as the command line asks for it, with its progress bar and its recording."""
 
-    def __init__(self, protocol: Protocol, options: Options, record: str | None) -> None:
+    def __init__(
+        self, protocol: Protocol, options: Options, record: str | None, power: str | None
+    ) -> None:
+        self._power = power
         self._protocol = protocol
         self._options = options
         self._record = record
@@ -175,6 +182,7 @@ class _Job:
             interrupted=lambda: stopper.stopped,
             watcher=stack.enter_context(Progress(count, tap)),
             tap=tap,
+            power=self._power,
         )
 
     def _tap(self, stack: ExitStack, device: str, line: str) -> RunRecorder | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Listen, Script, See, Seen, Send
+from conformance.asks import Ask, Heard, Listen, PowerCycle, Script, See, Seen, Send
 from conformance.run import Ended
 
 T = TypeVar("T")
@@ -107,6 +107,11 @@ class VirtualLink:
                         raise RuntimeError("the device's deadline does not advance")
                 heard, self._heard = tuple(self._heard), []
                 return Heard(heard, self._now)
+            case PowerCycle():
+                power = getattr(self._device, "power_cycle")  # noqa: B009  # not every device has
+                power(self._now)
+                self._heard.clear()
+                return self._now
             case See():
                 look = self._device.look(self._now)
                 if self._tap:

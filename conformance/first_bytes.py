@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.asks import Heard, Script, listen, see, send
+from conformance.asks import Heard, Script, listen, power_cycle, see, send
 from conformance.cases import Accepted, Case
 from conformance.judging import NOT_OBSERVABLE, answer_words, judge_answers, judge_state, look_words
 from conformance.run import Run
-from conformance.setup import setting
+from conformance.setup import moves, setting
 from conformance.verdicts import Axis, Verdict
 from spec.codec import judge
 from spec.motion import State
@@ -50,7 +50,38 @@ def first_bytes(run: Run) -> Script[str]:
     if not unusable:
         for case, axes, heard, sent in outcomes:
             run.end(case, axes, heard.answers, sent)
+        yield from _second_power_on(run)
     return unusable
+
+
+def _second_power_on(run: Run) -> Script[None]:
+    """Once more from power-on, this time with a motion first; skipped without a power switch."""
+    spec = next((s for s in run.protocol.instructions if moves(s) and not s.length), None)
+    if spec is None:
+        return
+    frame = bytes([run.protocol.header_bytes[spec.id, 0]])
+    judgement = judge(run.protocol, frame)
+    expected = spec.effect.apply(run.protocol.power_on)
+    case = run.special(
+        f"power-on/{spec.name}",
+        judgement.clause,
+        "a motion as the first instruction is taken; no speed is set yet, so nothing moves",
+        frame,
+        "R-power-on",
+    )
+    case = replace(case, accepted=(Accepted((judgement.response.code,)),), expected=expected)
+    if not run.power:
+        reason = "the robot cannot be switched off and on; see --power"
+        run.end(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
+        return
+    run.begin(case.id)
+    yield from power_cycle()
+    heard, sent = yield from _exchange(run, case, run.limits.boot)
+    axes = {
+        "answer": judge_answers(run.protocol, case.accepted, heard, sent, timed=True),
+        "state": (yield from _still(run, expected, "R-power-on", may_move=True)),
+    }
+    run.end(case, axes, heard.answers, sent)
 
 
 def _steps(run: Run) -> tuple[Case, ...]:
@@ -105,14 +136,20 @@ def _line_fault(run: Run, exchanges: list[tuple[bytes, Heard]]) -> str:
     return ""
 
 
-def _still(run: Run, expected: State, reading: str) -> Script[Axis]:
-    """The robot stands still; what else the probe tells is compared with `expected`."""
+def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -> Script[Axis]:
+    """The robot stands still; what else the probe tells is compared with `expected`.
+
+    `may_move` where a motion was set: then it moves only if it has a speed from power-on.
+    """
     if not run.looks_freely:
         return run.blind(_STOPPED)
     seen = yield from see()
     words = look_words(seen.look)
     if seen.look.moving is None:
         return Axis(Verdict.INCONCLUSIVE, _STOPPED, words, NOT_OBSERVABLE, reading)
+    if seen.look.moving and may_move:
+        reason = "has a speed from power-on"
+        return Axis(Verdict.INFORMATIONAL, _STOPPED, words, reason, reading)
     if seen.look.moving:
         reason = "moves although no instruction has set a motion"
         return Axis(Verdict.FAIL, _STOPPED, words, reason, reading)

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import time
 from collections.abc import Callable
 
 from analyzer.link_errors import LinkError
 from analyzer.port import Port
 from analyzer.ports import wait_readable
-from conformance.asks import Ask, Heard, Listen, See, Seen, Send
+from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.drive import Tap
 from conformance.probes import Probe, ProbeError
 from conformance.run import Ended
 
+_POWER = 60  # s that a power switch may take
+_NOTHING = subprocess.DEVNULL
 _HELD = 1 << 16  # answers kept between two asks: a device that floods must not fill the memory
 
 
 class PortLink:
-    """A port and, where there is one, a probe. `stop` is readable once the user wants to stop."""
+    """A port and, where there is one, a probe. `stop` is readable once the user wants to stop.
+
+    `power` is a shell command that switches the robot off and on.
+    """
 
     def __init__(
         self,
@@ -26,6 +32,7 @@ class PortLink:
         probe: Probe | None,
         stop: int,
         tap: Tap | None = None,
+        power: str | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._port = port
@@ -33,6 +40,7 @@ class PortLink:
         self._stop = stop
         self._stopping = False
         self._tap = tap
+        self._power = power
         self._clock = clock
         self._start = clock()
         self._heard: list[tuple[int, int]] = []
@@ -49,6 +57,8 @@ class PortLink:
         """Do one ask. Raises Ended when the port or the probe is lost."""
         try:
             match ask:
+                case PowerCycle():
+                    return self._power_cycle()
                 case Send(data):
                     return self._send(data)
                 case Listen(count, patience):
@@ -59,6 +69,17 @@ class PortLink:
             raise Ended(str(error), error=True, line_works=False) from error
         except ProbeError as error:
             raise Ended(str(error), error=True, line_works=True) from error
+
+    def _power_cycle(self) -> int:
+        assert self._power is not None
+        try:
+            subprocess.run(self._power, shell=True, check=True, timeout=_POWER, stdin=_NOTHING)
+        except (OSError, subprocess.SubprocessError) as error:
+            sentence = f"the power switch {self._power!r} did not work: {error}"
+            raise Ended(sentence, error=True, line_works=True) from error
+        self._read()
+        self._heard.clear()
+        return self.now()
 
     def _send(self, data: bytes) -> int:
         self._read()

@@ -97,7 +97,10 @@ class _Open:
 
 
 class Run:
-    """The books of one run. `begin` and `report` are called as cases begin and become final."""
+    """The books of one run. `begin` and `report` are called as cases begin and become final.
+
+    `power` says whether the robot can be switched off and on.
+    """
 
     def __init__(
         self,
@@ -108,11 +111,13 @@ class Run:
         begin: Callable[[str], None],
         report: Callable[[CaseResult], None],
         truncation_timeout: int | None = None,
+        power: bool = False,
     ) -> None:
         self.protocol = protocol
         self.limits = limits
         self.eyes = eyes
         self.profile = Profile(truncation_timeout=truncation_timeout)
+        self.power = power
         self.begin = begin
         self.results: list[CaseResult] = []
         self.moves: set[Motion] | None = None

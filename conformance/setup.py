@@ -23,6 +23,11 @@ def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
     return tuple(frames)
 
 
+def moves(spec: InstructionSpec) -> bool:
+    """Whether the instruction sets a motion."""
+    return spec.effect.motion not in (None, Motion.STOPPED)
+
+
 def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
     """The instruction without data that sets this kind of motion."""
     return next(

@@ -94,14 +94,20 @@ class Simulator:
         self.protocol = protocol
         self.fault = fault or CONFORMING
         self.latency = latency
-        timeout = self.fault.timeout
-        self._framer = Framer(
-            self.fault.lengths or protocol.lengths,
-            int(protocol.timing.truncation_timeout * MS) if isinstance(timeout, str) else timeout,
-        )
         self._judge = lru_cache(maxsize=1 << 17)(partial(judge, protocol))
         self._full_steering = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
-        self.state = self.fault.power_on or protocol.power_on
+        self.power_cycle(0)
+
+    def power_cycle(self, now: int) -> None:
+        """Switch it off and on at `now`: it knows nothing of what was before."""
+        timeout = self.fault.timeout
+        self._framer = Framer(
+            self.fault.lengths or self.protocol.lengths,
+            int(self.protocol.timing.truncation_timeout * MS)
+            if isinstance(timeout, str)
+            else timeout,
+        )
+        self.state = self.fault.power_on or self.protocol.power_on
         self.frames = 0
         self.faults = 0
         self.memory: dict[str, int] = {}

@@ -8,13 +8,16 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from analyzer.outlets import parse_address
+from analyzer.serve import serve
+from analyzer.stopping import Stopper
 from captures.schemas import Look
 from conformance.api import Options, Unwatched, select_cases
 from conformance.asks import Ask, Heard, See, Seen
@@ -140,9 +143,9 @@ def simulate(*arguments: str, pty: bool = False, grammar: str = "") -> Iterator[
     """Serve the simulator in a process of its own, on TCP or a pty, with its probe on TCP."""
     line = [] if pty else ["--listen", "127.0.0.1:0"]
     before = ["--grammar", grammar] if grammar else []
+    probe = ["--probe-listen", "127.0.0.1:0"]
     with subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *before, "simulate", *line]
-        + ["--probe-listen", "127.0.0.1:0", *arguments],
+        [sys.executable, "-m", "bilprov", *before, "simulate", *line, *probe, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -162,3 +165,73 @@ def simulate(*arguments: str, pty: bool = False, grammar: str = "") -> Iterator[
 
 def at_rest(device: Simulator) -> bool:
     return not device.state.moving
+
+
+@contextmanager
+def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
+    """Serve a device of this process, with its probe; gives the port's and the probe's names."""
+    lines: list[str] = []
+    ready = threading.Semaphore(0)
+
+    def announce(line: str) -> None:
+        lines.append(line)
+        ready.release()
+
+    with Stopper() as stopper:
+        thread = threading.Thread(
+            target=serve,
+            args=(device,),
+            kwargs={
+                "pty": pty,
+                "listen": None if pty else "127.0.0.1:0",
+                "probe_listen": "127.0.0.1:0",
+                "announce": announce,
+                "stop": stopper,
+            },
+        )
+        thread.start()
+        try:
+            for _ in range(2):
+                assert ready.acquire(timeout=PATIENCE)
+            yield lines[0], lines[1].removeprefix("probe ")
+        finally:
+            stopper.stop()
+            thread.join(PATIENCE)
+
+
+class ProbeServer:
+    """The other side of `--probe tcp:`; `answers` are given one a request, the last for ever.
+
+    None is no answer, b"" hangs up. `requests` are the lines that came.
+    """
+
+    def __init__(self, *answers: bytes | None) -> None:
+        self.requests: list[bytes] = []
+        self._answers = list(answers)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.name = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        try:
+            peer, _ = self._listener.accept()
+        except OSError:
+            return
+        with peer, peer.makefile("rb") as lines:
+            for line in lines:
+                self.requests.append(line)
+                answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+                if answer == b"":
+                    return
+                if answer is not None:
+                    peer.sendall(answer)
+
+    def __enter__(self) -> ProbeServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(PATIENCE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -159,7 +160,7 @@ def test_how_bytes_are_cut_into_chunks_changes_nothing(
     whole.receive(data, 0)
     edges = [0, *sorted(min(c, len(data)) for c in cuts), len(data)]
     said = b""
-    for start, end in zip(edges, edges[1:], strict=False):
+    for start, end in pairwise(edges):
         cut.receive(data[start:end], 0)
         said += cut.advance(0)
 
