@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 
 from analyzer import oddities
+from analyzer.hunt import Hunt
 from analyzer.pairing import MILLISECOND, Held, Pair, Pairing
 from analyzer.record_forms import answer_record, frame_record, garbage_record
 from analyzer.records import FaultRecord, LineRecord, Record, written_state
@@ -40,6 +41,8 @@ class Session:
     `timeout` (ns) is the longest pause inside a host frame, None for the protocol's own. `heard`
     are the directions that are listened to: with one alone nothing is paired. `skew` (ns) is how
     far an answer may be stamped before its instruction; 0 where both come through one clock.
+    `attached` tells that listening began in the midst of whatever was going on: the first byte need
+    not be a header, unless the host was silent for the time-out before it.
     """
 
     def __init__(
@@ -49,11 +52,13 @@ class Session:
         timeout: int | None = None,
         heard: frozenset[Direction] = BOTH,
         skew: int = SKEW,
+        attached: bool = False,
     ) -> None:
         self._protocol = protocol
         self._paired = heard >= BOTH
         if timeout is None:
             timeout = round(protocol.timing.truncation_timeout * MILLISECOND)
+        self._timeout = timeout
         self._framer = Framer(protocol.lengths, timeout)
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
@@ -66,6 +71,10 @@ class Session:
         self._time = 0
         self._out_of_step: int | None = None  # when the frame begun is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
+        # Since when it is not known where frames begin and the host is silent; None if it is known.
+        self._adrift: int | None = 0 if attached else None
+        self._answered = False  # whether the device has spoken since then
+        self._hunt: Hunt | None = None
 
     @property
     def deadline(self) -> int | None:
@@ -78,19 +87,7 @@ class Session:
         now = max(event.t, self._time)
         out = list(self._until(now))
         self._time = now
-        if isinstance(event, Line):
-            out += self._line(event, now)
-        elif event.direction == "host":
-            self._out_of_step = None
-            for piece in self._frame_by_frame(event.data):
-                for framed in self._framer.feed(piece, now):
-                    out += self._framed(framed)
-                out += self._until(now)  # as if each frame had come by itself
-        else:
-            for byte in event.data:
-                out += self._answer(byte, now)
-                out += self._until(now)
-        return out
+        return out + list(self._event(event, now))
 
     def advance(self, now: int) -> list[Record]:
         """What falls due until `now` (ns), if no event before `now` is still to come."""
@@ -103,19 +100,64 @@ class Session:
         unsolicited. Whether an instruction would still have been answered is not known.
         """
         out = self.advance(self._time if t is None else t)
+        while self._hunt:
+            out += self._end_hunt(self._hunt)
         for framed in self._framer.drop(self._time, "truncated"):
             out += self._framed(framed)
         while self._pairing.held:
             out.append(self._unsolicited(self._pairing.release()))
         return out
 
-    def _frame_by_frame(self, data: bytes) -> Iterator[bytes]:
-        """Cut a chunk where its frames end."""
+    def _event(self, event: Chunk | Line, now: int) -> Iterator[Record]:
+        """What an event decides at `now`, when all that fell due before has happened."""
+        if isinstance(event, Line):
+            if self._hunt and event.event not in LOSSES:
+                self._hunt.other(event)
+                return
+            while self._hunt:
+                yield from self._end_hunt(self._hunt)
+            yield from self._line(event, now)
+        elif event.direction == "host":
+            yield from self._host(event.data, now)
+        elif self._hunt:
+            self._hunt.other(event)
+        else:
+            self._answered = True
+            for byte in event.data:
+                yield from self._answer(byte, now)
+                yield from self._until(now)
+
+    def _host(self, data: bytes, now: int) -> Iterator[Record]:
+        """Host bytes; each frame, and while hunting each byte, as if it had come by itself."""
+        self._out_of_step = None
         at = 0
         while at < len(data):
-            size = self._framer.missing or 1 + self._protocol.lengths[data[at]]
-            yield data[at : at + size]
+            if self._adrift is not None:
+                if now - self._adrift < self._timeout:
+                    self._hunt = Hunt(self._protocol, self._timeout, self._adrift, self._answered)
+                self._adrift = None
+            if self._hunt:
+                size = 1
+                self._hunt.host(data[at], now)
+                if self._hunt.over:
+                    yield from self._end_hunt(self._hunt)
+            else:
+                size = self._framer.missing or 1 + self._protocol.lengths[data[at]]
+                for framed in self._framer.feed(data[at : at + size], now):
+                    yield from self._framed(framed)
             at += size
+            yield from self._until(now)
+
+    def _end_hunt(self, hunt: Hunt) -> Iterator[Record]:
+        """It is known where frames begin: what was held happens now, each at its own time."""
+        self._hunt = None
+        for event in hunt.settled():
+            if isinstance(event, Framed):
+                yield from self._until(event.known)
+                yield self._garbage(event, oddities.ATTACHED)
+            else:
+                yield from self._until(event.t)
+                yield from self._event(event, event.t)
 
     def _until(self, now: int) -> Iterator[Record]:
         while (due := self._due()) and due[0] <= now:
@@ -123,6 +165,8 @@ class Session:
 
     def _due(self) -> _Deadline | None:
         """The next thing that falls due; at the same time the frame's own end comes first."""
+        if self._hunt:
+            return self._hunt.deadline, self._heard_silence
         frame_end = self._framer.deadline
         patience = self._pairing.patience(frame_end)
         expiry = self._pairing.expiry
@@ -138,6 +182,11 @@ class Session:
         if expiry is not None:
             due.append((expiry, self._give_up_waiting))
         return min(due, key=lambda item: item[0])
+
+    def _heard_silence(self, now: int) -> Iterator[Record]:
+        if self._hunt:
+            self._hunt.silence()
+            yield from self._end_hunt(self._hunt)
 
     def _cut_short(self, now: int) -> Iterator[Record]:
         for framed in self._framer.advance(now):
@@ -158,6 +207,7 @@ class Session:
             return
         for framed in self._framer.drop(now):
             yield self._garbage(framed, oddities.MID_FRAME)
+            self._adrift, self._answered = framed.end, True
         while self._pairing.held:
             yield self._unpaired(self._pairing.release(), oddities.OUT_OF_STEP)
 
@@ -229,6 +279,7 @@ class Session:
             self._out_of_step = None
             self._lost_at = now
             if event.tap != "device":
+                self._adrift, self._answered = now, False
                 for framed in self._framer.drop(now):
                     yield self._garbage(framed, oddities.LOST)
             for held in self._pairing.forget():

@@ -123,13 +123,14 @@ def conform(
             settings = line_settings(protocol, baud, parity, stopbits)
             port = stack.enter_context(open_port(target, settings))
             seconds = estimated_seconds(protocol, cases, options)
-            eye = open_probe(probe or "none", port)
+            probe = "none" if probe is None else probe
+            eye = open_probe(probe, port)
             if eye:
                 stack.callback(eye.close)
             what = f"the robot at {target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=yes)
             note(f"{len(cases)} cases, about {seconds:.0f} s")
-            report = job.on_port(stack, stopper, port, eye, probe or "none", len(cases))
+            report = job.on_port(stack, stopper, port, eye, probe, len(cases))
     _deliver(report, json_path, verbose=verbose)
     return report.exit
 
@@ -180,7 +181,7 @@ class _Job:
             options=self._options,
             stop=stopper.fileno(),
             interrupted=lambda: stopper.stopped,
-            watcher=stack.enter_context(Progress(count, tap)),
+            watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
             tap=tap,
             power=self._power,
         )

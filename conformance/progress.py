@@ -14,9 +14,12 @@ from conformance.verdicts import CaseResult, Verdict
 
 
 class Progress:
-    """A watcher that draws a bar on standard error, and passes the marks on to a recording."""
+    """A watcher that draws a bar on standard error, and passes the marks on to a recording.
 
-    def __init__(self, total: int, recorder: RunRecorder | None) -> None:
+    `shown` is false where the terminal is wanted for something else: questions to a person.
+    """
+
+    def __init__(self, total: int, recorder: RunRecorder | None, *, shown: bool = True) -> None:
         console = Console(stderr=True)
         self._bar = Bar(
             TextColumn("{task.description}"),
@@ -26,7 +29,7 @@ class Progress:
             TextColumn("{task.fields[failed]}"),
             console=console,
             transient=True,
-            disable=not console.is_terminal,
+            disable=not (shown and console.is_terminal),
         )
         self._task = self._bar.add_task("", total=total, failed="")
         self._failed = 0

@@ -213,18 +213,16 @@ class ProbeServer:
         self._thread = threading.Thread(target=self._run)
 
     def _run(self) -> None:
-        try:
+        with suppress(OSError):  # nobody came, or whoever came has gone
             peer, _ = self._listener.accept()
-        except OSError:
-            return
-        with peer, peer.makefile("rb") as lines:
-            for line in lines:
-                self.requests.append(line)
-                answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
-                if answer == b"":
-                    return
-                if answer is not None:
-                    peer.sendall(answer)
+            with peer, peer.makefile("rb") as lines:
+                for line in lines:
+                    self.requests.append(line)
+                    answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+                    if answer == b"":
+                        return
+                    if answer is not None:
+                        peer.sendall(answer)
 
     def __enter__(self) -> ProbeServer:
         self._thread.start()

@@ -1,0 +1,541 @@
+"""`bilprov conform` and `simulate` as processes: options, reports, recordings, ways to end."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import pytest
+
+from analyzer.api import read_capture
+from analyzer.ptys import open_pty
+from analyzer.records import DeviceRecord, HostRecord
+from captures.reader import open_capture
+from conformance.api import Options, conform
+from conformance.faults import fault_bank
+from conformance.simulator import Simulator
+from spec.protocol import Protocol
+from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate
+from tests.vectors import FRAME_COUNTS, READING_IDS
+
+FEW = ("--only", "unused-id/9/?", "--only", "valid/LED/*")
+VerdictName = Literal[
+    "skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"
+]
+
+# -- the report, as CONTRACT says it --------------------------------------------------------------
+
+
+class AxisForm(msgspec.Struct, forbid_unknown_fields=True):
+    verdict: VerdictName
+    expected: str
+    actual: str
+    reason: str
+
+
+class ByteForm(msgspec.Struct, forbid_unknown_fields=True):
+    hex: str
+    t: float
+
+
+class CaseForm(msgspec.Struct):
+    id: str
+    clause: str
+    requirement: str
+    verdict: VerdictName
+    axes: dict[Literal["answer", "stop", "state"], AxisForm]
+    reading: str | None
+    sent: list[str]
+    received: list[ByteForm]
+    reproduce: str
+
+
+class CountsForm(msgspec.Struct, forbid_unknown_fields=True):
+    done: int
+    of: int
+
+
+class ReportForm(msgspec.Struct):
+    kit: str
+    grammar: dict[Literal["name", "version", "sha256"], str]
+    device: str
+    link: dict[str, Any]
+    options: dict[str, Any]
+    seed: int
+    verdict: VerdictName
+    exit: int
+    counts: dict[VerdictName, int]
+    coverage: dict[str, CountsForm]
+    profile: dict[str, float | bool | None]
+    cases: list[CaseForm]
+
+
+def report_of(data: bytes) -> ReportForm:
+    """The report, with every key and type of CONTRACT; pure JSON on one object."""
+    assert data.endswith(b"\n")
+    return msgspec.json.decode(data, type=ReportForm, strict=True)
+
+
+def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() -> None:
+    result = command("conform", "sim", *FEW, "--json", "-")
+
+    assert result.returncode == 0
+    report = report_of(result.stdout)
+    assert b"conforms" in result.stderr
+    assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
+    assert report.grammar["name"] == "robot-car"
+    assert report.counts["pass"] == len(report.cases) == 10 + 8 + 4
+    assert report.options["only"] == ["unused-id/9/?", "valid/LED/*"]
+    for case in report.cases:
+        assert case.axes
+        assert case.verdict == "pass"
+        assert bytes.fromhex("".join(case.sent)) or case.id == "power-on/at-rest"
+        assert all(len(byte.hex) == 2 for byte in case.received)
+        assert case.reading is None or case.reading in READING_IDS
+        assert case.clause
+        assert case.requirement
+        assert case.id in case.reproduce
+
+
+def test_the_report_says_what_was_expected_and_what_came(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+
+    result = command(
+        *("conform", "sim", "--fault", "ok-to-bad-data", "--only", "bad-data/LED/9"),
+        *("--json", str(file)),
+    )
+
+    assert result.returncode == 1
+    report = report_of(file.read_bytes())
+    (case,) = [case for case in report.cases if case.verdict == "fail"]
+    assert (case.id, case.sent) == ("bad-data/LED/9", ["81 09"])
+    assert case.axes["answer"].expected == "02 BAD_DATA"
+    assert case.axes["answer"].actual == "00 OK"
+    assert case.axes["answer"].reason
+    assert [byte.hex for byte in case.received] == ["00"]
+    said = result.stdout.decode()
+    assert "bad-data/LED/9" in said
+    assert "02 BAD_DATA" in said
+    assert "00 OK" in said
+    assert "does not conform" in said
+
+
+def test_the_command_that_reproduces_a_case_does_so(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    arguments = ["conform", "sim", "--fault", "accepts-led-bit-3", "--only", "bad-data/LED/1?"]
+    command(*arguments, "--seed", "7", "--json", str(file))
+    failed = [case for case in report_of(file.read_bytes()).cases if case.verdict == "fail"]
+    words = failed[0].reproduce.replace("'", "").split()
+    assert words[0] == "bilprov"
+    if "--fault" not in words:
+        words += ["--fault", "accepts-led-bit-3"]
+
+    again = command(*words[1:], "--json", "-")
+
+    (found,) = [case for case in report_of(again.stdout).cases if case.verdict == "fail"]
+    assert found.id == failed[0].id
+    assert found.sent == failed[0].sent
+
+
+def test_the_command_and_the_import_say_the_same(protocol: Protocol) -> None:
+    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
+    only = ("unused-id/9/?", "valid/LED/*")
+
+    result = command(*("conform", "sim", "--fault", fault.name, *FEW, "--seed", "3", "--json", "-"))
+    mine = conform(Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=3))
+
+    theirs = report_of(result.stdout)
+    assert result.returncode == theirs.exit == mine.exit == 1
+    assert [(c.id, c.verdict) for c in theirs.cases] == [
+        (r.id, r.verdict.label) for r in mine.results
+    ]
+
+
+def test_without_a_file_a_table_tells_how_it_went_without_colours_in_a_pipe() -> None:
+    result = command("conform", "sim", *FEW)
+
+    assert result.returncode == 0
+    assert result.stderr == b""
+    assert b"\x1b" not in result.stdout
+    said = result.stdout.decode()
+    assert "unused-id" in said
+    assert "sim conforms" in said
+    assert "seed 1" in said
+
+
+# -- choosing cases -------------------------------------------------------------------------------
+
+
+def test_the_list_names_every_case_and_sends_nothing() -> None:
+    result = command("conform", "/nowhere/port", "--list")
+
+    assert result.returncode == 0
+    lines = result.stdout.decode().splitlines()
+    assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= {
+        line.split()[0] for line in lines
+    }
+    assert len(lines) == sum(FRAME_COUNTS.values()) - 1920 + 240 + 20
+
+
+def test_the_list_for_the_simulator_has_every_cut() -> None:
+    lines = command("conform", "sim", "--list").stdout.decode().splitlines()
+
+    assert len(lines) == sum(FRAME_COUNTS.values()) + 20
+
+
+@pytest.mark.parametrize(
+    ("globs", "count"),
+    [
+        (["*"], 3216),
+        (["unused-id/*"], 112),
+        (["*/Speed/3"], 1 + 1),  # wrong-length/Speed/3 and valid/Speed/3
+        (["valid/LED/?", "bad-data/LED/8"], 9),
+        (["truncated/*/0"], 240),
+        (["valid/Stop", "valid/S*p"], 1),
+        (["recovery/*Right"], 5),
+        (["*[!0-9]"], 5 + 20),
+    ],
+)
+def test_a_glob_crosses_slashes_and_several_add_up(globs: list[str], count: int) -> None:
+    only = [word for glob in globs for word in ("--only", glob)]
+
+    lines = command("conform", "sim", "--list", *only).stdout.decode().splitlines()
+
+    assert len(lines) == count
+
+
+# -- wrong use ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["conform"], "missing argument"),
+        (["conform", "sim", "--only", "nothing/*"], "no case matches nothing/*"),
+        (["conform", "sim", "--fault", "no-such"], "there is no fault 'no-such'"),
+        (["conform", "sim", "--fault", "stops"], "stops-late"),
+        (["conform", "sim", "--probe", "ask"], "brings its own probe"),
+        (["conform", "/dev/ttyS9", "--fault", "dead", "--yes"], "--fault is for the target sim"),
+        (["conform", "sim", "--seed", "x"], "seed"),
+        (["conform", "sim", "--deadline", "0"], "deadline"),
+        (["conform", "sim", "--silence", "-1"], "silence"),
+        (["conform", "sim", "--truncation-timeout", "99999"], "truncation-timeout"),
+        (["conform", "sim", "--json", "/nowhere/r.json"], "folder that exists"),
+        (["conform", "sim", "--json", "/tmp"], "folder that exists"),
+        (["conform", "sim", "--record", "/nowhere/r.mcap"], "/nowhere"),
+        (["conform", "/nowhere/tty", "--yes"], "/nowhere/tty"),
+        (["conform", "socket://127.0.0.1:1", "--yes"], "socket://127.0.0.1:1"),
+        (["conform", "socket://127.0.0.1", "--yes"], "not a usable address"),
+        (["simulate", "--fault", "no-such"], "there is no fault"),
+        (["simulate", "--listen", "nowhere"], "nowhere"),
+        (["simulate", "--listen", "127.0.0.1:99999"], "99999"),
+        (["--grammar", "/nowhere/g.py", "conform", "sim"], "/nowhere/g.py"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], words: str) -> None:
+    result = command(*arguments)
+
+    assert result.returncode == 2
+    assert result.stdout == b""
+    assert len(result.stderr.splitlines()) == 1, result.stderr
+    assert words in sentence(result)
+
+
+def test_a_busy_address_is_one_sentence() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        result = command("simulate", "--listen", address)
+
+    assert result.returncode == 2
+    assert "in use" in sentence(result)
+
+
+@pytest.mark.parametrize("pty", [True, False])
+def test_nothing_moves_without_a_word_from_the_user(protocol: Protocol, pty: bool) -> None:
+    device = Simulator(protocol)
+    with served_here(device, pty=pty) as (port, probe):
+        result = command("conform", port, "--probe", probe, *FEW)
+
+    assert result.returncode == 2
+    assert "--yes" in sentence(result)
+    assert "drive" in sentence(result)
+    assert device.frames == 0
+    assert device.deadline() is None
+
+
+def test_a_recording_is_never_overwritten_and_that_is_known_before_anything_moves(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    device, file = Simulator(protocol), tmp_path / "run.mcap"
+    file.write_bytes(b"precious")
+    with served_here(device) as (port, probe):
+        result = command(*("conform", port, "--probe", probe, "--yes", "--record", str(file)), *FEW)
+
+    assert result.returncode == 2
+    assert str(file) in sentence(result)
+    assert file.read_bytes() == b"precious"
+    assert device.frames == 0
+
+
+@pytest.mark.parametrize(("typed", "frames"), [(b"n\n", False), (b"y\n", True)])
+def test_on_a_terminal_it_asks_once(protocol: Protocol, typed: bytes, frames: bool) -> None:
+    device = Simulator(protocol)
+    with served_here(device) as (port, probe), open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        start = [sys.executable, "-m", "bilprov", "conform"]
+        process = subprocess.Popen(
+            [*start, port, "--probe", probe, "--only", "valid/Stop"],
+            stdin=slave,
+            stderr=slave,
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        told = b""
+        while b"?" not in told:
+            assert select.select([terminal.master], [], [], PATIENCE)[0], told
+            told += os.read(terminal.master, 4096)
+        os.write(terminal.master, typed)
+        out, _ = process.communicate(timeout=PATIENCE)
+
+    assert b"will drive" in told
+    assert (device.frames > 0) is frames
+    assert process.returncode == (0 if frames else 2), out
+
+
+# -- options --------------------------------------------------------------------------------------
+
+
+def test_fail_fast_skips_the_rest() -> None:
+    result = command(
+        *("conform", "sim", "--fault", "ok-to-unknown-id", *FEW, "--fail-fast", "--json", "-")
+    )
+
+    report = report_of(result.stdout)
+    assert result.returncode == 1
+    assert report.counts["skipped"] > 5
+    assert report.counts["fail"] <= 2  # the link check sees it too
+
+
+def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
+    slow = ["--deadline", "100", "--only", "truncated/9/3/*"]
+    # runs-data-of-too-long is non-strict in what it answers to long frames that are cut short
+    fault = ["--fault", "runs-data-of-too-long", "--only", "truncated/LED/15/1?"]
+
+    plain = report_of(command("conform", "sim", *fault, *slow, "--json", "-").stdout)
+    strict = report_of(command("conform", "sim", *fault, *slow, "--strict", "--json", "-").stdout)
+
+    assert plain.counts == strict.counts
+    assert strict.options["strict"] is True
+    if not plain.counts["fail"]:
+        assert (plain.exit, strict.exit) == (0, 1)
+
+
+def test_the_seed_is_reported_and_makes_the_run_the_same_again() -> None:
+    runs = [
+        command("conform", "sim", *FEW, "--seed", seed, "--json", "-").stdout
+        for seed in ("9", "9", "10")
+    ]
+
+    assert report_of(runs[0]).seed == 9
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_a_given_time_out_is_not_measured() -> None:
+    arguments = ("conform", "sim", "--only", "truncated/LED/0", "--json", "-")
+
+    given = report_of(command(*arguments, "--truncation-timeout", "60").stdout)
+    measured = report_of(command(*arguments).stdout)
+
+    assert "timing/truncation-timeout" not in {case.id for case in given.cases}
+    assert given.profile["truncation_timeout_ms"] == 60
+    assert measured.profile["truncation_timeout_ms"] == pytest.approx(50)
+
+
+# -- recordings -----------------------------------------------------------------------------------
+
+
+def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: Path) -> None:
+    file, report_file = tmp_path / "run.mcap", tmp_path / "run.json"
+
+    result = command(
+        *("conform", "sim", *FEW, "--fault", "no-stop-on-unknown-id"),
+        *("--record", str(file), "--json", str(report_file)),
+    )
+
+    assert result.returncode == 1
+    report = report_of(report_file.read_bytes())
+    capture = open_capture(file)
+    assert not capture.unfinished
+    assert capture.damage == ()
+    marks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/cases"]
+    begun = [mark["id"] for mark in marks if mark["phase"] == "begin"]
+    ended = {mark["id"]: mark["verdict"] for mark in marks if mark["phase"] == "end"}
+    assert ended == {case.id: case.verdict for case in report.cases}
+    assert set(ended) <= set(begun)
+    looks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/looks"]
+    assert {look["moving"] for look in looks} == {True, False}
+    assert {"t", "moving", "motion", "speed", "steering", "led", "left", "right"} == set(looks[0])
+    records = list(read_capture(file))
+    sent = [r for r in records if isinstance(r, HostRecord)]
+    answered = [r for r in records if isinstance(r, DeviceRecord)]
+    frames = {bytes.fromhex(r.value.hex) for r in sent}
+    assert {bytes.fromhex("".join(c.sent)) for c in report.cases if c.sent} <= frames
+    assert len(answered) == len(sent)
+    assert all(r.value.agrees for r in answered)
+
+
+def test_a_recorded_run_replays_as_jsonl(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    command("conform", "sim", "--only", "truncated/LED/0", "--record", str(file))
+
+    result = command("replay", str(file), "--rate", "0", "--format", "jsonl")
+
+    assert result.returncode == 0, result.stderr
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert {"instruction", "response", "truncated"} <= {line["kind"] for line in lines}
+
+
+# -- ends -----------------------------------------------------------------------------------------
+
+
+class Conforming:
+    """A run on a served simulator that is under way."""
+
+    def __init__(self, robot: Served, *arguments: str) -> None:
+        self.robot = robot
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", "conform", robot.port, "--yes", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
+
+    def wait_until_it_moves(self) -> None:
+        while not self.robot.state()["moving"]:
+            assert self.process.poll() is None
+
+    def end(self) -> tuple[int, str, str]:
+        out, err = self.process.communicate(timeout=PATIENCE)
+        assert b"Traceback" not in err, err.decode()
+        return self.process.returncode, out.decode(), err.decode()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
+    with simulate() as robot:
+        run = Conforming(
+            robot, "--probe", robot.probe, "--json", str(file), "--record", str(capture)
+        )
+        run.wait_until_it_moves()
+        run.process.send_signal(number)
+        code, out, _ = run.end()
+        state = robot.state()
+
+    assert code == 3, out
+    assert state["moving"] is False
+    report = report_of(file.read_bytes())
+    assert report.exit == 3
+    assert len({case.id for case in report.cases}) == len(report.cases) >= 1536
+    assert report.counts["inconclusive"] > 1000
+    assert "interrupted" in out
+    assert not open_capture(capture).unfinished
+
+
+def test_ctrl_c_after_a_failure_ends_with_1() -> None:
+    with simulate("--fault", "ok-to-unknown-id") as robot:
+        run = Conforming(robot, "--probe", robot.probe, "--json", "-")
+        run.wait_until_it_moves()  # the link check has failed by then
+        run.process.send_signal(signal.SIGINT)
+        code, out, _ = run.end()
+        state = robot.state()
+
+    assert code == report_of(out.encode()).exit == 1
+    assert state["moving"] is False
+
+
+@pytest.mark.parametrize("probe", [True, False])
+def test_an_unplug_keeps_what_was_judged(tmp_path: Path, probe: bool) -> None:
+    file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
+    with simulate() as robot:
+        probing = ("--probe", robot.probe) if probe else ()
+        run = Conforming(robot, *probing, "--json", str(file), "--record", str(capture))
+        run.wait_until_it_moves()
+        robot.process.kill()
+        code, out, _ = run.end()
+
+    assert code == 2, out
+    report = msgspec.json.decode(file.read_bytes())
+    report_of(file.read_bytes())
+    assert report["exit"] == 2
+    assert report["ended"]
+    assert report["ended"] in out
+    assert report["counts"]["error"] == 1
+    assert report["counts"]["fail"] == 0
+    assert report["counts"]["inconclusive"] > 1000
+    assert len({case["id"] for case in report["cases"]}) == len(report["cases"])
+    assert any(open_capture(capture).events())
+
+
+def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    with simulate("--fault", "echo") as robot:
+        run = Conforming(robot, "--json", str(file))
+        code, out, _ = run.end()
+
+    assert code == 2
+    assert "echo" in out
+    report = report_of(file.read_bytes())
+    assert (report.exit, report.verdict, report.cases) == (2, "error", [])
+
+
+# -- simulate -------------------------------------------------------------------------------------
+
+
+def test_the_faults_are_listed_with_family_and_sentence(protocol: Protocol) -> None:
+    result = command("simulate", "--list-faults")
+
+    lines = result.stdout.decode().splitlines()
+    bank = fault_bank(protocol)
+    assert result.returncode == 0
+    assert [line.split()[0] for line in lines] == list(bank)
+    assert all(bank[line.split()[0]].doc in line for line in lines)
+
+
+@pytest.mark.parametrize("pty", [True, False])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_simulator_serves_until_it_is_told_to_stop(number: signal.Signals, pty: bool) -> None:
+    with simulate(pty=pty) as robot:
+        assert robot.port.startswith("/dev/" if pty else "socket://127.0.0.1:")
+        assert robot.probe.startswith("tcp:127.0.0.1:")
+        assert robot.state() == {
+            "moving": False,
+            "motion": "stopped",
+            **dict.fromkeys(("speed", "steering", "led", "left", "right"), 0),
+        }
+        robot.process.send_signal(number)
+        out, err = robot.process.communicate(timeout=PATIENCE)
+
+    assert (robot.process.returncode, out, err) == (0, "", "")
+
+
+def test_a_served_fault_misbehaves() -> None:
+    with simulate("--fault", "always-1") as robot:
+        host, port = robot.port.removeprefix("socket://").split(":")
+        with socket.create_connection((host, int(port)), timeout=PATIENCE) as line:
+            line.sendall(b"\x20")
+            assert line.recv(1) == b"\x01"

@@ -1,0 +1,177 @@
+"""The suite in real time, over TCP and over a pty, judges as it does in virtual time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from conformance.api import Options, conform
+from conformance.faults import fault_bank
+from conformance.simulator import Simulator
+from conformance.verdicts import Verdict
+from spec.protocol import Protocol
+from tests.robots import command, simulate
+
+Verdicts = dict[str, str]
+
+
+def judged(output: bytes) -> tuple[int, Verdicts]:
+    """The exit code and the verdicts that a report tells."""
+    report = msgspec.json.decode(output)
+    return report["exit"], {case["id"]: case["verdict"] for case in report["cases"]}
+
+
+def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> tuple[int, Verdicts]:
+    device = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
+    report = conform(device, grammar=protocol, options=Options(only=tuple(only)))
+    return report.exit, {r.id: r.verdict.label for r in report.results}
+
+
+@pytest.mark.timeout(240)
+def test_the_reference_conforms_in_real_time_with_nothing_inconclusive() -> None:
+    """All of it: 1,536 cases, about 40 s of silences."""
+    with simulate() as robot:
+        result = command(
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), timeout=200
+        )
+        state = robot.state()
+
+    code, verdicts = judged(result.stdout)
+    assert result.returncode == code == 0, result.stderr
+    assert set(verdicts.values()) == {"pass"}
+    assert len(verdicts) == 781 + 112 + 135 + 248 + 240 + 20 + 5
+    assert b"1536 cases, about" in result.stderr  # the estimate comes first
+    assert state["moving"] is False
+
+
+# One fault of each family (some have more to say), and cases that catch it.
+FAULTS = [
+    ("", ["*/LED/[07]", "recovery/*/Forward"], 0),
+    ("wrong-code-for-unknown-id", ["unused-id/9/[0-4]"], 1),
+    ("late-second-answer", ["wrong-length/LED/*"], 1),
+    ("answers-at-header", ["valid/LED/[0-3]"], 1),
+    ("no-stop-on-bad-data", ["bad-data/LED/1?"], 1),
+    ("no-stop-while-rotate-left", ["wrong-length/LED/*"], 1),
+    ("restarts-by-itself", ["unused-id/9/[0-3]"], 1),
+    ("never-times-out", ["truncated/L*/0"], 1),
+    ("nibbles-swapped", ["valid/Stop", "valid/Forward"], 1),
+    ("runs-data-of-unused", ["unused-id/1?/4"], 1),
+    ("swallows-missing-data", ["wrong-length/*/0"], 1),
+    ("backward-does-nothing", ["valid/*wa*d", "valid/LED/?"], 1),
+    ("never-moves", ["unused-id/9/[0-3]"], 3),
+    ("led-order-reversed", ["valid/LED/?"], 1),
+    ("no-stop-after-10-faults", ["unused-id/9/*"], 1),
+    ("echo", ["valid/Stop"], 2),
+    ("xon-xoff", ["valid/Speed/1[0-9]"], 1),
+]
+
+
+@pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
+def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
+    protocol: Protocol, fault: str, only: list[str], code: int
+) -> None:
+    globs = [word for glob in only for word in ("--only", glob)]
+    with simulate(*(["--fault", fault] if fault else [])) as robot:
+        result = command(
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), *globs
+        )
+        state = robot.state()
+
+    found = judged(result.stdout)
+    assert result.returncode == found[0] == code, result.stderr
+    assert found == judged_in_virtual_time(protocol, fault, only)
+    assert state["moving"] is False
+
+
+def test_a_dead_line_is_given_up_in_one_sentence() -> None:
+    """Nobody may answer for as long as a board takes to boot."""
+    with simulate("--fault", "dead") as robot:
+        result = command("conform", robot.port, "--probe", robot.probe, "--yes")
+
+    assert result.returncode == 2
+    assert b"nobody answered" in result.stdout
+
+
+PROBE = """\
+import json, socket, sys
+with socket.create_connection(("127.0.0.1", {port})) as probe:
+    probe.sendall(b"state\\n")
+    moving = json.loads(probe.makefile().readline())["moving"]
+print("moving" if moving else "stopped")
+sys.exit(1 if moving else 0)
+"""
+
+# The cases of these that are looked at: each class in each motion comes first of its class.
+DEAR = [
+    ("", ["unused-id/9/[0-5]"], 3),
+    ("no-stop-on-unknown-id", ["unused-id/9/[0-5]"], 1),
+    ("no-stop-while-forward", ["unused-id/9/[0-5]"], 1),
+    ("ok-to-bad-data", ["bad-data/LED/[89]"], 1),
+    ("echo", ["valid/Stop"], 2),
+    ("never-moves", ["unused-id/9/[0-3]"], 3),
+]
+
+
+@pytest.mark.parametrize(("fault", "only", "code"), DEAR, ids=lambda value: str(value)[:30])
+def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time(
+    protocol: Protocol, tmp_path: Path, fault: str, only: list[str], code: int
+) -> None:
+    globs = [word for glob in only for word in ("--only", glob)]
+    probe = tmp_path / "probe.py"
+    with simulate(*(["--fault", fault] if fault else []), pty=True) as robot:
+        probe.write_text(PROBE.format(port=robot.probe.rpartition(":")[2]))
+        shell = f"exec:{sys.executable} -S -E {probe}"
+        result = command("conform", robot.port, "--probe", shell, "--yes", "--json", "-", *globs)
+        state = robot.state()
+
+    found, verdicts = judged(result.stdout)
+    assert result.returncode == found == code, result.stderr
+    assert state["moving"] is False
+    _, expected = judged_in_virtual_time(protocol, fault, only)
+    seen = {ident: v for ident, v in verdicts.items() if v != Verdict.INCONCLUSIVE.label}
+    assert seen == {ident: expected[ident] for ident in seen}
+    if code != 2:
+        looked_at = [
+            f"{case.rpartition('/')[0]}" for case in seen if "/9/" in case or "LED" in case
+        ]
+        assert looked_at or fault == "never-moves"
+
+
+def test_what_a_command_was_not_asked_about_says_so(tmp_path: Path) -> None:
+    with simulate(pty=True) as robot:
+        probe = tmp_path / "probe.py"
+        probe.write_text(PROBE.format(port=robot.probe.rpartition(":")[2]))
+        result = command(
+            *("conform", robot.port, "--probe", f"exec:{sys.executable} -S -E {probe}", "--yes"),
+            *("--json", "-", "--only", "unused-id/9/?"),
+        )
+
+    report = msgspec.json.decode(result.stdout)
+    blind = [case for case in report["cases"] if case["verdict"] == "inconclusive"]
+    assert blind
+    for case in blind:
+        reasons = [axis["reason"] for axis in case["axes"].values()]
+        assert any("not observable" in reason for reason in reasons)
+        assert case["axes"].get("answer", {"verdict": "pass"})["verdict"] == "pass"
+
+
+@pytest.mark.parametrize("pty", [True, False])
+def test_without_a_probe_answers_are_judged_and_stops_are_not_observable(pty: bool) -> None:
+    with simulate(pty=pty) as robot:
+        result = command(
+            *("conform", robot.port, "--yes", "--json", "-"),
+            *("--only", "*/LED/[39]", "--truncation-timeout", "50"),
+        )
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 3
+    assert report["counts"]["fail"] == report["counts"]["error"] == 0
+    mine = [case for case in report["cases"] if "LED" in case["id"]]
+    assert {case["axes"]["answer"]["verdict"] for case in mine} == {"pass"}
+    stops = [case["axes"]["stop"] for case in mine if "stop" in case["axes"]]
+    assert stops
+    assert {axis["verdict"] for axis in stops} == {"inconclusive"}
+    assert all("not observable" in axis["reason"] for axis in stops)

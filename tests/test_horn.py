@@ -1,0 +1,206 @@
+"""Another grammar through everything: one entry more, instruction 9 "Horn", and all else follows."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from analyzer.ptys import open_pty
+from conformance.api import Options, conform
+from conformance.cases import Class, all_cases
+from conformance.faults import fault_bank
+from conformance.simulator import Simulator
+from conformance.verdicts import Verdict
+from spec.protocol import Protocol
+from tests.robots import command, failing, sentence, simulate
+from tests.wires import running
+
+
+@pytest.fixture
+def grammar(horn_text: str, tmp_path: Path) -> str:
+    """The grammar with a Horn, in a folder that is not the kit's."""
+    file = tmp_path / "elsewhere" / "horn.py"
+    file.parent.mkdir()
+    file.write_text(horn_text, encoding="utf-8")
+    return str(file)
+
+
+def test_the_copy_differs_by_its_one_entry(grammar_text: str, horn_text: str) -> None:
+    added = [line for line in horn_text.splitlines() if line not in grammar_text.splitlines()]
+
+    assert len(added) <= 6
+    assert added[0] == '    9: "Horn"'
+
+
+def test_the_cases_follow(horn: Protocol) -> None:
+    cases = all_cases(horn, 1, every_cut=True)
+    ids = {case.id for case in cases}
+
+    assert {f"valid/Horn/{sound}" for sound in range(4)} <= ids
+    assert {f"bad-data/Horn/{value}" for value in range(4, 256)} <= ids
+    assert {f"wrong-length/Horn/{n}" for n in range(16) if n != 1} <= ids
+    assert not {"valid/Horn/4", "bad-data/Horn/3"} & ids
+    assert not any(ident.startswith(("unused-id/9/", "truncated/9/")) for ident in ids)
+    kinds = Counter(case.kind for case in cases)
+    assert kinds == {
+        Class.VALID: 781 + 4,
+        Class.UNUSED_ID: 6 * 16,
+        Class.WRONG_LENGTH: 150,
+        Class.BAD_DATA: 248 + 252,
+        Class.TRUNCATED: 1920,
+        Class.RECOVERY: 20,
+    }
+
+
+def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol) -> None:
+    report = conform(grammar=horn)
+
+    assert report.exit == 0
+    assert {result.verdict for result in report.results} == {Verdict.PASS}
+    assert len([r for r in report.results if "/Horn" in r.id]) == 4 + 252 + 15 + 120
+
+
+def test_a_robot_without_a_horn_fails_the_horns_grammar(protocol: Protocol, horn: Protocol) -> None:
+    only = ("*/Horn/*", "unused-id/*", "valid/LED/*", "link/*")
+
+    report = conform(Simulator(protocol), grammar=horn, options=Options(only=only))
+
+    assert report.exit == 1
+    found = failing(report.results)
+    assert {f"valid/Horn/{sound}" for sound in range(4)} <= found
+    assert all("/Horn/" in ident for ident in found)
+
+
+def test_a_robot_with_a_horn_fails_the_documents_grammar(
+    protocol: Protocol, horn: Protocol
+) -> None:
+    only = ("unused-id/*", "valid/LED/*", "bad-data/LED/1?")
+
+    report = conform(Simulator(horn), grammar=protocol, options=Options(only=only))
+
+    assert report.exit == 1
+    found = failing(report.results)
+    assert {"unused-id/9/0", "unused-id/9/1", "unused-id/9/2"} <= found
+    assert all("/9/" in ident or ident.startswith("link/") for ident in found)
+
+
+def test_the_bank_of_faults_follows(horn: Protocol) -> None:
+    bank = fault_bank(horn)
+
+    assert "accepts-id-9" not in bank
+    assert "accepts-id-10" in bank
+    assert "accepts-led-bit-3" in bank
+
+
+@pytest.mark.parametrize("name", ["accepts-id-10", "ok-to-bad-data", "never-times-out"])
+def test_the_faults_of_the_horns_grammar_are_caught(horn: Protocol, name: str) -> None:
+    only = ("unused-id/1?/[01]", "bad-data/Horn/1?", "truncated/Horn/*")
+
+    report = conform(
+        Simulator(horn, fault_bank(horn)[name]), grammar=horn, options=Options(only=only)
+    )
+
+    assert report.exit == 1
+
+
+def test_the_command_conforms_with_the_copy(grammar: str, tmp_path: Path) -> None:
+    result = command(
+        *("--grammar", grammar, "conform", "sim", "--only", "*/Horn/*", "--json", "-"),
+        cwd=tmp_path,
+    )
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 0
+    assert report["grammar"]["name"] == "robot-car"
+    assert report["counts"]["pass"] == len(report["cases"])
+    assert {"valid/Horn/3", "bad-data/Horn/255", "truncated/Horn/0"} <= {
+        case["id"] for case in report["cases"]
+    }
+
+
+@pytest.mark.parametrize(
+    ("device", "suite", "code"),
+    [(True, True, 0), (False, True, 1), (True, False, 1)],
+    ids=["both", "only the suite", "only the robot"],
+)
+def test_the_copy_goes_over_tcp(grammar: str, device: bool, suite: bool, code: int) -> None:
+    before = ["--grammar", grammar] if suite else []
+    only = ["--only", "*/Horn/[0-5]"] if suite else ["--only", "unused-id/9/[01]"]
+    with simulate(grammar=grammar if device else "") as robot:
+        result = command(
+            *before,
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"),
+            *only,
+            *("--truncation-timeout", "50"),
+        )
+        state = robot.state()
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == code, result.stderr
+    assert report["counts"]["inconclusive"] == report["counts"]["error"] == 0
+    assert state["moving"] is False
+
+
+def test_the_copy_decodes(grammar: str) -> None:
+    result = command(
+        *("--grammar", grammar, "decode", "--format", "jsonl", "91 02 91 04 90 a0".replace(" ", ""))
+    )
+
+    assert result.returncode == 0, result.stderr
+    frames = [line for line in map(json.loads, result.stdout.splitlines()) if "name" in line]
+    told = [(f["hex"], f["name"], f["judgement"]) for f in frames if f["kind"] == "instruction"]
+    assert told == [
+        ("91 02", "Horn", "OK"),
+        ("91 04", "Horn", "BAD_DATA"),
+        ("90", "Horn", "TOO_FEW_DATA"),
+        ("a0", None, "BAD_HEADER"),
+    ]
+    assert frames[0]["fields"] == {"sound": 2}
+
+
+def test_the_copy_encodes_and_explains(grammar: str) -> None:
+    encoded = command("--grammar", grammar, "encode", "Horn", "sound=3")
+    refused = command("--grammar", grammar, "encode", "Horn", "sound=4")
+    explained = command("--grammar", grammar, "explain", "91 03")
+    unknown = command("encode", "Horn", "sound=3")
+
+    assert encoded.stdout.decode().split() == ["91", "03"]
+    assert refused.returncode == 2
+    assert "allowed are 0 to 3" in sentence(refused)
+    assert "Horn" in explained.stdout.decode()
+    assert "which of the four sounds" in explained.stdout.decode()
+    assert unknown.returncode == 2
+    assert "no instruction 'Horn'" in sentence(unknown)
+
+
+def test_the_copy_sniffs_and_filters(grammar: str) -> None:
+    with (
+        open_pty() as host,
+        running(
+            *("--grammar", grammar, "sniff", host.name, "--format", "jsonl", "--count", "1"),
+            *("--filter", "name == Horn"),
+        ) as sniffing,
+    ):
+        while sniffing.process.poll() is None:
+            os.write(host.master, bytes.fromhex("20 91 02"))
+            try:
+                sniffing.process.wait(0.2)
+            except Exception:  # it is not there yet: say it again
+                continue
+        code, out, err = sniffing.result()
+
+    assert code == 0, err
+    (line,) = [json.loads(text) for text in out.splitlines()]
+    assert (line["name"], line["fields"], line["judgement"]) == ("Horn", {"sound": 2}, "OK")
+
+
+def test_the_copys_spec_is_shown(grammar: str) -> None:
+    result = command("--grammar", grammar, "spec", "show")
+
+    assert result.returncode == 0
+    assert "Horn" in result.stdout.decode()
