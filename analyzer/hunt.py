@@ -21,7 +21,8 @@ Attaching at a byte picked at random it was one after 76 % of the attaches in no
 attaching at a moment picked at random it is one more often, since a line rests between frames.
 """
 
-_SURE = 0.5  # frames come out from the first place that is likelier than not to be a boundary
+_SURE = 0.99  # frames come out from the first place that is as sure to be a boundary
+_SURE_IN_SILENCE = 0.5  # a host that is silent so long was so, most likely, when it was joined
 _HELD = 4  # longest frames; then it is decided by what is likelier
 
 
@@ -40,6 +41,7 @@ class Hunt:
         self._synchroniser = Synchroniser(traffic(protocol), BOUNDARY)
         self._events: list[Chunk | Line] = []
         self._last = since
+        self._sure = _SURE
         self._answered = False
         if answered:
             self._anchor_once()
@@ -71,11 +73,12 @@ class Hunt:
 
     def silence(self) -> None:
         """The host has been silent so long that no frame is under way."""
+        self._sure = _SURE_IN_SILENCE
         self._synchroniser.anchor(SILENCE)
 
     def settled(self) -> Iterator[Chunk | Line | Framed]:
         """The events in order; in place of the bytes before the first frame, they as garbage."""
-        first = self._synchroniser.first_frame(_SURE)
+        first = self._synchroniser.first_frame(self._sure)
         before: list[Chunk] = []
         for event in self._events:
             if isinstance(event, Line) or event.direction == "device" or len(before) == first:

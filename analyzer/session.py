@@ -121,6 +121,8 @@ class Session:
             yield from self._host(event.data, now)
         elif self._hunt:
             self._hunt.other(event)
+            if self._hunt.over:
+                yield from self._end_hunt(self._hunt)
         else:
             self._answered = True
             for byte in event.data:

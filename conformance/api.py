@@ -13,6 +13,7 @@ from analyzer.port import Port
 from conformance.cases import Case, all_cases
 from conformance.drive import Device, Link, Tap, VirtualLink, drive
 from conformance.judging import MS
+from conformance.opening import opening_cases, truncation_timeout
 from conformance.port_link import PortLink
 from conformance.probes import Probe
 from conformance.report import Report, make_report
@@ -68,17 +69,24 @@ class Unwatched:
 
 
 def select_cases(grammar: Grammar, options: Options, *, every_cut: bool) -> tuple[Case, ...]:
-    """The cases of a run. Raises ValueError when `only` leaves none."""
+    """The cases of a run, besides those that open every run.
+
+    Raises ValueError when `only` leaves none, and names none of the opening ones either.
+    """
     cases = all_cases(grammar, options.seed, every_cut=every_cut)
     if not options.only:
         return cases
-    chosen = tuple(c for c in cases if any(fnmatchcase(c.id, glob) for glob in options.only))
-    if not chosen:
+    chosen = tuple(c for c in cases if _wanted(c, options))
+    if not chosen and not any(_wanted(c, options) for c in opening_cases(grammar)):
         raise ValueError(
             f"no case matches {' or '.join(options.only)}; see the ids with --list, for example "
             f"--only '{cases[0].kind}/*'"
         )
     return chosen
+
+
+def _wanted(case: Case, options: Options) -> bool:
+    return any(fnmatchcase(case.id, glob) for glob in options.only)
 
 
 def conform(
@@ -197,7 +205,9 @@ def _run(
         truncation_timeout=None if timeout is None else int(timeout * MS),
         power=power,
     )
-    runner = Runner(books, cases, fail_fast=options.fail_fast)
+    timeout_case = truncation_timeout(grammar)
+    asked = bool(options.only and timeout_case and _wanted(timeout_case, options))
+    runner = Runner(books, cases, fail_fast=options.fail_fast, measure=asked)
     drive(runner.run(), link, interrupted)
     ended = runner.ended
     return make_report(

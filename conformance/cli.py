@@ -29,6 +29,7 @@ from conformance.api import (
 )
 from conformance.api import conform as conform_device
 from conformance.faults import fault_bank
+from conformance.opening import opening_cases
 from conformance.probes import Probe, open_probe
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
@@ -103,7 +104,7 @@ def conform(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if listing:
-        for case in cases:
+        for case in (*opening_cases(protocol), *cases):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     if virtual and probe not in (None, SIM):

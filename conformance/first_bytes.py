@@ -6,15 +6,12 @@ echo. The first byte is no Stop, because that would hide a robot that moves at p
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from conformance.asks import Heard, Script, listen, power_cycle, see, send
-from conformance.cases import Accepted, Case
+from conformance.cases import Case
 from conformance.judging import NOT_OBSERVABLE, answer_words, judge_answers, judge_state, look_words
+from conformance.opening import at_rest, link_check, motion_first
 from conformance.run import Run
-from conformance.setup import moves, setting
 from conformance.verdicts import Axis, Verdict
-from spec.codec import judge
 from spec.motion import State
 
 _STOPPED = "stopped"
@@ -22,22 +19,16 @@ _STOPPED = "stopped"
 
 def first_bytes(run: Run) -> Script[str]:
     """Run and report the first cases. Returns why the line cannot be used, "" if it can."""
-    at_rest = run.special(
-        "power-on/at-rest",
-        run.protocol.clauses.safety,
-        "stands still before the first byte",
-        b"",
-        "R-power-on",
-    )
-    run.begin(at_rest.id)
-    axes = {"state": (yield from _still(run, at_rest.expected, "R-power-on"))}
+    still = at_rest(run.protocol)
+    run.begin(still.id)
+    axes = {"state": (yield from _still(run, still.expected, "R-power-on"))}
     banner = yield from listen(None, 0)
     if banner.answers:
         words = answer_words(run.protocol, banner.codes)
         reason = "bytes came before the first instruction"
         axes["answer"] = Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
-    outcomes = [(at_rest, axes, banner, banner.now)]
-    for case in _steps(run):
+    outcomes = [(still, axes, banner, banner.now)]
+    for case in link_check(run.protocol):
         run.begin(case.id)
         first = len(outcomes) == 1
         heard, sent = yield from _exchange(run, case, run.limits.boot if first else 0)
@@ -56,20 +47,9 @@ def first_bytes(run: Run) -> Script[str]:
 
 def _second_power_on(run: Run) -> Script[None]:
     """Once more from power-on, this time with a motion first; skipped without a power switch."""
-    spec = next((s for s in run.protocol.instructions if moves(s) and not s.length), None)
-    if spec is None:
+    case = motion_first(run.protocol)
+    if case is None:
         return
-    frame = bytes([run.protocol.header_bytes[spec.id, 0]])
-    judgement = judge(run.protocol, frame)
-    expected = spec.effect.apply(run.protocol.power_on)
-    case = run.special(
-        f"power-on/{spec.name}",
-        judgement.clause,
-        "a motion as the first instruction is taken; no speed is set yet, so nothing moves",
-        frame,
-        "R-power-on",
-    )
-    case = replace(case, accepted=(Accepted((judgement.response.code,)),), expected=expected)
     if not run.power:
         reason = "the robot cannot be switched off and on; see --power"
         run.end(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
@@ -79,34 +59,9 @@ def _second_power_on(run: Run) -> Script[None]:
     heard, sent = yield from _exchange(run, case, run.limits.boot)
     axes = {
         "answer": judge_answers(run.protocol, case.accepted, heard, sent, timed=True),
-        "state": (yield from _still(run, expected, "R-power-on", may_move=True)),
+        "state": (yield from _still(run, case.expected, case.reading, may_move=True)),
     }
     run.end(case, axes, heard.answers, sent)
-
-
-def _steps(run: Run) -> tuple[Case, ...]:
-    """A setting (must not move), an unused ID, and a setting without its data."""
-    protocol = run.protocol
-    low, high = protocol.limits.get("speed", (0, 0))
-    speed = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.filler])
-    judged = judge(protocol, speed)
-    steps = [(speed, f"power-on/{judged.name}", "a setting does not move the robot")]
-    if protocol.unused_ids:
-        unused = bytes([protocol.header_bytes[protocol.unused_ids[0], 0]])
-        steps.append((unused, "link/unused-id", "an unused ID is refused"))
-    if judged.length:
-        short = bytes([protocol.header_bytes[judged.id, 0]])
-        steps.append((short, "link/too-few", "missing data are refused"))
-    cases = []
-    for frame, ident, requirement in steps:
-        judgement = judge(protocol, frame)
-        after = protocol.power_on
-        if judgement.valid and judgement.instruction:
-            after = judgement.instruction.effect.apply(after, dict(judgement.fields))
-        case = run.special(ident, judgement.clause, requirement, frame)
-        accepted = (Accepted((judgement.response.code,)),)
-        cases.append(replace(case, accepted=accepted, expected=after))
-    return tuple(cases)
 
 
 def _exchange(run: Run, case: Case, boot: int) -> Script[tuple[Heard, int]]:

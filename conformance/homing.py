@@ -6,6 +6,7 @@ As many stops as the longest frame has bytes do it from any state, whatever the 
 from __future__ import annotations
 
 from conformance.asks import Script, Seen, listen, see, send
+from conformance.cases import special
 from conformance.judging import MS, look_words
 from conformance.run import Ended, GaveUp, Run
 from conformance.setup import frames_to
@@ -96,9 +97,8 @@ def leave(run: Run) -> Script[Ended | None]:
             return again
         return ended
     assert seen is not None
-    case = run.special(
-        "leave/stopped", run.protocol.clauses.safety, "the run leaves the robot at rest", pad(run)
-    )
+    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
+    case = special(run.protocol, "leave/stopped", clause, requirement, pad(run))
     fault = Axis(Verdict.FAIL, "stopped", look_words(seen.look), "THE ROBOT STILL MOVES")
     run.end(case, {"stop": fault})
     return None

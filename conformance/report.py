@@ -14,9 +14,12 @@ from analyzer.version import kit_version
 from conformance.cases import Case, Class
 from conformance.judging import MS
 from conformance.run import Profile
-from conformance.verdicts import CaseResult, Verdict, exit_code, worst
+from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from spec.motion import Motion
 from spec.protocol import Protocol
+
+AXES = ("answer", "stop", "state")
+_NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -124,7 +127,14 @@ def _coverage(
 
 
 def as_json(report: Report) -> bytes:
-    """The report as CONTRACT's machine output: one JSON object with a newline."""
+    """The report for machines: one JSON object, every key always there.
+
+    `verdict` and `exit` sum up, `counts` has each verdict, `coverage` what was exercised (`done`)
+    and how much there is (`of`), `profile` what was measured (ms). Each of `cases` has `id`,
+    `clause`, `requirement`, `verdict`, `axes` (`answer`, `stop`, `state`: each `verdict`,
+    `expected`, `actual`, `reason`; `skipped` where a case has no such axis), `reading`, `sent` (hex
+    of each frame), `received` (`hex` and `t`, in s since the stimulus had gone) and `reproduce`.
+    """
     document = {
         "kit": kit_version(),
         "grammar": report.grammar,
@@ -150,19 +160,20 @@ def _case(report: Report, result: CaseResult) -> dict[str, Any]:
         "clause": result.clause,
         "requirement": result.requirement,
         "verdict": result.verdict.label,
-        "axes": {
-            name: {
-                "verdict": axis.verdict.label,
-                "expected": axis.expected,
-                "actual": axis.actual,
-                "reason": axis.reason,
-            }
-            for name, axis in result.axes.items()
-        },
+        "axes": {name: _axis(result.axes.get(name, _NO_AXIS)) for name in AXES},
         "reading": result.reading or None,
         "sent": result.sent,
         "received": [{"hex": byte.hex, "t": byte.t / 1e9} for byte in result.received],
         "reproduce": reproduce(report, result.id),
+    }
+
+
+def _axis(axis: Axis) -> dict[str, str]:
+    return {
+        "verdict": axis.verdict.label,
+        "expected": axis.expected,
+        "actual": axis.actual,
+        "reason": axis.reason,
     }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from conformance.asks import Heard, Script, listen
-from conformance.cases import Case, special
+from conformance.cases import Case
 from conformance.judging import MS, NOT_OBSERVABLE, answer_words
 from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
 from spec.codec import spaced
@@ -263,9 +263,3 @@ class Run:
         why = "not seen moving before" if self.looks_freely else self.eyes.why
         reason = f"{NOT_OBSERVABLE} ({why})"
         return Axis(Verdict.INCONCLUSIVE, expected, "", reason)
-
-    def special(
-        self, ident: str, clause: str, requirement: str, stimulus: bytes, reading: str = ""
-    ) -> Case:
-        """A case that the runner itself stands for, not a generator."""
-        return special(self.protocol, ident, clause, requirement, stimulus, reading)

@@ -21,15 +21,24 @@ from conformance.verdicts import Axis, Verdict
 class Runner:
     """The script of one run over `cases`. Afterwards `books.results` holds every result.
 
-    `unusable` says why the line could not be used at all, `ended` what ended the run early.
+    `measure` wants the truncation time-out measured although no case needs it. `unusable` says why
+    the line could not be used at all, `ended` what ended the run early.
     """
 
-    def __init__(self, books: Run, cases: Sequence[Case], *, fail_fast: bool = False) -> None:
+    def __init__(
+        self,
+        books: Run,
+        cases: Sequence[Case],
+        *,
+        fail_fast: bool = False,
+        measure: bool = False,
+    ) -> None:
         self.books = books
         self.unusable = ""
         self.ended: Ended | None = None
         self._left = list(cases)
         self._fail_fast = fail_fast
+        self._measure = measure or needs_timeout(tuple(cases))
 
     def run(self) -> Script[None]:
         """The whole run. Always leaves by homing, if the line still works."""
@@ -59,8 +68,7 @@ class Runner:
                 return
             yield from home(books)
             yield from see_motions(books)
-            given = books.profile.truncation_timeout is not None
-            if not given and needs_timeout(tuple(self._left)):
+            if self._measure and books.profile.truncation_timeout is None:
                 yield from measure_timeout(books)
                 yield from home(books)
             while self._left and not self._enough():

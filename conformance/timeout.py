@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from conformance.asks import Heard, Script, listen, see, send
-from conformance.cases import Accepted, Case
+from conformance.cases import Case
 from conformance.homing import set_up
 from conformance.judging import MS, judge_answers
+from conformance.opening import truncation_timeout
 from conformance.run import Run
 from conformance.verdicts import Axis, Verdict
-from spec.codec import judge
 from spec.motion import State
 
 _STEP = 10 * MS
@@ -18,26 +16,15 @@ _STEP = 10 * MS
 
 def measure_timeout(run: Run) -> Script[None]:
     """Measure the truncation time-out once, with one long wait, and judge it as a case."""
-    spec = next((s for s in run.protocol.instructions if s.length), None)
-    if spec is None:
+    case = truncation_timeout(run.protocol)
+    if case is None:
         return
-    frame = bytes([run.protocol.header_bytes[spec.id, spec.length]])
-    case = run.special(
-        "timing/truncation-timeout",
-        run.protocol.clauses.responses,
-        f"a pause inside {spec.name} ends it and stops the robot",
-        frame,
-        "R-truncation-timeout",
-    )
-    silent = Accepted((), Verdict.NON_STRICT, "R-truncated-known")
-    due = Accepted((judge(run.protocol, frame).response.code,))
-    case = replace(case, accepted=(due, silent))
     run.begin(case.id)
     watched = run.looks_freely and bool(run.moves)
     if watched and run.moves:
         _, fast = run.protocol.limits.get("speed", (0, 0))
         yield from set_up(run, State(motion=min(run.moves), speed=fast))
-    sent = yield from send(frame)
+    sent = yield from send(case.stimulus)
     heard, stopped = yield from _wait(run, sent, watched)
     run.profile.truncation_answered = bool(heard.answers)
     moment = heard.answers[0][0] if heard.answers else stopped

@@ -104,15 +104,6 @@ class Synchroniser:
             if share
         ]
 
-    @property
-    def locked(self) -> bool:
-        """Whether it is as good as certain how much of the frame under way is missing."""
-        shares: dict[int, float] = {}
-        for one in self._possible:
-            if one.starts or not one.missing:
-                shares[one.missing] = shares.get(one.missing, 0.0) + one.weight
-        return max(shares.values(), default=0.0) >= LOCKED
-
     def byte(self, value: int) -> None:
         """The host's next byte."""
         known = self._traffic
@@ -138,18 +129,30 @@ class Synchroniser:
                 one.weight *= likelihood_ratio
         self._norm()
 
-    def first_frame(self, sure: float = 0.5) -> int:
-        """After how many of the bytes held the first frame begins, as far as can be told.
+    @property
+    def locked(self) -> bool:
+        """Whether it is as good as certain that a frame begins at some place."""
+        return max(self._shares()) >= LOCKED
 
-        Bytes before it belong to a frame begun earlier, or it is less than `sure` that a frame
-        begins with them.
+    def first_frame(self, sure: float) -> int:
+        """After how many of the bytes held the first frame begins.
+
+        That is the first place that is as sure to be one where a frame begins, or as sure as any.
+        Bytes before it belong to a frame begun earlier, or nobody can tell.
         """
+        shares = self._shares()
+        enough = min(sure, max(shares))
+        return next(at for at, share in enumerate(shares) if share >= enough)
+
+    def _shares(self) -> list[float]:
+        """For each place, before each byte held and after the last, how sure a frame begins there."""
         shares = [0.0] * (self.held + 1)
-        shares[self.held] = 1.0
         for one in self._possible:
             for start in one.starts:
                 shares[start] += one.weight
-        return next(at for at, share in enumerate(shares) if share >= sure)
+            if not one.missing:
+                shares[self.held] += one.weight
+        return shares
 
     def _norm(self) -> None:
         total = sum(one.weight for one in self._possible)

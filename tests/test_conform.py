@@ -93,7 +93,7 @@ def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() ->
     assert b"conforms" in result.stderr
     assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
     assert report.grammar["name"] == "robot-car"
-    assert report.counts["pass"] == len(report.cases) == 10 + 8 + 4
+    assert report.counts["pass"] == len(report.cases) == 10 + 8 + 5
     assert report.options["only"] == ["unused-id/9/?", "valid/LED/*"]
     for case in report.cases:
         assert case.axes

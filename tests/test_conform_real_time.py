@@ -17,17 +17,22 @@ from tests.robots import command, simulate
 
 Verdicts = dict[str, str]
 
+# Needs a power switch, which the built-in simulator has and a port has not.
+SWITCHED = "power-on/Forward"
+
 
 def judged(output: bytes) -> tuple[int, Verdicts]:
     """The exit code and the verdicts that a report tells."""
     report = msgspec.json.decode(output)
-    return report["exit"], {case["id"]: case["verdict"] for case in report["cases"]}
+    verdicts = {case["id"]: case["verdict"] for case in report["cases"]}
+    verdicts.pop(SWITCHED, None)
+    return report["exit"], verdicts
 
 
 def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> tuple[int, Verdicts]:
     device = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
     report = conform(device, grammar=protocol, options=Options(only=tuple(only)))
-    return report.exit, {r.id: r.verdict.label for r in report.results}
+    return report.exit, {r.id: r.verdict.label for r in report.results if r.id != SWITCHED}
 
 
 @pytest.mark.timeout(240)
@@ -134,10 +139,7 @@ def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time
     seen = {ident: v for ident, v in verdicts.items() if v != Verdict.INCONCLUSIVE.label}
     assert seen == {ident: expected[ident] for ident in seen}
     if code != 2:
-        looked_at = [
-            f"{case.rpartition('/')[0]}" for case in seen if "/9/" in case or "LED" in case
-        ]
-        assert looked_at or fault == "never-moves"
+        assert [ident for ident in seen if not ident.startswith(("power-on", "link"))] or code == 3
 
 
 def test_what_a_command_was_not_asked_about_says_so(tmp_path: Path) -> None:

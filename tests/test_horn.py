@@ -1,4 +1,4 @@
-"""Another grammar through everything: one entry more, instruction 9 "Horn", and all else follows."""
+"""Another grammar through everything: one entry more, instruction 9 "Horn"; all else follows."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_a_robot_with_a_horn_fails_the_documents_grammar(
 
     assert report.exit == 1
     found = failing(report.results)
-    assert {"unused-id/9/0", "unused-id/9/1", "unused-id/9/2"} <= found
+    assert "unused-id/9/1" in found  # a horn that sounds
     assert all("/9/" in ident or ident.startswith("link/") for ident in found)
 
 
