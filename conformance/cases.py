@@ -15,7 +15,7 @@ from itertools import cycle
 from conformance.verdicts import Verdict
 from spec.codec import all_data, bad_data, lying, spaced
 from spec.fields import Outcome
-from spec.motion import Motion, State
+from spec.motion import WHEELS, Motion, State
 from spec.protocol import InstructionSpec, Protocol
 
 
@@ -118,11 +118,14 @@ class _Setups:
         self._power_on = protocol.power_on
 
     def next(self, motion: Motion | None = None) -> State:
+        motion = motion or next(self._motions)
+        # Steering during a rotation may become a curve (R-steer-rotating): it is a case, no set-up.
+        steers = WHEELS[motion][0] == WHEELS[motion][1]
         return replace(
             self._power_on,
-            motion=motion or next(self._motions),
+            motion=motion,
             speed=next(self._speeds),
-            steering=next(self._steers),
+            steering=next(self._steers) if steers else self._power_on.steering,
             led=next(self._leds),
         )
 
@@ -318,7 +321,10 @@ def _truncated(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Itera
         for arrived in cuts:
             if spec is None:
                 outcome, name = Outcome.UNKNOWN_ID, str(identity)
-                others = _non_strict(protocol, "R-truncated-unused", Outcome.TOO_FEW)
+                others = (
+                    *_non_strict(protocol, "R-truncated-unused", Outcome.TOO_FEW),
+                    *_non_strict(protocol, "R-unused-length", Outcome.TOO_MANY),
+                )
                 reading = "R-truncated-unused"
             else:
                 outcome, name = Outcome.TOO_FEW, spec.name

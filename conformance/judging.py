@@ -167,7 +167,7 @@ def _legal(
             return reading, verdict
     if facet in ("moving", "motion", "wheels"):
         slow_start = when == "set" and before.speed != expected.speed
-        if slow_start and look.speed in (None, before.speed) and look.moving == before.moving:
+        if slow_start and look.moving == before.moving:
             return "R-speed-moving", Verdict.NON_STRICT
         curve = expected.motion in (Motion.ROTATE_RIGHT, Motion.ROTATE_LEFT) and look.moving
         if when == "set" and before.steering != expected.steering and curve and facet != "moving":

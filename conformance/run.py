@@ -71,12 +71,16 @@ class Eyes:
 
 @dataclass
 class Profile:
-    """What was measured on the device; times in ns, None where it was not."""
+    """What was measured on the device; times in ns, None where it was not.
+
+    `flushes` is true for a device that throws away what follows a fault until the line is idle.
+    """
 
     truncation_timeout: int | None = None
     truncation_answered: bool | None = None
     latencies: list[int] = field(default_factory=list)
     slowest: int = 0
+    flushes: bool = False
 
     def measured(self, heard: Heard, sent: int) -> None:
         """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
@@ -175,11 +179,14 @@ class Run:
             self.missing, self._never_came = False, 0
         return Heard(tuple(self._open.heard), more.now), self._open.sent
 
-    def worsen(self, name: str, verdict: Verdict, actual: str, reason: str) -> None:
+    def worsen(
+        self, name: str, verdict: Verdict, actual: str, reason: str, reading: str = ""
+    ) -> None:
         """An axis gets worse, never better; the first reason of the worst verdict stays."""
         axis = self.axes[name]
         if verdict > axis.verdict:
-            self.axes[name] = Axis(verdict, axis.expected, actual, reason, axis.reading)
+            reading = reading or axis.reading
+            self.axes[name] = Axis(verdict, axis.expected, actual, reason, reading)
 
     def cut_short(self, verdict: Verdict, reason: str) -> None:
         """The open case could not be judged to its end."""
@@ -216,6 +223,12 @@ class Run:
     def usual(self) -> int:
         """How long (ns) an answer may usually take: a device that is slow is slow always."""
         return max(self.limits.deadline, min(2 * self.profile.slowest, self.limits.longest))
+
+    @property
+    def timeout(self) -> int:
+        """The truncation time-out (ns): the measured one, the grammar's until then."""
+        usual = int(self.protocol.timing.truncation_timeout * MS)
+        return self.profile.truncation_timeout or usual
 
     @property
     def patience(self) -> int:

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from spec.codec import build
-from spec.motion import Motion, State
+from spec.motion import WHEELS, Motion, State
 from spec.protocol import InstructionSpec, Protocol
 
 
 def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
-    """The frames that bring a stopped robot to `state`: settings first, the motion last.
+    """The frames that bring a stopped robot to `state`: speed and LED, the motion, the steering.
 
-    A variable that no instruction of the protocol sets is left as it is.
+    A speed comes first, because a device may take it up only at the next motion (R-speed-moving),
+    steering last, because a motion may reset it (R-drive-steering). A variable that no instruction
+    of the protocol sets is left as it is.
     """
-    frames = [
-        frame
-        for variable in ("speed", "led", "steering")
-        if (frame := setting(protocol, variable, getattr(state, variable)))
-    ]
     mover = moving_to(protocol, state.motion)
-    if mover and state.motion is not Motion.STOPPED:
-        frames.append(build(protocol, mover.name))
-    return tuple(frames)
+    motion = build(protocol, mover.name) if mover and state.motion is not Motion.STOPPED else b""
+    speed, led, steering = (
+        setting(protocol, variable, getattr(state, variable))
+        for variable in ("speed", "led", "steering")
+    )
+    # Steering during a rotation may become a curve (R-steer-rotating).
+    left, right = WHEELS[state.motion]
+    late = (motion, steering) if left == right else (steering, motion)
+    return tuple(frame for frame in (speed, led, *late) if frame)
 
 
 def moves(spec: InstructionSpec) -> bool:

@@ -125,6 +125,11 @@ class Served:
 
     def state(self) -> dict[str, Any]:
         """What its probe tells now."""
+        if self.process.poll() is not None:
+            assert self.process.stderr is not None
+            raise AssertionError(
+                f"the simulator ended ({self.process.returncode}): {self.process.stderr.read()}"
+            )
         host, port = parse_address(self.probe.removeprefix("tcp:"))
         with socket.create_connection((host, port), timeout=PATIENCE) as probe:
             probe.sendall(b"state\n")

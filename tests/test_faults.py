@@ -57,7 +57,7 @@ EXACTLY = {
         f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")
     ],
     "stop-does-nothing": ["valid/Stop", "leave/stopped"],
-    "moves-at-power-on": ["power-on/*"],
+    "moves-at-power-on": ["power-on/at-rest", "power-on/Speed"],
 }
 # Devices of which too little is left to judge one by one: what else they break is not said.
 SWEEPING = {

@@ -60,7 +60,8 @@ def test_a_run_that_goes_to_its_end_leaves_the_robot_at_rest(
     runner = run_over(link, protocol, cases)
 
     require_complete(runner.books.results, cases)
-    assert {r.verdict for r in runner.books.results} == {Verdict.PASS}
+    passed = {r.id for r in runner.books.results if r.verdict is Verdict.PASS}
+    assert passed >= {case.id for case in cases}
     assert at_rest(device)
     assert link.asks < ASKS
     assert link.looks[-1].moving is False
@@ -229,9 +230,7 @@ def test_an_interrupt_right_after_the_probe_hung_up_leaves_the_robot_at_rest(
 def test_a_device_that_stops_answering_fails_by_name_and_the_rest_is_not_judged(
     protocol: Protocol, cases: tuple[Case, ...], frames: int
 ) -> None:
-    silent = Fault(
-        "x", "test", "", react=lambda d, e, r: answers(r) if e.frames >= frames else r
-    )
+    silent = Fault("x", "test", "", react=lambda d, e, r: answers(r) if e.frames >= frames else r)
     device = Simulator(protocol, silent)
 
     runner = run_over(CountingLink(device), protocol, cases)
