@@ -8,7 +8,14 @@ from __future__ import annotations
 
 from conformance.asks import Heard, Script, listen, power_cycle, see, send
 from conformance.cases import Case
-from conformance.judging import NOT_OBSERVABLE, answer_words, judge_answers, judge_state, look_words
+from conformance.judging import (
+    NOT_OBSERVABLE,
+    answer_words,
+    judge_answers,
+    judge_state,
+    look_words,
+    lost,
+)
 from conformance.opening import at_rest, link_check, motion_first
 from conformance.run import Run
 from conformance.verdicts import Axis, Verdict
@@ -30,10 +37,12 @@ def first_bytes(run: Run) -> Script[str]:
     outcomes = [(still, axes, banner, banner.now)]
     for case in link_check(run.protocol):
         run.begin(case.id)
+        flushed = run.profile.flushes
         first = len(outcomes) == 1
         heard, sent = yield from _exchange(run, case, run.limits.boot if first else 0)
         run.profile.measured(heard, sent)
-        axes = {"answer": judge_answers(run.protocol, case.accepted, heard, sent, timed=True)}
+        answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
+        axes = {"answer": lost(answer) if run.profile.flushes and not flushed else answer}
         if first:
             axes["state"] = yield from _still(run, case.expected, "")
         outcomes.append((case, axes, heard, sent))

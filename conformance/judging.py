@@ -87,6 +87,14 @@ def _mismatch(protocol: Protocol, wanted: Accepted, heard: Heard) -> str:
     )
 
 
+def lost(answer: Axis) -> Axis:
+    """The axis of an instruction that was taken only the second time, when the line was idle."""
+    if answer.verdict >= Verdict.NON_STRICT:
+        return answer
+    reason = "lost after a fault, and taken when the line had been idle"
+    return Axis(Verdict.NON_STRICT, answer.expected, answer.actual, reason, "R-drain-known")
+
+
 def state_words(state: State) -> str:
     """A motion state in words."""
     return (
