@@ -25,6 +25,8 @@ def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = 
         timeout=capture_timeout(capture, protocol, timeout),
         heard=heard(capture),
         skew=SKEW if skew is None else skew,
+        # Where the file does not tell, its first byte may be any.
+        attached=capture.metadata.get("attached") != "no",
     )
 
 

@@ -154,7 +154,8 @@ def _show(
     capture: Capture, pipeline: Pipeline, rate: float, window: _Window, stopper: Stopper
 ) -> None:
     now = 0
-    sleep = interruptible(stopper, lambda: pipeline.advance(now))
+    # Until the next event time goes on as it did when it was recorded.
+    sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     for event in played(capture.events(), rate, sleep=sleep, start=window.first, end=window.after):
         if stopper.stopped:
             return
@@ -185,17 +186,26 @@ def _send(
         _note_all(recorded, records)
         if rate and isinstance(event, Chunk) and event.direction == "host":
             target.send(event.data)
-        for record in records:
-            if not rate and isinstance(record, HostRecord):
-                target.send(record.data)
-                target.settle()
+        if not rate:
+            _send_frames(target, records)
         pipeline.advance(event.t)
-    _note_all(recorded, pipeline.finish())
+    rest = pipeline.finish()
+    _note_all(recorded, rest)
+    if not rate and not stopper.stopped:
+        _send_frames(target, rest)
     target.finish()
     if stopper.stopped:
         note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
         return 0
     return _compare(protocol, recorded, target.run, output)
+
+
+def _send_frames(target: Target, records: Iterable[Record]) -> None:
+    """Send each frame when the one before is answered."""
+    for record in records:
+        if isinstance(record, HostRecord):
+            target.send(record.data)
+            target.settle()
 
 
 def _note_all(run: Run, records: Iterable[Record]) -> None:

@@ -83,10 +83,17 @@ def sniff(
         stack.enter_context(source)
         heard: frozenset[Direction] = BOTH if bridge or device else frozenset({"host"})
         skew = 0 if bridge else SKEW
+        attached = not bridge  # nobody has spoken yet through a pty that was just made
         recorder = None
         if path:
             metadata = session_metadata(
-                protocol, ports=ports, line=str(settings), timeout=timeout, skew=skew, heard=heard
+                protocol,
+                ports=ports,
+                line=str(settings),
+                timeout=timeout,
+                skew=skew,
+                heard=heard,
+                attached=attached,
             )
             recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
         statistics = Statistics(protocol, settings.byte_time)
@@ -98,7 +105,7 @@ def sniff(
         )
         stack.callback(output.close)
         pipeline = Pipeline(
-            Session(protocol, timeout=timeout, heard=heard, skew=skew),
+            Session(protocol, timeout=timeout, heard=heard, skew=skew, attached=attached),
             statistics,
             output,
             Shown(output, test, count),

@@ -22,21 +22,25 @@ attaching at a moment picked at random it is one more often, since a line rests 
 """
 
 _SURE = 0.99  # frames come out from the first place that is as sure to be a boundary
-_SURE_IN_SILENCE = 0.5  # a host that is silent so long was so, most likely, when it was joined
+_LIKELIER = 0.5  # the same where no more can be learnt; a host that rests so long mostly rests
 _HELD = 4  # longest frames; then it is decided by what is likelier
 
 
 class Hunt:
     """Holds events, and weighs them, from the first host byte until it is known where frames begin.
 
-    `timeout` (ns) is the longest pause within a frame. The host line was silent since `since` (ns);
-    `answered` tells whether the device spoke meanwhile.
+    `timeout` (ns) is the longest pause within a frame, `skew` (ns) how long an adapter may keep
+    bytes back. The host line was silent since `since` (ns); `answered` tells whether the device
+    spoke meanwhile.
     """
 
-    def __init__(self, protocol: Protocol, timeout: int, since: int, answered: bool) -> None:
+    def __init__(
+        self, protocol: Protocol, *, timeout: int, skew: int, since: int, answered: bool
+    ) -> None:
         self._timeout = timeout
-        # A frame that pauses so long may be cut short by a device (R-truncation-timeout).
-        self._idle = round(protocol.timing.truncation_shortest * MILLISECOND)
+        # A pause that no adapter makes by itself, and for which a device may cut a frame short
+        # (R-truncation-timeout).
+        self._idle = max(skew, round(protocol.timing.truncation_shortest * MILLISECOND))
         self._most = _HELD * protocol.longest_frame
         self._synchroniser = Synchroniser(traffic(protocol), BOUNDARY)
         self._events: list[Chunk | Line] = []
@@ -73,8 +77,12 @@ class Hunt:
 
     def silence(self) -> None:
         """The host has been silent so long that no frame is under way."""
-        self._sure = _SURE_IN_SILENCE
         self._synchroniser.anchor(SILENCE)
+        self.give_up()
+
+    def give_up(self) -> None:
+        """Nothing more will come that could tell: what is likelier must do."""
+        self._sure = _LIKELIER
 
     def settled(self) -> Iterator[Chunk | Line | Framed]:
         """The events in order; in place of the bytes before the first frame, they as garbage."""

@@ -10,6 +10,7 @@ from analyzer.ports import LineSettings, open_port
 from analyzer.records import Record
 from analyzer.session import BOTH, Session
 from analyzer.taps import Taps, require_two_lines
+from captures.schemas import Direction
 from spec.protocol import Protocol
 
 _LONGEST_WAIT = 0.2  # s, so that Ctrl-C is never held up
@@ -38,7 +39,8 @@ def sniff(
             opened.enter_context(open_port(host, settings)),
             opened.enter_context(open_port(device, settings)) if device is not None else None,
         )
-        session = Session(protocol, heard=frozenset({"host"}) if device is None else BOTH)
+        heard: frozenset[Direction] = frozenset({"host"}) if device is None else BOTH
+        session = Session(protocol, heard=heard, attached=True)
         while not taps.ended:
             now, due = taps.now(), session.deadline
             wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)

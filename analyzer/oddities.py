@@ -17,7 +17,7 @@ from spec.fields import Outcome
 from spec.protocol import Protocol
 
 MID_FRAME = "out of step: the device answered in mid-frame"
-ATTACHED = "came before it was clear where frames begin"
+UNCLEAR = "came before it was clear where frames begin"
 LOST = "bytes were lost in mid-frame"
 
 # Line events that are faults by themselves; the others (open, close, modem) are only noted.

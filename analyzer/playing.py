@@ -55,16 +55,21 @@ def played(
         yield event
 
 
-def interruptible(stopper: Stopper, meanwhile: Callable[[], object]) -> Callable[[float], None]:
-    """A sleep (s) that Ctrl-C ends, and that calls `meanwhile` at least ten times a second."""
+def interruptible(
+    stopper: Stopper, meanwhile: Callable[[float], object]
+) -> Callable[[float], None]:
+    """A sleep (s) that Ctrl-C ends; at least ten times a second `meanwhile` is told how far it is.
+
+    That is in seconds since it began, and always less than it lasts as a whole.
+    """
 
     def sleep(seconds: float) -> None:
-        until = time.monotonic() + seconds
+        began = time.monotonic()
         while not stopper.stopped:
-            left = until - time.monotonic()
+            left = began + seconds - time.monotonic()
             if left <= 0:
                 return
             select.select([stopper], [], [], min(left, 0.1))
-            meanwhile()
+            meanwhile(min(time.monotonic() - began, seconds * 0.999))
 
     return sleep

@@ -23,11 +23,13 @@ def session_metadata(
     timeout: int,
     skew: int,
     heard: Iterable[Direction],
+    attached: bool = False,
 ) -> dict[str, str]:
     """The capture's record `bilprov`: what a replay needs in order to decode in the same way.
 
     `ports` gives each port's part and name, `line` its settings as text, `timeout` and `skew` are
-    in ns, `heard` the directions that are listened to.
+    in ns, `heard` the directions that are listened to, `attached` whether listening began in the
+    midst of whatever was going on.
     """
     return {
         "version": kit_version(),
@@ -40,6 +42,7 @@ def session_metadata(
         "truncation_timeout_ms": f"{timeout / MILLISECOND:g}",
         "skew_ms": f"{skew / MILLISECOND:g}",
         "heard": " ".join(sorted(heard)),
+        "attached": "yes" if attached else "no",
     }
 
 

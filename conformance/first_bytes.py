@@ -22,6 +22,7 @@ from conformance.verdicts import Axis, Verdict
 from spec.motion import State
 
 _STOPPED = "stopped"
+_CHATTER = 2  # answers to the first instruction: more are no answers, but a banner
 
 
 def first_bytes(run: Run) -> Script[str]:
@@ -31,15 +32,19 @@ def first_bytes(run: Run) -> Script[str]:
     axes = {"state": (yield from _still(run, still.expected, "R-power-on"))}
     banner = yield from listen(None, 0)
     if banner.answers:
-        words = answer_words(run.protocol, banner.codes)
-        reason = "bytes came before the first instruction"
-        axes["answer"] = Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
+        axes["answer"] = _banner(run, banner)
     outcomes = [(still, axes, banner, banner.now)]
     for case in link_check(run.protocol):
         run.begin(case.id)
         flushed = run.profile.flushes
         first = len(outcomes) == 1
-        heard, sent = yield from _exchange(run, case, run.limits.boot if first else 0)
+        boot = run.limits.boot if first else 0
+        heard, sent = yield from _exchange(run, case, boot)
+        if first and len(heard.answers) > _CHATTER:
+            # A board that was reset by opening its port introduces itself: ask again.
+            outcomes[0][1]["answer"] = _banner(run, heard)
+            yield from listen(None, run.limits.deadline)
+            heard, sent = yield from _exchange(run, case, boot)
         run.profile.measured(heard, sent)
         answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
         axes = {"answer": lost(answer) if run.profile.flushes and not flushed else answer}
@@ -52,6 +57,12 @@ def first_bytes(run: Run) -> Script[str]:
             run.end(case, axes, heard.answers, sent)
         yield from _second_power_on(run)
     return unusable
+
+
+def _banner(run: Run, heard: Heard) -> Axis:
+    words = answer_words(run.protocol, heard.codes)
+    reason = "bytes came before the first instruction was answered"
+    return Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
 
 
 def _second_power_on(run: Run) -> Script[None]:

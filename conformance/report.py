@@ -79,7 +79,12 @@ def make_report(
     elif interrupted and code == 0:
         code = 3
     return Report(
-        grammar={"name": protocol.name, "version": protocol.version, "sha256": protocol.sha256},
+        grammar={
+            "name": protocol.name,
+            "version": protocol.version,
+            "sha256": protocol.sha256,
+            "file": protocol.origin,
+        },
         device=device,
         link=link,
         options=options,
@@ -180,6 +185,8 @@ def _axis(axis: Axis) -> dict[str, str]:
 def reproduce(report: Report, ident: str) -> str:
     """The command that tries this case again."""
     words = ["bilprov", "conform", report.device, "--seed", str(report.seed), "--only", ident]
+    if report.grammar["file"] != "grammar.py":
+        words[1:1] = ["--grammar", report.grammar["file"]]
     probe, fault = report.link.get("probe"), report.link.get("fault")
     if report.link["kind"] == "port" and probe:
         words += ["--probe", probe]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from conformance.asks import Heard, Script, listen
-from conformance.cases import Case
+from conformance.cases import Case, special
 from conformance.judging import MS, NOT_OBSERVABLE, answer_words
 from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
 from spec.codec import spaced
@@ -130,6 +130,7 @@ class Run:
         self._wasted = 0
         self.missing = False
         self._never_came = 0
+        self._stray = False
         self._nudges = 0
 
     # -- the case that is open --------------------------------------------------------------------
@@ -194,11 +195,19 @@ class Run:
             self.worsen("answer", verdict, self.axes["answer"].actual, reason)
 
     def charge(self, late: Iterable[tuple[int, int]], reason: str) -> None:
-        """What came too late belongs to the case before, if there is one."""
+        """What came too late belongs to the case before; before the first one to nobody's."""
         if self._open is not None:
             self._open.heard += late
             codes = tuple(code for _, code in self._open.heard)
             self.worsen("answer", Verdict.FAIL, answer_words(self.protocol, codes), reason)
+        elif not self._stray:
+            self._stray = True
+            came = tuple(late)
+            words = answer_words(self.protocol, tuple(code for _, code in came))
+            axis = Axis(Verdict.FAIL, "no answer", words, reason, "R-unsolicited")
+            clause, requirement = self.protocol.clauses.responses, "answers only when it is asked"
+            case = special(self.protocol, "line/unsolicited", clause, requirement, b"")
+            self.end(case, {"answer": axis}, came, came[0][0] if came else 0)
 
     @property
     def open_id(self) -> str:

@@ -66,7 +66,7 @@ class CountsForm(msgspec.Struct, forbid_unknown_fields=True):
 
 class ReportForm(msgspec.Struct):
     kit: str
-    grammar: dict[Literal["name", "version", "sha256"], str]
+    grammar: dict[Literal["name", "version", "sha256", "file"], str]
     device: str
     link: dict[str, Any]
     options: dict[str, Any]

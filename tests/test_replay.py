@@ -65,6 +65,23 @@ def test_raw_bytes_alone_are_a_complete_capture(capture: Write) -> None:
     assert [line["answers"] for line in lines if line["direction"] == "device"] == [0, 1, 2, 3, 4]
 
 
+@pytest.mark.parametrize(
+    ("metadata", "kinds"),
+    [
+        ({}, ["garbage", "instruction", "instruction", "instruction"]),
+        ({"attached": "yes"}, ["garbage", "instruction", "instruction", "instruction"]),
+        ({"attached": "no"}, ["instruction"]),
+    ],
+)
+def test_a_capture_that_may_begin_in_mid_frame_is_decoded_so(
+    capture: Write, metadata: dict[str, str], kinds: list[str]
+) -> None:
+    # The last byte of a Speed, and three frames; or one frame whose header lies.
+    path = capture([Chunk(0, "host", bytes.fromhex("76 81 05 11 07 41 ff"))], metadata)
+
+    assert [line["kind"] for line in _shown(path)] == kinds
+
+
 def test_a_window_shows_what_lies_inside_with_the_state_from_before(capture: Write) -> None:
     path = capture(conversation(TALK))
 
@@ -129,6 +146,14 @@ def test_ctrl_c_ends_a_slow_replay_with_0(capture: Write) -> None:
         code, _, err = command.end()
 
     assert (code, err) == (0, b"")
+
+
+def test_a_frame_that_is_decided_by_silence_is_shown_while_the_replay_waits(capture: Write) -> None:
+    path = capture([Chunk(0, "host", b"\x11"), Chunk(3600_000 * MS, "host", b"\x00")])
+
+    with running("replay", str(path), "--format", "jsonl") as command:
+        assert json_lines(command.stdout.readline())[0]["kind"] == "truncated"
+        command.end()
 
 
 def test_events_inside_the_window_wait_for_their_time_and_no_others() -> None:

@@ -29,7 +29,7 @@ ONLY = (
     *("valid/Stop", "valid/Forward", "valid/LED/[67]", "unused-id/9/[01]"),
     *("wrong-length/Speed/[03]", "bad-data/LED/8", "truncated/LED/0", "recovery/*/Forward"),
 )
-BEFORE = ("power-on", "link", "timing", "leave")  # cases that the runner itself stands for
+BEFORE = ("power-on", "link", "timing", "leave", "line")  # cases that the runner itself stands for
 ASKS = 520  # a little more than a whole run asks
 
 

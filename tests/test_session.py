@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.records import HostRecord, LineRecord, Record
+from analyzer.records import HostRecord, LineRecord, Record, Severity
 from analyzer.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
@@ -41,22 +41,22 @@ def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
     return events
 
 
-@given(EVENTS)
+@given(EVENTS, st.booleans())
 def test_every_host_byte_is_in_exactly_one_record_in_order(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]]
+    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
 ) -> None:
     events = _events(drawn)
     sent = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == "host")
 
-    records = hosts(decoded(Session(protocol), events))
+    records = hosts(decoded(Session(protocol, attached=attached), events))
 
     assert b"".join(record.data for record in records) == sent
     assert b"".join(bytes.fromhex(record.value.hex) for record in records) == sent
 
 
-@given(EVENTS)
+@given(EVENTS, st.booleans())
 def test_every_device_byte_is_in_exactly_one_record(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]]
+    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
 ) -> None:
     events = _events(drawn)
     answered = [
@@ -66,22 +66,28 @@ def test_every_device_byte_is_in_exactly_one_record(
         for byte in event.data
     ]
 
-    records = devices(decoded(Session(protocol), events))
+    records = devices(decoded(Session(protocol, attached=attached), events))
 
     assert [(record.value.t, record.value.byte) for record in records] == answered
 
 
-@given(EVENTS, st.lists(st.integers(0, 2000 * MS), max_size=20), st.sampled_from([0, 20 * MS]))
+@given(
+    EVENTS,
+    st.lists(st.integers(0, 2000 * MS), max_size=20),
+    st.sampled_from([0, 20 * MS]),
+    st.booleans(),
+)
 def test_when_time_is_told_changes_no_record(
     protocol: Protocol,
     drawn: list[tuple[int, tuple[str, bytes]]],
     looks: list[int],
     skew: int,
+    attached: bool,
 ) -> None:
     events = _events(drawn)
-    untold = decoded(Session(protocol, skew=skew), events)
+    untold = decoded(Session(protocol, skew=skew, attached=attached), events)
 
-    session = Session(protocol, skew=skew)
+    session = Session(protocol, skew=skew, attached=attached)
     told: list[Record] = []
     at = 0
     for event in events:
@@ -95,9 +101,9 @@ def test_when_time_is_told_changes_no_record(
     assert told == untold
 
 
-@given(EVENTS)
+@given(EVENTS, st.booleans())
 def test_bytes_of_one_moment_may_be_cut_in_any_way(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]]
+    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
 ) -> None:
     events = _events(drawn)
     cut: list[Event] = []
@@ -107,7 +113,8 @@ def test_bytes_of_one_moment_may_be_cut_in_any_way(
         else:
             cut.append(event)
 
-    assert decoded(Session(protocol), cut) == decoded(Session(protocol), events)
+    whole = decoded(Session(protocol, attached=attached), events)
+    assert decoded(Session(protocol, attached=attached), cut) == whole
 
 
 @given(EVENTS)
@@ -283,6 +290,113 @@ def test_an_event_from_the_past_counts_as_coming_with_the_last(protocol: Protoco
     (record,) = hosts(decoded(Session(protocol), events))
 
     assert (record.value.t, record.value.end) == (10 * MS, 10 * MS)
+
+
+# Attached within a Speed; every frame is answered within a millisecond.
+MID_STREAM: list[Event] = [
+    *(Chunk(0, "host", b"\x7f"), Chunk(MS, "device", b"\x00")),
+    *(Chunk(5 * MS, "host", b"\x20"), Chunk(6 * MS, "device", b"\x00")),
+    *(Chunk(10 * MS, "host", b"\x81\x05"), Chunk(11 * MS, "device", b"\x00")),
+    *(Chunk(15 * MS, "host", b"\x11\xff"), Chunk(16 * MS, "device", b"\x00")),
+    *(Chunk(20 * MS, "host", b"\x30"), Chunk(21 * MS, "device", b"\x00")),
+]
+
+
+def test_attached_in_mid_frame_what_follows_is_shown_with_its_own_times(protocol: Protocol) -> None:
+    records = hosts(decoded(Session(protocol, skew=0, attached=True), MID_STREAM))
+
+    assert [(r.value.kind, r.data, r.value.t, r.value.end) for r in records] == [
+        ("garbage", b"\x7f", 0, 0),
+        ("instruction", b"\x20", 5 * MS, 5 * MS),
+        ("instruction", b"\x81\x05", 10 * MS, 10 * MS),
+        ("instruction", b"\x11\xff", 15 * MS, 15 * MS),
+        ("instruction", b"\x30", 20 * MS, 20 * MS),
+    ]
+
+
+def test_answers_that_came_while_it_was_unclear_find_their_instructions(protocol: Protocol) -> None:
+    records = devices(decoded(Session(protocol, skew=0, attached=True), MID_STREAM))
+
+    assert [(r.value.instruction, r.value.agrees) for r in records] == [
+        (None, None),
+        (0, True),
+        (1, True),
+        (2, True),
+        (3, True),
+    ]
+    assert records[0].faults[0].severity is Severity.INFO
+
+
+def test_at_a_known_beginning_or_after_silence_frames_come_out_at_once(protocol: Protocol) -> None:
+    known, attached = Session(protocol), Session(protocol, attached=True)
+
+    assert hosts(known.feed(Chunk(0, "host", b"\x20")))
+    assert not hosts(attached.feed(Chunk(49 * MS, "host", b"\x20")))
+
+    silent = Session(protocol, attached=True)
+    assert hosts(silent.feed(Chunk(50 * MS, "host", b"\x20")))
+
+
+def test_a_frame_that_is_unclear_comes_out_when_the_host_pauses(protocol: Protocol) -> None:
+    session = Session(protocol, attached=True)
+
+    assert session.feed(Chunk(10 * MS, "host", b"\x20")) == []
+    assert session.deadline == 60 * MS
+    assert session.advance(60 * MS - 1) == []
+
+    (record,) = hosts(session.advance(60 * MS))
+    assert (record.value.kind, record.value.t) == ("instruction", 10 * MS)
+
+
+def test_a_frame_that_is_unclear_comes_out_at_the_end(protocol: Protocol) -> None:
+    events = [Chunk(0, "host", b"\x11\x07")]
+
+    (record,) = hosts(decoded(Session(protocol, attached=True), events))
+
+    assert (record.value.kind, record.data) == ("instruction", b"\x11\x07")
+
+
+def test_no_more_than_four_of_the_longest_frames_are_held(protocol: Protocol) -> None:
+    # Every second byte looks like a frame, and every one like the data of another.
+    unclear = bytes([0x41, 0x51]) * protocol.longest_frame * 4
+
+    session = Session(protocol, attached=True)
+    records = hosts(session.feed(Chunk(0, "host", unclear)))
+
+    held = len(unclear) - sum(len(record.data) for record in records)
+    assert held < 2
+
+
+def test_after_a_known_loss_the_rest_of_a_frame_is_not_taken_for_frames(protocol: Protocol) -> None:
+    events: list[Event] = [
+        Chunk(0, "host", b"\x20"),
+        Line(MS, "gap", "host", "1 byte"),
+        Chunk(2 * MS, "host", b"\x7f\x81\x05\x20\x41\xff\x00\x11\x07\x30\x81\x02"),
+    ]
+
+    records = hosts(decoded(Session(protocol), events))
+
+    assert [r.data for r in records if r.value.kind == "garbage"] == [b"\x7f"]
+    assert [r.data.hex() for r in records if r.value.kind == "instruction"] == [
+        *("20", "8105", "20", "41ff", "00", "1107", "30", "8102")
+    ]
+
+
+def test_a_loss_while_it_is_unclear_decides_what_was_held(protocol: Protocol) -> None:
+    events: list[Event] = [
+        Chunk(0, "host", b"\x20"),
+        Line(MS, "break", "host"),
+        Line(2 * MS, "gap", "host"),
+        Chunk(60 * MS, "host", b"\x30"),
+    ]
+
+    frame, broken, gap, last = decoded(Session(protocol, attached=True, skew=0), events)
+
+    assert isinstance(frame, HostRecord)
+    assert isinstance(broken, LineRecord)
+    assert isinstance(gap, LineRecord)
+    assert isinstance(last, HostRecord)
+    assert (frame.data, last.data) == (b"\x20", b"\x30")
 
 
 def test_another_grammar_is_followed(horn: Protocol) -> None:

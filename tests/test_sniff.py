@@ -120,6 +120,7 @@ def test_the_capture_holds_what_was_decoded_too(tmp_path: Path) -> None:
     assert {line["event"] for line in topics["/line"]} == {"open", "close"}
     for key in ("grammar_name", "grammar_sha256", "port_host", "line", "truncation_timeout_ms"):
         assert capture.metadata[key]
+    assert capture.metadata["attached"] == "yes"
     assert not capture.unfinished
 
 
@@ -243,6 +244,7 @@ def test_a_bridge_passes_every_byte_and_names_its_pty(tmp_path: Path, protocol: 
     assert answers == b"\x00\x00\x02"
     assert [line["kind"] for line in lines] == ["instruction"] * 3 + ["response"] * 3
     assert [line["agrees"] for line in lines[3:]] == [True] * 3
+    assert open_capture(path).metadata["attached"] == "no"
 
 
 def test_the_live_view_draws_on_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def motion_faults(protocol: Protocol) -> Iterator[Fault]:
             "steering-starts-it",
             family,
             "steering while stopped makes it drive",
-            FOLLOWED,
+            (f"valid/{protocol.stop.name}", *FOLLOWED),
             react=when(lambda e: any(is_named(s)(e) for s in steers), starts_driving),
         )
     yield Fault(

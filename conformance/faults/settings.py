@@ -38,7 +38,7 @@ def setting_faults(protocol: Protocol) -> Iterator[Fault]:
             f"{spec.name.lower()}-starts-it",
             family,
             f"{spec.name} makes a stopped robot drive",
-            ("power-on/*", *FOLLOWED),
+            ("power-on/*", f"valid/{protocol.stop.name}", *FOLLOWED),
             react=when(named, starts_driving),
         )
         yield Fault(

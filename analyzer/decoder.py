@@ -1,0 +1,202 @@
+"""Bytes and line events in, decoded records out, as long as it is known where frames begin.
+
+No port, no clock: what comes out depends on the events and their times alone. Before each event
+everything that fell due up to its time must have happened (`until`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache, partial
+
+from analyzer import oddities
+from analyzer.pairing import MILLISECOND, Held, Pair, Pairing
+from analyzer.record_forms import answer_record, frame_record, garbage_record
+from analyzer.records import FaultRecord, LineRecord, Record, written_state
+from captures.schemas import Line
+from spec.codec import Judgement, judge
+from spec.fields import Outcome
+from spec.framing import Framed, Framer
+from spec.protocol import Protocol
+
+QUIET = 20 * MILLISECOND
+"""How long the host line stays idle after an answer in mid-frame until the frame is given up."""
+
+# Line events after which bytes are known to be missing.
+LOSSES = frozenset({"gap", "overrun", "reconnected"})
+
+_Deadline = tuple[int, Callable[[int], Iterable[Record]]]
+
+
+class Decoder:
+    """Decodes what a host and a device say, from a host byte on that is a header.
+
+    `timeout` (ns) and `skew` (ns) as in Session; `paired` tells whether both are heard. After a
+    loss the next host byte counts as a header again.
+    """
+
+    def __init__(self, protocol: Protocol, *, timeout: int, paired: bool, skew: int) -> None:
+        self._protocol = protocol
+        self._paired = paired
+        self._framer = Framer(protocol.lengths, timeout)
+        self._skew = skew
+        self._pairing = Pairing(protocol, skew)
+        self._judged: Callable[[bytes], Judgement] = lru_cache(maxsize=8192)(
+            partial(judge, protocol)
+        )
+        self._motion = protocol.power_on
+        self._state = written_state(self._motion)
+        self._sequence = 0
+        self._out_of_step: int | None = None  # when the frame begun is given up
+        self._lost_at: int | None = None  # when bytes were last known to be missing
+
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) something falls due even if no event comes, None if nothing does."""
+        due = self._due()
+        return due[0] if due else None
+
+    def until(self, now: int) -> Iterator[Record]:
+        """What falls due until `now` (ns), in order of the times at which it is due."""
+        while (due := self._due()) and due[0] <= now:
+            yield from due[1](due[0])
+
+    def host(self, data: bytes, now: int) -> Iterator[Record]:
+        """Host bytes; each frame as if it had come by itself."""
+        self._out_of_step = None
+        at = 0
+        while at < len(data):
+            size = self._framer.missing or 1 + self._protocol.lengths[data[at]]
+            for framed in self._framer.feed(data[at : at + size], now):
+                yield from self._framed(framed)
+            yield from self.until(now)
+            at += size
+
+    def device(self, data: bytes, now: int) -> Iterator[Record]:
+        """Device bytes; each as if it had come by itself."""
+        for byte in data:
+            yield from self._answer(byte, now)
+            yield from self.until(now)
+
+    def line(self, event: Line) -> Iterator[Record]:
+        """Something that happened to a line."""
+        lost = event.event in LOSSES
+        if lost:
+            self._out_of_step = None
+            self._lost_at = event.t
+            if event.tap != "device":
+                for framed in self._framer.drop(event.t):
+                    yield self.garbage(framed, oddities.LOST)
+            for held in self._pairing.forget():
+                yield self._unsolicited(held)
+        yield LineRecord(event, lost, self._state, oddities.of_line(event, lost))
+
+    def garbage(self, framed: Framed, reason: str) -> Record:
+        """Host bytes that belong to no frame, and why."""
+        faults = oddities.of_garbage(framed.known, reason)
+        return garbage_record(framed, reason, self._state, faults)
+
+    def finish(self, now: int) -> Iterator[Record]:
+        """The recording ends at `now` (ns): a frame begun is cut short, held answers come out."""
+        for framed in self._framer.drop(now, "truncated"):
+            yield from self._framed(framed)
+        while self._pairing.held:
+            yield self._unsolicited(self._pairing.release())
+
+    def _due(self) -> _Deadline | None:
+        """The next thing that falls due; at the same time the frame's own end comes first."""
+        frame_end = self._framer.deadline
+        patience = self._pairing.patience(frame_end)
+        expiry = self._pairing.expiry
+        if frame_end is None and patience is None and expiry is None:
+            return None
+        due: list[_Deadline] = []
+        if frame_end is not None:
+            due.append((frame_end, self._cut_short))
+        if self._out_of_step is not None:
+            due.append((self._out_of_step, self._give_up_frame))
+        if patience is not None:
+            due.append((patience, self._give_up_answer))
+        if expiry is not None:
+            due.append((expiry, self._give_up_waiting))
+        return min(due, key=lambda item: item[0])
+
+    def _cut_short(self, now: int) -> Iterator[Record]:
+        for framed in self._framer.advance(now):
+            yield from self._framed(framed)
+
+    def _give_up_frame(self, now: int) -> Iterator[Record]:
+        """The device answered in mid-frame and the host said no more: not a frame of this step.
+
+        Unless the answer is the one that a frame cut short gets: then the device lost its patience
+        before we did (R-truncation-timeout).
+        """
+        self._out_of_step = None
+        held = self._pairing.held
+        expected = self._judged(self._framer.held).response.code
+        if held is not None and held.byte == expected:
+            for framed in self._framer.drop(now, "truncated"):
+                yield from self._framed(framed)
+            return
+        for framed in self._framer.drop(now):
+            yield self.garbage(framed, oddities.MID_FRAME)
+        while self._pairing.held:
+            yield self._unpaired(self._pairing.release(), oddities.OUT_OF_STEP)
+
+    def _give_up_answer(self, now: int) -> Iterator[Record]:
+        yield self._unsolicited(self._pairing.release())
+
+    def _give_up_waiting(self, now: int) -> Iterator[Record]:
+        yield FaultRecord(oddities.unanswered(self._pairing.expire(), now), self._state)
+
+    def _framed(self, framed: Framed) -> Iterator[Record]:
+        """A frame is over, whole or cut short."""
+        self._out_of_step = None
+        judgement = self._judged(framed.data)
+        sequence = self._sequence
+        self._sequence += 1
+        effect = self._protocol.on_fault
+        if judgement.valid and judgement.instruction:
+            effect = judgement.instruction.effect
+        self._motion = effect.apply(self._motion, dict(judgement.fields))
+        self._state = written_state(self._motion)
+        faults = oddities.of_frame(judgement, framed.known, sequence)
+        yield frame_record(framed, judgement, sequence, self._state, faults)
+        if self._paired:
+            for pair in self._pairing.instruction(sequence, framed.end, judgement):
+                yield from self._paired_up(pair)
+
+    def _answer(self, byte: int, now: int) -> Iterator[Record]:
+        if not self._paired:
+            yield self._unpaired(Held(now, byte), oddities.ALONE)
+            return
+        if self._pairing.idle and self._framer.missing and self._out_of_step is None:
+            answer = self._protocol.codes.get(byte)
+            ok = answer is not None and answer.outcome is Outcome.VALID
+            if ok or self._may_be_valid(self._framer.held[0]):
+                self._out_of_step = now + QUIET
+        for pair in self._pairing.answer(byte, now):
+            yield from self._paired_up(pair)
+
+    def _may_be_valid(self, header: int) -> bool:
+        """Whether a frame that begins so may be valid, and was not to be answered yet.
+
+        A device may refuse a faulty header at once and take its data in silence (R-answer-point).
+        """
+        identity, length = self._protocol.headers[header]
+        known = self._protocol.by_id.get(identity)
+        return known is not None and known.length == length
+
+    def _paired_up(self, pair: Pair) -> Iterator[Record]:
+        for passed in pair.passed:
+            yield FaultRecord(oddities.unanswered(passed, pair.held.t), self._state)
+        verdict = oddities.of_answer(self._protocol, pair, self._skew)
+        yield answer_record(self._protocol, pair.held, pair.waiting, verdict, self._state)
+
+    def _unsolicited(self, held: Held) -> Record:
+        near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
+        return self._unpaired(held, oddities.unsolicited_because(self._sequence, near_loss))
+
+    def _unpaired(self, held: Held, why: oddities.Why) -> Record:
+        verdict = oddities.of_unpaired(self._protocol, held, why)
+        return answer_record(self._protocol, held, None, verdict, self._state)

@@ -1,0 +1,79 @@
+"""The first bytes of a run, on devices that say more than they are asked."""
+
+from __future__ import annotations
+
+from conformance.api import Options, conform
+from conformance.drive import Device
+from conformance.simulator import MS, Simulator
+from conformance.verdicts import Verdict
+from spec.protocol import Protocol
+
+FEW = Options(only=("wrong-length/Stop/*",))
+
+
+class WithoutPowerSwitch:
+    """A device object with the four methods that the suite needs, and no more."""
+
+    def __init__(self, device: Simulator) -> None:
+        self.receive = device.receive
+        self.advance = device.advance
+        self.deadline = device.deadline
+        self.look = device.look
+
+
+def verdicts(device: Device, protocol: Protocol) -> dict[str, Verdict]:
+    report = conform(device, grammar=protocol, options=FEW)
+    return {result.id: result.verdict for result in report.results}
+
+
+class Introducing(Simulator):
+    """Sends a line of text when the first byte has woken it, and answers from then on."""
+
+    awake = False
+
+    def receive(self, data: bytes, now: int) -> None:
+        if self.awake:
+            super().receive(data, now)
+            return
+        self.awake = True
+        for offset, byte in enumerate(b"robot v1\r\n"):
+            self.answer(byte, now + offset * MS // 10)
+
+
+def test_a_banner_instead_of_the_first_answer_is_informational(protocol: Protocol) -> None:
+    found = verdicts(Introducing(protocol), protocol)
+
+    assert found["power-on/at-rest"] is Verdict.INFORMATIONAL
+    assert found["power-on/Speed"] is Verdict.PASS
+    assert max(found.values()) is Verdict.INFORMATIONAL
+
+
+def test_bytes_before_the_first_instruction_are_informational(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    device.answer(ord("!"), 0)
+
+    assert verdicts(device, protocol)["power-on/at-rest"] is Verdict.INFORMATIONAL
+
+
+def test_a_byte_that_comes_before_the_first_case_and_belongs_to_none_fails(
+    protocol: Protocol,
+) -> None:
+    for at in (1, 30, 150):
+        device = Simulator(protocol)
+        device.answer(0x21, at * MS)
+
+        found = verdicts(WithoutPowerSwitch(device), protocol)
+        assert Verdict.FAIL in found.values(), f"a byte at {at} ms"
+        assert found["power-on/Forward"] is Verdict.SKIPPED
+
+
+def test_a_device_that_has_been_driven_before_is_not_blamed_for_how_it_was_found(
+    protocol: Protocol,
+) -> None:
+    device = Simulator(protocol)
+    conform(device, grammar=protocol, options=FEW)
+    assert device.state != protocol.power_on
+
+    found = verdicts(device, protocol)
+    assert found["power-on/at-rest"] in (Verdict.PASS, Verdict.INFORMATIONAL)
+    assert max(found.values()) <= Verdict.INFORMATIONAL
