@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as something a select loop can wait for."""
+"""Ctrl-C, SIGTERM and a closed terminal as something a select loop can wait for."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, Self
 
 
 class Stopper:
-    """Turns SIGINT and SIGTERM into a clean stop: `fileno()` is readable from then on.
+    """Turns SIGINT, SIGTERM and SIGHUP into a clean stop: `fileno()` is readable from then on.
 
-    As a context manager it takes the two signals over (in the main thread; elsewhere it only offers
-    `stop`) and puts the old handlers back at the end. A second signal changes nothing, so that a
-    command can finish its file in peace; SIGQUIT (Ctrl-\\) still ends the process at once.
+    As a context manager it takes the three signals over (in the main thread; elsewhere it only
+    offers `stop`) and puts the old handlers back at the end. A second signal changes nothing, so
+    that a command can finish its file in peace; SIGQUIT (Ctrl-\\) still ends the process at once.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Stopper:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 # None is a handler that was not set from Python and cannot be put back from here.
                 if signal.getsignal(number) is not None:
                     self._old[number] = signal.signal(number, self._on_signal)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
@@ -9,6 +10,7 @@ from typing import Any, Protocol
 
 from analyzer.grammar_file import load_protocol
 from analyzer.line_settings import LineSettings
+from analyzer.link_errors import LinkError
 from analyzer.port import Port
 from conformance.cases import Case, all_cases
 from conformance.drive import Device, Link, Tap, VirtualLink, drive
@@ -156,19 +158,25 @@ def conform_port(
         eyes = Eyes(open=False)
     else:
         eyes = Eyes(True, probe.sparse, f"{probe_name} is asked only about a few cases")
-    return _run(
-        PortLink(port, probe, stop, tap, power),
-        select_cases(grammar, options, every_cut=False),
-        Limits(longest=_longest(grammar), grace=_GRACE, settle=2 * MS, waste=_WASTE),
-        eyes,
-        grammar=grammar,
-        options=options,
-        watcher=watcher,
-        interrupted=interrupted,
-        name=port.name,
-        about={"kind": "port", "line": str(port.settings), "probe": probe_name},
-        power=power is not None,
-    )
+    try:
+        return _run(
+            PortLink(port, probe, stop, tap, power),
+            select_cases(grammar, options, every_cut=False),
+            Limits(longest=_longest(grammar), grace=_GRACE, settle=2 * MS, waste=_WASTE),
+            eyes,
+            grammar=grammar,
+            options=options,
+            watcher=watcher,
+            interrupted=interrupted,
+            name=port.name,
+            about={"kind": "port", "line": str(port.settings), "probe": probe_name},
+            power=power is not None,
+        )
+    except BaseException:
+        # A fault of the kit itself must not leave the robot driving.
+        with contextlib.suppress(LinkError):
+            port.write(bytes([grammar.filler]) * grammar.longest_frame)
+        raise
 
 
 def _longest(grammar: Grammar) -> int:

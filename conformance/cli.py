@@ -21,6 +21,7 @@ from analyzer.recording import session_metadata
 from analyzer.serve import serve
 from analyzer.session import Session
 from analyzer.stopping import Stopper
+from captures.errors import CaptureError
 from conformance.api import (
     Options,
     conform_port,
@@ -116,10 +117,9 @@ def conform(
     _require_writable(json_path)
     job = _Job(protocol, options, record, power and power.removeprefix("exec:"))
     with ExitStack() as stack:
-        stopper = stack.enter_context(Stopper())
         if virtual:
             device = Simulator(protocol, _named_fault(protocol, fault))
-            report = job.on_simulator(stack, stopper, device, len(cases))
+            report = job.on_simulator(stack, device, len(cases))
         else:
             settings = line_settings(protocol, baud, parity, stopbits)
             port = stack.enter_context(open_port(target, settings))
@@ -131,9 +131,12 @@ def conform(
             what = f"the robot at {target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=yes)
             note(f"{len(cases)} cases, about {seconds:.0f} s")
-            report = job.on_port(stack, stopper, port, eye, probe, len(cases))
+            report = job.on_port(stack, port, eye, probe, len(cases))
     _deliver(report, json_path, verbose=verbose)
-    return report.exit
+    if job.broken is None:
+        return report.exit
+    note(f"bilprov: {job.broken}")
+    return 1 if report.exit == 1 else 2
 
 
 class _Job:
@@ -146,34 +149,39 @@ class _Job:
         self._protocol = protocol
         self._options = options
         self._record = record
+        self._tap: RunRecorder | None = None
 
-    def on_simulator(
-        self, stack: ExitStack, stopper: Stopper, device: Simulator, count: int
-    ) -> Report:
+    @property
+    def broken(self) -> CaptureError | None:
+        """Why the recording ended before the run did, None if it did not."""
+        return self._tap.broken if self._tap else None
+
+    def on_simulator(self, stack: ExitStack, device: Simulator, count: int) -> Report:
         """Run in virtual time."""
+        stopper = stack.enter_context(Stopper())
         line = line_settings(self._protocol, None, None, None)
-        tap = self._tap(stack, SIM, str(line))
+        tap = self._recorder(stack, SIM, str(line))
         return conform_device(
             device,
             grammar=self._protocol,
             options=self._options,
             watcher=stack.enter_context(Progress(count, tap)),
             tap=tap,
-            interrupted=lambda: stopper.stopped,
+            interrupted=lambda: stopper.stopped or self.broken is not None,
             fault=None if device.fault is CONFORMING else device.fault.name,
         )
 
     def on_port(
         self,
         stack: ExitStack,
-        stopper: Stopper,
         port: Port,
         probe: Probe | None,
         probe_name: str,
         count: int,
     ) -> Report:
         """Run in real time; the robot moves."""
-        tap = self._tap(stack, port.name, str(port.settings))
+        stopper = stack.enter_context(Stopper())
+        tap = self._recorder(stack, port.name, str(port.settings))
         return conform_port(
             port,
             probe,
@@ -181,13 +189,13 @@ class _Job:
             grammar=self._protocol,
             options=self._options,
             stop=stopper.fileno(),
-            interrupted=lambda: stopper.stopped,
+            interrupted=lambda: stopper.stopped or self.broken is not None,
             watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
             tap=tap,
             power=self._power,
         )
 
-    def _tap(self, stack: ExitStack, device: str, line: str) -> RunRecorder | None:
+    def _recorder(self, stack: ExitStack, device: str, line: str) -> RunRecorder | None:
         if self._record is None:
             return None
         timeout = timeout_in_ns(self._protocol, self._options.truncation_timeout)
@@ -200,7 +208,9 @@ class _Job:
             heard=("host", "device"),
         )
         session = Session(self._protocol, timeout=timeout, skew=0)
-        return stack.enter_context(RunRecorder(self._record, session, time.time_ns(), metadata))
+        recorder = RunRecorder(self._record, session, time.time_ns(), metadata)
+        self._tap = stack.enter_context(recorder)
+        return self._tap
 
 
 def _require_writable(path: str | None) -> None:

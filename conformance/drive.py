@@ -65,7 +65,7 @@ def drive(script: Script[T], link: Link, interrupted: Callable[[], bool]) -> T:
         error = None
         if interrupted() and not told:
             told = True
-            error = Ended("interrupted by the user", error=False, line_works=True)
+            error = Ended("interrupted", error=False, line_works=True)
             continue
         try:
             reply = link.do(ask)

@@ -17,11 +17,16 @@ import msgspec
 import pytest
 
 from analyzer.api import read_capture
+from analyzer.grammar_file import load_protocol
+from analyzer.ports import open_port
 from analyzer.ptys import open_pty
 from analyzer.records import DeviceRecord, HostRecord
+from analyzer.stopping import Stopper
 from captures.reader import open_capture
-from conformance.api import Options, conform
+from captures.schemas import Look
+from conformance.api import Options, conform, conform_port
 from conformance.faults import fault_bank
+from conformance.probes import TcpProbe
 from conformance.simulator import Simulator
 from spec.protocol import Protocol
 from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate
@@ -544,3 +549,57 @@ def test_a_served_fault_misbehaves() -> None:
         with socket.create_connection((host, int(port)), timeout=PATIENCE) as line:
             line.sendall(b"\x20")
             assert line.recv(1) == b"\x01"
+
+
+def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_rest(
+    tmp_path: Path,
+) -> None:
+    """A file size limit stands for a full disk; SIGXFSZ is ignored, as Python does."""
+    file = tmp_path / "run.mcap"
+    with simulate() as served:
+        result = subprocess.run(
+            [
+                *("/bin/sh", "-c", 'ulimit -f 40; exec "$@"', "sh"),
+                *(sys.executable, "-m", "bilprov", "conform", served.port, "--yes"),
+                *("--probe", served.probe, "--only", "valid/*", "--record", str(file)),
+            ],
+            cwd=ROOT,
+            capture_output=True,
+            timeout=60,
+        )
+        state = served.state()
+
+    assert result.returncode == 2, result
+    assert b"Traceback" not in result.stderr
+    assert b"run.mcap" in result.stderr
+    assert state["moving"] is False
+    assert open_capture(file).contents.counts["/host/raw"] > 0
+
+
+def test_a_fault_of_the_kit_itself_does_not_leave_the_robot_driving() -> None:
+    class Broken:
+        """A tap that fails when it is told that the robot moves."""
+
+        def sent(self, data: bytes, t: int) -> None: ...
+
+        def received(self, data: bytes, t: int) -> None: ...
+
+        def looked(self, look: Look) -> None:
+            if look.moving:
+                raise ZeroDivisionError
+
+    protocol = load_protocol()
+    options = Options(only=("unused-id/9/*",))
+    with simulate() as served, open_port(served.port) as port, Stopper() as stopper:
+        probe = TcpProbe(served.probe.removeprefix("tcp:"))
+        with pytest.raises(ZeroDivisionError):
+            conform_port(
+                *(port, probe, served.probe),
+                grammar=protocol,
+                options=options,
+                stop=stopper.fileno(),
+                interrupted=lambda: False,
+                tap=Broken(),
+            )
+        probe.close()
+        assert served.state()["moving"] is False

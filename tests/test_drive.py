@@ -181,7 +181,7 @@ def test_a_link_that_ends_is_told_to_the_script_where_it_asked() -> None:
 def test_an_interrupt_is_told_once_and_before_the_next_ask_is_done() -> None:
     link, asked = Echo(), iter([False, True, True, True])
 
-    assert drive(talk(4), link, lambda: next(asked)) == [1, "interrupted by the user", 2, 3]
+    assert drive(talk(4), link, lambda: next(asked)) == [1, "interrupted", 2, 3]
     assert len(link.asks) == 3
 
 
