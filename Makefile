@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
-SOURCES := analyzer captures conformance spec tests bilprov.py
+SOURCES := analyzer benchmarks captures conformance spec tests bilprov.py
 PYTEST_ARGS ?= -n 2
 
-.PHONY: help setup demo test check format lint types pictures clean
+.PHONY: help setup demo test check format lint types bench pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,6 +38,9 @@ lint: setup
 
 types: setup
 	$(BIN)/mypy
+
+bench: setup ## does sniffing keep up with a full line?
+	$(BIN)/python -m benchmarks.full_line
 
 pictures: setup ## draw the README's pictures anew
 	$(BIN)/python -m conformance.pictures docs
