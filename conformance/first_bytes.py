@@ -126,6 +126,15 @@ def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -
     if not run.looks_freely:
         return run.blind(_STOPPED)
     seen = yield from see()
+    start = seen.asked
+    # After the first byte only what it set is looked at: the rest is as the robot was found.
+    as_found = () if reading else ("led", "steering")
+    axis = judge_state(expected, expected, seen.look, "set", as_found)
+    while axis.verdict is Verdict.FAIL and seen.now - start < run.limits.deadline and not reading:
+        # The probe is another line: it may be behind the answer.
+        yield from listen(None, run.limits.silence)
+        seen = yield from see()
+        axis = judge_state(expected, expected, seen.look, "set", as_found)
     words = look_words(seen.look)
     if seen.look.moving is None:
         return Axis(Verdict.INCONCLUSIVE, _STOPPED, words, NOT_OBSERVABLE, reading)
@@ -135,9 +144,6 @@ def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -
     if seen.look.moving:
         reason = "moves although no instruction has set a motion"
         return Axis(Verdict.FAIL, _STOPPED, words, reason, reading)
-    # After the first byte only what it set is looked at: the rest is as the robot was found.
-    as_found = () if reading else ("led", "steering")
-    axis = judge_state(expected, expected, seen.look, "set", as_found)
     if axis.verdict is Verdict.FAIL and reading:
         # The document does not say what speed or light a robot starts with.
         return Axis(Verdict.INFORMATIONAL, axis.expected, axis.actual, axis.reason, reading)

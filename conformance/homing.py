@@ -24,7 +24,7 @@ def home(run: Run) -> Script[None]:
 
     Raises GaveUp when the device no longer answers.
     """
-    limits, due = run.limits, run.protocol.longest_frame
+    due = run.protocol.longest_frame
     patience = run.usual
     pause = (run.profile.truncation_timeout or 0) + patience
     if run.missing:
@@ -33,9 +33,7 @@ def home(run: Run) -> Script[None]:
         run.waste(run.patience)
     for _ in range(2):
         yield from send(pad(run))
-        heard = yield from run.answers(due, patience)
-        more = yield from listen(None, limits.settle)
-        got = heard.answers + more.answers
+        got = yield from _as_they_come(run, due, patience)
         if len(got) > due:
             yield from _too_many(run, got[: len(got) - due])
         if len(got) >= due:
@@ -60,6 +58,19 @@ def home(run: Run) -> Script[None]:
     after = f" after {run.open_id}" if run.open_id else ""
     run.charge((), "the device stopped answering")
     raise GaveUp(f"the device stopped answering{after}")
+
+
+def _as_they_come(run: Run, due: int, patience: int) -> Script[tuple[tuple[int, int], ...]]:
+    """Up to `due` answers and what follows at once; a slow device may take its time for each."""
+    got: tuple[tuple[int, int], ...] = ()
+    while len(got) < due:
+        heard = yield from listen(due - len(got), patience)
+        if not heard.answers:
+            run.waste(patience)
+            break
+        got += heard.answers
+    more = yield from listen(None, run.limits.settle)
+    return got + more.answers
 
 
 def _too_many(run: Run, extra: tuple[tuple[int, int], ...]) -> Script[None]:
