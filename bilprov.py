@@ -81,6 +81,7 @@ COMMANDS = {
     "replay": Row("Analyze", "analyzer.cli_replay", "replay", "Play a capture again."),
     "decode": Row("Analyze", "analyzer.cli_decode", "decode", "Decode bytes from hex or a file."),
     "info": Row("Analyze", "analyzer.cli", "info", "Tell what a capture holds."),
+    "send": Row("Analyze", "analyzer.cli_send", "send", "Send instructions or bytes to a device."),
     "ports": Row("Analyze", "analyzer.cli", "ports", "List the serial ports of this machine."),
     "conform": Row("Conform", "conformance.cli", "conform", "Run the suite against a device."),
     "simulate": Row("Conform", "conformance.cli", "simulate", "Serve the reference device."),

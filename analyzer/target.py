@@ -1,9 +1,10 @@
-"""A device that a recording is sent to: writes, reads, decodes, and always leaves it homed."""
+"""A device that bytes are sent to: writes, reads, decodes, and always leaves it homed."""
 
 from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -11,6 +12,7 @@ from analyzer.comparison import Run
 from analyzer.link_errors import LinkError
 from analyzer.pairing import MILLISECOND
 from analyzer.ports import Port, wait_readable
+from analyzer.records import Record
 from analyzer.session import Session
 from analyzer.stopping import Stopper
 from captures.schemas import Chunk
@@ -23,11 +25,19 @@ class Target:
     """One device on an open port; a context manager that homes it on every way out.
 
     `timeout` (ns) is how long a frame may pause as it is sent here. `run` is what was sent and
-    answered so far.
+    answered so far; `shown` is told each record as well.
     """
 
-    def __init__(self, protocol: Protocol, port: Port, timeout: int, stopper: Stopper) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        port: Port,
+        timeout: int,
+        stopper: Stopper,
+        shown: Callable[[Record], object] = lambda record: None,
+    ) -> None:
         self.run = Run()
+        self._shown = shown
         self._protocol = protocol
         self._port = port
         self._stopper = stopper
@@ -49,7 +59,7 @@ class Target:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
         for record in self._session.feed(Chunk(self._now(), "host", data)):
-            self.run.record(record)
+            self._record(record)
         self._port.write(data)
 
     def pump(self, seconds: float) -> None:
@@ -59,7 +69,7 @@ class Target:
         data = self._port.read()
         records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
         for record in [*records, *self._session.advance(now)]:
-            self.run.record(record)
+            self._record(record)
 
     def wait(self, seconds: float) -> None:
         """Let time pass (s), reading meanwhile; Ctrl-C ends it. Raises LinkError."""
@@ -77,7 +87,11 @@ class Target:
         self.settle()
         self.pump(self._protocol.timing.answer_deadline / 1000)  # an answer too many
         for record in self._session.finish():
-            self.run.record(record)
+            self._record(record)
+
+    def _record(self, record: Record) -> None:
+        self.run.record(record)
+        self._shown(record)
 
     def __enter__(self) -> Self:
         return self
