@@ -27,9 +27,13 @@ if TYPE_CHECKING:
     from analyzer.grammar_file import load_protocol as load_protocol
     from analyzer.live import sniff as sniff
     from captures.reader import open_capture as open_capture
+    from captures.schemas import Look as Look
+    from conformance.api import Options as Options
     from conformance.api import conform as conform
 
 __all__ = [
+    "Look",
+    "Options",
     "conform",
     "decode",
     "encode",
@@ -44,6 +48,8 @@ __all__ = [
 
 # What the import hands on: name -> (module, attribute).
 API = {
+    "Look": ("captures.schemas", "Look"),
+    "Options": ("conformance.api", "Options"),
     "conform": ("conformance.api", "conform"),
     "decode": ("analyzer.api", "decode"),
     "encode": ("analyzer.api", "encode"),

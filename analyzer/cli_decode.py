@@ -89,8 +89,8 @@ def _input(
     try:
         data = bytes_from_hex(" ".join(words))
     except ValueError as error:
-        files = " and no such file" if len(words) == 1 else ""
-        raise click.ClickException(f"{error}{files}") from None
+        files = "there is no such file, and " if len(words) == 1 else ""
+        raise click.ClickException(f"{files}{error}") from None
     return session, iter([Chunk(0, sender, data)])
 
 

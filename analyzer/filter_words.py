@@ -18,12 +18,12 @@ class _Missing:
 MISSING = _Missing()
 
 HELP = """\
-Show only the lines for which EXPR holds, like "faulty or latency > 0.05" or "name == Speed and
-speed > 100". It knows and, or, not, ==, !=, <, <=, >, >=, in, parentheses, numbers (0x1f too) and
-'text'; the keys of the JSON lines (direction, kind, name, hex, judgement, reason, latency, t,
-sequence, answers, agrees, faults), state.motion, state.speed and so on, faulty, and every field of
-an instruction by its name. Names of instructions, responses, kinds and motions need no quotes. A
-comparison with something that a line does not have is false."""
+Show only the lines for which EXPR holds, like "faulty or latency > 0.05" or "direction == host
+and state.speed > 100". It knows and, or, not, ==, !=, <, <=, >, >=, in, parentheses, numbers
+(0x1f too) and 'text'; the keys of the JSON lines (direction, kind, name, hex, judgement, reason,
+latency, t, sequence, answers, agrees, faults), state.motion, state.speed and so on, faulty, and
+every field of an instruction by its name. Names of instructions, responses, kinds and motions
+need no quotes. A comparison with something that a line does not have is false."""
 
 
 class Name(NamedTuple):

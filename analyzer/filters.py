@@ -181,6 +181,5 @@ class _Compiler:
 
 def _example(kind: str) -> str:
     """How a value of that kind is made a condition."""
-    return {"number": "latency > 0.01", "text": "name == 'LED'"}.get(
-        kind, "name in ('LED', 'Stop')"
-    )
+    examples = {"number": "latency > 0.01", "text": "direction == 'host'"}
+    return examples.get(kind, "kind in ('garbage', 'gap')")

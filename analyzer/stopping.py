@@ -23,6 +23,7 @@ class Stopper:
         self._writer.setblocking(False)
         self._stopped = False
         self._old: dict[signal.Signals, Any] = {}
+        self._old_wakeup: int | None = None
 
     @property
     def stopped(self) -> bool:
@@ -42,6 +43,12 @@ class Stopper:
 
     def close(self) -> None:
         """Put the old handlers back and close; more than once is as good as once."""
+        if self._old_wakeup is not None:
+            try:
+                signal.set_wakeup_fd(self._old_wakeup)
+            except OSError:  # the one before us closed before us
+                signal.set_wakeup_fd(-1)
+            self._old_wakeup = None
         while self._old:
             number, handler = self._old.popitem()
             signal.signal(number, handler)
@@ -54,6 +61,11 @@ class Stopper:
                 # None is a handler that was not set from Python and cannot be put back from here.
                 if signal.getsignal(number) is not None:
                     self._old[number] = signal.signal(number, self._on_signal)
+            # A signal between the interpreter's own check and the select call would be heard only
+            # at the next event: its number is written below Python, and ends the select.
+            self._old_wakeup = signal.set_wakeup_fd(
+                self._writer.fileno(), warn_on_full_buffer=False
+            )
         return self
 
     def __exit__(

@@ -27,7 +27,6 @@ LAST_KNOWN: Final = 0x0F
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-CHUNK_HEAD: Final = struct.Struct("<QQQI")  # start, end, unpacked size, CRC of the unpacked bytes
 FOOTER_BYTES: Final = 20
 DATA_END_BYTES: Final = 4
 

@@ -67,7 +67,6 @@ TOPICS: tuple[Topic, ...] = (
     Topic("/conformance/looks", 9, JSON_ENCODING, "bilprov.Look", Look),
 )
 
-BY_CHANNEL = {topic.channel: topic for topic in TOPICS}
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 
 

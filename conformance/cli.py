@@ -133,10 +133,7 @@ def conform(
             note(f"{len(cases)} cases, about {seconds:.0f} s")
             report = job.on_port(stack, port, eye, probe, len(cases))
     _deliver(report, json_path, verbose=verbose)
-    if job.broken is None:
-        return report.exit
-    note(f"bilprov: {job.broken}")
-    return 1 if report.exit == 1 else 2
+    return report.exit
 
 
 class _Job:
@@ -167,7 +164,7 @@ class _Job:
             options=self._options,
             watcher=stack.enter_context(Progress(count, tap)),
             tap=tap,
-            interrupted=lambda: stopper.stopped or self.broken is not None,
+            interrupted=lambda: stopper.stopped or str(self.broken or ""),
             fault=None if device.fault is CONFORMING else device.fault.name,
         )
 
@@ -189,7 +186,7 @@ class _Job:
             grammar=self._protocol,
             options=self._options,
             stop=stopper.fileno(),
-            interrupted=lambda: stopper.stopped or self.broken is not None,
+            interrupted=lambda: stopper.stopped or str(self.broken or ""),
             watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
             tap=tap,
             power=self._power,

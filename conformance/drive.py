@@ -12,6 +12,10 @@ from conformance.run import Ended
 T = TypeVar("T")
 
 
+HELD = 1 << 16
+"""Answers kept between two asks: a device that floods must not fill the memory."""
+
+
 class Device(Protocol):
     """A device under test without I/O: bytes and times (ns) in, answers and looks out."""
 
@@ -48,11 +52,11 @@ class Link(Protocol):
         """Do one ask. Raises conformance.run.Ended when it cannot."""
 
 
-def drive(script: Script[T], link: Link, interrupted: Callable[[], bool]) -> T:
+def drive(script: Script[T], link: Link, interrupted: Callable[[], bool | str]) -> T:
     """Run a script over a link to its end and return what it returns.
 
     `interrupted` is asked before each ask; the first time that it says so the script is told, and
-    then only homes the robot.
+    then only homes the robot. True is the user's wish, a sentence says what of the kit failed.
     """
     reply: Any = None
     error: BaseException | None = None
@@ -63,9 +67,10 @@ def drive(script: Script[T], link: Link, interrupted: Callable[[], bool]) -> T:
         except StopIteration as end:
             return end.value  # type: ignore[no-any-return]  # what the generator's type says
         error = None
-        if interrupted() and not told:
+        if not told and (why := interrupted()):
             told = True
-            error = Ended("interrupted", error=False, line_works=True)
+            failed = isinstance(why, str)
+            error = Ended(str(why) if failed else "interrupted", error=failed, line_works=True)
             continue
         try:
             reply = link.do(ask)
@@ -106,7 +111,7 @@ class VirtualLink:
                     if due is not None and due <= self._now and self._device.deadline() == due:
                         raise RuntimeError("the device's deadline does not advance")
                 heard, self._heard = tuple(self._heard), []
-                return Heard(heard, self._now)
+                return Heard(heard[:HELD], self._now)
             case PowerCycle():
                 power = getattr(self._device, "power_cycle")  # noqa: B009  # not every device has
                 power(self._now)

@@ -13,6 +13,9 @@ from conformance.setup import frames_to
 from conformance.verdicts import Axis, Verdict
 from spec.motion import Motion, State
 
+# So many times more answers than were due, so often, and the rest of a run would show no more.
+_FLOOD, _FLOODS = 4, 3
+
 
 def pad(run: Run) -> bytes:
     """What homes a line: the only byte that is harmless as header and as data, often enough."""
@@ -79,6 +82,10 @@ def _too_many(run: Run, extra: tuple[tuple[int, int], ...]) -> Script[None]:
     flood = yield from listen(None, run.limits.silence)
     if len(flood.answers) > len(extra):
         run.charge(flood.answers[:8], "the device sends without being asked")
+    if len(extra) + len(flood.answers) > _FLOOD * run.protocol.longest_frame:
+        run.floods += 1
+        if run.floods >= _FLOODS:
+            raise GaveUp("the device sends without end and without being asked")
 
 
 def leave(run: Run) -> Script[Ended | None]:

@@ -11,13 +11,12 @@ from analyzer.link_errors import LinkError
 from analyzer.port import Port
 from analyzer.ports import wait_readable
 from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.drive import Tap
+from conformance.drive import HELD, Tap
 from conformance.probes import Probe, ProbeError
 from conformance.run import Ended
 
 _POWER = 60  # s that a power switch may take
 _NOTHING = subprocess.DEVNULL
-_HELD = 1 << 16  # answers kept between two asks: a device that floods must not fill the memory
 
 
 class PortLink:
@@ -134,5 +133,5 @@ class PortLink:
             now = self.now()
             if self._tap:
                 self._tap.received(data, now)
-            room = _HELD - len(self._heard)
+            room = HELD - len(self._heard)
             self._heard += [(now, byte) for byte in data[:room]]

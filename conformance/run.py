@@ -85,8 +85,9 @@ class Profile:
     def measured(self, heard: Heard, sent: int) -> None:
         """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
         for t, _ in heard.answers[:1]:
-            self.latencies.append(t - sent)
-            self.slowest = max(self.slowest, t - sent)
+            if t >= sent:  # else it came by itself
+                self.latencies.append(t - sent)
+                self.slowest = max(self.slowest, t - sent)
 
 
 _NEVER = 5  # answers that never came, until a missing one is no longer waited for so long
@@ -131,6 +132,7 @@ class Run:
         self.missing = False
         self._never_came = 0
         self._stray = False
+        self.floods = 0
         self._nudges = 0
 
     # -- the case that is open --------------------------------------------------------------------

@@ -139,12 +139,12 @@ class AnsweringAtTheHeader(Simulator):
 
 
 class OneAtATime(Simulator):
-    """Takes 25 ms for each instruction, and does not begin the next before it has answered."""
+    """Takes 60 ms for each instruction, and does not begin the next before it has answered."""
 
     busy = 0
 
     def answer(self, code: int, at: int) -> None:
-        self.busy = max(at, self.busy) + 25 * MS
+        self.busy = max(at, self.busy) + 60 * MS
         super().answer(code, self.busy)
 
 
@@ -200,7 +200,7 @@ VARIANTS: dict[str, tuple[Callable[[Protocol], Simulator], Verdict]] = {
     "R-answer-deadline: 60 ms": (lambda p: Simulator(p, latency=60 * MS), PASS),
     "R-answer-deadline: 150 ms": (lambda p: Simulator(p, latency=150 * MS), NON_STRICT),
     "R-answer-deadline: 150 ms after faults": (reacting(faults_only(late(150))), NON_STRICT),
-    "R-answer-deadline: 25 ms each, one at a time": (OneAtATime, PASS),
+    "R-answer-deadline: 60 ms each, one at a time": (OneAtATime, PASS),
     "R-stop-latency: 50 ms": (reacting(faults_only(stops_after(50))), NON_STRICT),
     "R-answer-point: at the header": (AnsweringAtTheHeader, NON_STRICT),
     "R-drain-known: flushed until idle": (Flushing, NON_STRICT),

@@ -106,26 +106,29 @@ def setting_faults(protocol: Protocol) -> Iterator[Fault]:
                 ),
             ),
         )
-    yield Fault(
-        "fault-changes-speed",
-        family,
-        "a fault halves the speed that was set",
-        WATCHED_FAULTS,
-        react=faults_only(
-            lambda d, e, r: replace(r, state=replace(r.state, speed=r.state.speed // 2))
-        ),
-    )
-    yield Fault(
-        "fault-changes-led",
-        family,
-        "a fault inverts the LED",
-        WATCHED_FAULTS,
-        react=faults_only(
-            lambda d, e, r: replace(
-                r, state=replace(r.state, led=protocol.limits.get("led", (0, 0))[1] - r.state.led)
-            )
-        ),
-    )
+    if setters["speed"]:
+        yield Fault(
+            "fault-changes-speed",
+            family,
+            "a fault halves the speed that was set",
+            WATCHED_FAULTS,
+            react=faults_only(
+                lambda d, e, r: replace(r, state=replace(r.state, speed=r.state.speed // 2))
+            ),
+        )
+    if setters["led"]:
+        yield Fault(
+            "fault-changes-led",
+            family,
+            "a fault inverts the LED",
+            WATCHED_FAULTS,
+            react=faults_only(
+                lambda d, e, r: replace(
+                    r,
+                    state=replace(r.state, led=protocol.limits["led"][1] - r.state.led),
+                )
+            ),
+        )
 
 
 def _reversed_bits(width: int) -> React:
