@@ -212,6 +212,11 @@ class Run:
             self.end(case, {"answer": axis}, came, came[0][0] if came else 0)
 
     @property
+    def in_step(self) -> bool:
+        """Whether the open case got the answers that were due: the line is between two frames."""
+        return self._open is not None and self.axes["answer"].verdict < Verdict.INCONCLUSIVE
+
+    @property
     def open_id(self) -> str:
         """The open case's id, "" between cases."""
         return self._open.case.id if self._open else ""

@@ -27,7 +27,7 @@ def measure_timeout(run: Run) -> Script[None]:
     sent = yield from send(case.stimulus)
     heard, stopped = yield from _wait(run, sent, watched)
     run.profile.truncation_answered = bool(heard.answers)
-    moment = heard.answers[0][0] if heard.answers else stopped
+    moment = next((t for t, _ in heard.answers if t >= sent), stopped)
     # The answer is due when the time-out is over, which only a stop shows.
     axes = {
         "answer": judge_answers(

@@ -77,3 +77,17 @@ def test_a_device_that_has_been_driven_before_is_not_blamed_for_how_it_was_found
     found = verdicts(device, protocol)
     assert found["power-on/at-rest"] in (Verdict.PASS, Verdict.INFORMATIONAL)
     assert max(found.values()) <= Verdict.INFORMATIONAL
+
+
+def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protocol) -> None:
+    class Endless(Simulator):
+        def advance(self, now: int) -> bytes:
+            return super().advance(now) + bytes(1000)
+
+    report = conform(Endless(protocol), grammar=protocol)
+
+    assert report.exit == 1
+    assert report.counts["fail"] < 20
+    assert {"inconclusive", "fail"} == {
+        name for name, count in report.counts.items() if count and name not in ("pass", "skipped")
+    }
