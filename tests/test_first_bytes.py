@@ -87,7 +87,5 @@ def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protoco
     report = conform(Endless(protocol), grammar=protocol)
 
     assert report.exit == 1
-    assert report.counts["fail"] < 20
-    assert {"inconclusive", "fail"} == {
-        name for name, count in report.counts.items() if count and name not in ("pass", "skipped")
-    }
+    assert 0 < report.counts["fail"] < 20
+    assert report.counts["inconclusive"] > 3000
