@@ -136,7 +136,7 @@ class TcpProbe:
         try:
             self._socket.sendall(b"state\n")
         except OSError as error:
-            raise ProbeError(f"the probe at {self._name} hung up ({error.strerror})") from error
+            raise self._hung_up(f" ({error.strerror})") from error
 
     def fileno(self) -> int:
         """The connection."""
@@ -149,9 +149,9 @@ class TcpProbe:
         except BlockingIOError:
             return None
         except OSError as error:
-            raise ProbeError(f"the probe at {self._name} hung up ({error.strerror})") from error
+            raise self._hung_up(f" ({error.strerror})") from error
         if not data:
-            raise ProbeError(f"the probe at {self._name} hung up")
+            raise self._hung_up()
         line, newline, self._held = (self._held + data).partition(b"\n")
         if not newline:
             self._held = line
@@ -159,6 +159,12 @@ class TcpProbe:
                 raise ProbeError(f"the probe at {self._name} sends no end of line")
             return None
         return parse_look(line, now)
+
+    def _hung_up(self, why: str = "") -> ProbeError:
+        return ProbeError(
+            f"the probe at {self._name} hung up{why}: see that its program runs on and keeps the "
+            "connection for the whole run, then try again"
+        )
 
     def close(self) -> None:
         """Hang up."""
