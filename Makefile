@@ -6,7 +6,7 @@ STAMP := $(VENV)/.ready
 SOURCES := analyzer benchmarks captures conformance spec tests bilprov.py
 PYTEST_ARGS ?= -n 2
 
-.PHONY: help setup demo test check format lint types bench pictures clean
+.PHONY: help setup demo test check format lint types bench noise pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,6 +38,9 @@ lint: setup
 
 types: setup
 	$(BIN)/mypy
+
+noise: setup ## no false fail and no wrong pass over a noisy line, 100 seeded runs
+	$(BIN)/python -m benchmarks.noise
 
 bench: setup ## does sniffing keep up with a full line?
 	$(BIN)/python -m benchmarks.full_line

@@ -90,7 +90,15 @@ COMMANDS = {
     "send": Row("Analyze", "analyzer.cli_send", "send", "Send instructions or bytes to a device."),
     "ports": Row("Analyze", "analyzer.cli", "ports", "List the serial ports of this machine."),
     "conform": Row("Conform", "conformance.cli", "conform", "Run the suite against a device."),
-    "simulate": Row("Conform", "conformance.cli", "simulate", "Serve the reference device."),
+    "report": Row("Conform", "conformance.cli_report", "report", "Compare and show past runs."),
+    "simulate": Row(
+        "Conform", "conformance.cli_simulate", "simulate", "Serve the reference device."
+    ),
+    "score": Row(
+        "Conform", "conformance.cli_score", "command", "Score the suite against faulty devices."
+    ),
+    "recheck": Row("Conform", "conformance.cli_recheck", "recheck", "Judge a recorded run again."),
+    "merge": Row("Conform", "conformance.cli_merge", "merge_reports", "Put shards together."),
     "explain": Row("Protocol", "analyzer.cli", "explain", "Explain every bit of some bytes."),
     "encode": Row("Protocol", "analyzer.cli", "encode", "Build the bytes of an instruction."),
     "spec": Row("Protocol", "analyzer.cli_spec", "spec", "Show protocol, readings and errata."),

@@ -61,6 +61,8 @@ def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
     name = shown(capture.path)
     if capture.unfinished:
         yield f"{name} was never finished: all that is whole is shown"
+    if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):
+        yield f"{name} holds no traffic: not a byte of host or device is in it"
     if capture.damage:
         first = shown(capture.damage[0])
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""

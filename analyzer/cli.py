@@ -75,7 +75,7 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
     Values are decimal, 0x hex or 0b binary; without FIELD= they are taken in order. See the
     instructions and their fields with: bilprov spec show
 
-    Example, with the built-in grammar: bilprov encode LED rgb=5
+    INSTRUCTION is a name of the grammar's, FIELD one of its fields.
     """
     from analyzer.grammar_file import load_protocol
     from analyzer.instruction_text import encoded

@@ -9,13 +9,20 @@ from dataclasses import dataclass
 
 import rich_click as click
 
-from analyzer.capture_session import capture_line, capture_session, capture_timeout, said_about
+from analyzer.capture_session import (
+    capture_line,
+    capture_session,
+    capture_timeout,
+    heard,
+    said_about,
+)
 from analyzer.comparison import Run, differences
 from analyzer.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
 from analyzer.options import (
     compiled,
     filter_option,
+    judge_option,
     line_options,
     line_settings,
     note,
@@ -24,17 +31,20 @@ from analyzer.options import (
 )
 from analyzer.outputs import Format, Output, Shown, chosen_format
 from analyzer.pairing import MILLISECOND
+from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.playing import interruptible, played
 from analyzer.ports import open_port
 from analyzer.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
+from analyzer.session import BOTH
+from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
 from analyzer.stopping import Stopper
 from analyzer.target import Target, scaled_timeout
 from captures.errors import shown
 from captures.player import paced
 from captures.reader import Capture, open_capture
-from captures.schemas import Chunk
+from captures.schemas import Chunk, Look
 from captures.topics import HOST_RAW
 from spec.protocol import Protocol
 
@@ -63,6 +73,7 @@ from spec.protocol import Protocol
     metavar="PORT",
     help="Also send the host's bytes to a device there and compare its answers.",
 )
+@judge_option
 @click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
 @line_options
 @timeout_option
@@ -76,6 +87,7 @@ def replay(
     expression: str | None,
     style: Format | None,
     port: str | None,
+    judged: bool,
     yes: bool,
     baud: int | None,
     parity: str | None,
@@ -88,7 +100,13 @@ def replay(
     bytes between --start and --end go to a device too, with their recorded timing (at --rate 0 each
     frame when the one before is answered), and every answer that differs from the recorded one is
     reported: exit code 1 if there is any, 3 if the recording holds no answers.
+
+    With --judge the recorded device is judged: a table at the end (with --format jsonl a last
+    object of kind judgement) tells which parts of the document the traffic covered and what
+    contradicts it; exit code 1 if anything does.
     """
+    if judged and port is not None:
+        raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
@@ -116,11 +134,17 @@ def replay(
         title = f"replay of {shown(capture.path.name)}"
         output = opened_output(chosen_format(style), protocol, statistics, title)
         stack.callback(output.close)
-        pipeline = Pipeline(session, statistics, output, Shown(output, test), wanted=window.holds)
-        if target is None:
-            _show(capture, pipeline, rate, window, stopper)
-            return 0
-        return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
+        judge = None
+        if judged:
+            attached = capture.metadata.get("attached") != "no"
+            judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
+        pipeline = Pipeline(
+            session, statistics, output, Shown(output, test), wanted=window.holds, judge=judge
+        )
+        if target is not None:
+            return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
+        _show(capture, pipeline, rate, window, stopper, judge)
+    return tell_findings(judge.finish(), chosen_format(style)) if judge else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,17 +175,26 @@ class _Window:
 
 
 def _show(
-    capture: Capture, pipeline: Pipeline, rate: float, window: _Window, stopper: Stopper
+    capture: Capture,
+    pipeline: Pipeline,
+    rate: float,
+    window: _Window,
+    stopper: Stopper,
+    judge: PassiveJudge | None,
 ) -> None:
     now = 0
     # Until the next event time goes on as it did when it was recorded.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
-    for event in played(capture.events(), rate, sleep=sleep, start=window.first, end=window.after):
+    events = capture.sights() if judge else capture.events()
+    for event in played(events, rate, sleep=sleep, start=window.first, end=window.after):
         if stopper.stopped:
             return
         now = event.t
-        pipeline.event(event)
+        if not isinstance(event, Look):
+            pipeline.event(event)
         pipeline.advance(now)
+        if judge and isinstance(event, Look) and window.has(event.t):
+            judge.look(event)
     pipeline.finish()
 
 

@@ -13,6 +13,7 @@ from analyzer.link_errors import LinkError
 from analyzer.options import (
     compiled,
     filter_option,
+    judge_option,
     line_options,
     line_settings,
     note,
@@ -21,10 +22,12 @@ from analyzer.options import (
     timeout_option,
 )
 from analyzer.outputs import Format, Shown, chosen_format
+from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.ports import open_port
 from analyzer.recording import Recorder, session_metadata
 from analyzer.session import BOTH, SKEW, Session
+from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
 from analyzer.stopping import Stopper
 from analyzer.taps import Bridge, Taps, require_two_lines
@@ -47,6 +50,7 @@ LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 )
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after S seconds.")
+@judge_option
 @line_options
 @timeout_option
 @click.option("--yes", is_flag=True, help="Taken for the sake of scripts: nothing is asked here.")
@@ -61,17 +65,22 @@ def sniff(
     style: Format | None,
     count: int | None,
     duration: float | None,
+    judged: bool,
     baud: int | None,
     parity: str | None,
     stopbits: str | None,
     truncation_timeout: float | None,
     yes: bool,
-) -> None:
+) -> int:
     """Listen to a line, decode and log it.
 
     HOST carries what the host sends, DEVICE what the device answers. Nothing is ever written to
     them. With --bridge PORT the host program opens the pty whose name is printed (on standard
     error) and every byte is passed on.
+
+    With --judge a table at the end (with --format jsonl a last object of kind judgement) tells
+    which parts of the document the traffic covered and what contradicts it; exit code 1 if
+    anything does.
     """
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
@@ -97,6 +106,9 @@ def sniff(
             )
             recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
         statistics = Statistics(protocol, settings.byte_time)
+        judge = None
+        if judged:
+            judge = PassiveJudge(protocol, paired=heard >= BOTH, attached=attached)
         if bridge:
             note(ports["pty"])
         title = " ".join(f"{part} {name}" for part, name in ports.items())
@@ -110,15 +122,18 @@ def sniff(
             output,
             Shown(output, test, count),
             recorder,
+            judge=judge,
         )
         pipeline.event(Line(0, "open", "", title))
         lost = _listen(source, pipeline, stopper, duration)
         pipeline.event(Line(source.now(), "close"))
         pipeline.finish()
     _tell(statistics, recorder, live=chosen_format(style) == "live")
+    code = tell_findings(judge.finish(), chosen_format(style)) if judge else 0
     if lost:
         kept = f"; what was captured is kept in {path}" if path else ""
         raise LinkError(lost + kept)
+    return code
 
 
 def _source(

@@ -13,16 +13,18 @@ class NotConfirmed(click.ClickException):
     exit_code = 2
 
 
-def confirm_motion(what: str, *, yes: bool) -> None:
+def confirm_motion(what: str, *, yes: bool, option: str = "--yes") -> None:
     """Return if the device may be moved.
 
     `what` says what will move, like `the device at /dev/ttyUSB0 will drive as recorded`; `yes` is
-    the command's `--yes`. Raises NotConfirmed where the answer is no, and where there is no
-    terminal to ask on.
+    the command's `--yes`, or what `option` calls it. Raises NotConfirmed where the answer is no,
+    and where there is no terminal to ask on.
     """
     if yes:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise NotConfirmed(f"{what}: there is no terminal to ask on, so say --yes if it may move")
+        raise NotConfirmed(
+            f"{what}: there is no terminal to ask on, so say {option} if it may move"
+        )
     if not click.confirm(f"{what}. Is there room, and may it move?", err=True):
         raise NotConfirmed("nothing was sent: the device may not move")

@@ -19,6 +19,8 @@ SENTENCES = (
     ("analyzer.filters", "FilterError"),
     ("captures.errors", "CaptureError"),
     ("conformance.probes", "ProbeError"),
+    ("conformance.expected", "ExpectedError"),
+    ("conformance.parts", "MergeError"),
 )
 
 

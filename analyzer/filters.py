@@ -10,6 +10,7 @@ import ast
 import operator
 import warnings
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from analyzer.filter_words import HELP, MISSING, Name, names, words
@@ -167,11 +168,9 @@ class _Compiler:
             return name.kind, name.get
         if dotted in self._words:
             return "text", lambda line: dotted
-        return self._refuse(
-            node,
-            f"is no name here; names are {', '.join(self._names)}; "
-            f"words that need no quotes are {', '.join(self._words)}",
-        )
+        near = get_close_matches(dotted, [*self._names, *self._words], n=3)
+        meant = f", did you mean {' or '.join(near)}?" if near else ";"
+        return self._refuse(node, f"is no name here{meant} --help says which there are")
 
     def _refuse(self, node: ast.expr, why: str) -> NoReturn:
         part = ast.get_source_segment(self._source, node) or ""

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 class LineSettings:
     """How a serial line is set: `baud` in bits/s, `parity` one of N E O M S, `stopbits` 1 1.5 2.
 
-    Raises ValueError, in one sentence, for anything else. Always 8 data bits.
+    Raises ValueError, in one sentence, for anything else. Always 8 data bits. What
+    a line is where nobody says it is the grammar's to tell (`Protocol.line`).
     """
 
-    baud: int = 115200
-    parity: str = "N"
-    stopbits: float = 1
+    baud: int
+    parity: str
+    stopbits: float
 
     def __post_init__(self) -> None:
         if self.baud < 1:

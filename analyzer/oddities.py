@@ -12,8 +12,8 @@ from analyzer.pairing import MILLISECOND, Held, Pair, Waiting
 from analyzer.records import Fault, Severity
 from captures.errors import shown
 from captures.schemas import Line
+from spec.answers import other_choices
 from spec.codec import Judgement, spaced
-from spec.fields import Outcome
 from spec.protocol import Protocol
 
 MID_FRAME = "out of step: the device answered in mid-frame"
@@ -138,14 +138,15 @@ def _unused_code(protocol: Protocol, byte: int) -> Why:
 
 
 def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Why:
-    """The device's word against the grammar's; two ways to say "faulty" are a matter of reading."""
+    """The device's word against the grammar's; some readings allow another word for a fault."""
     judgement, said = waiting.judgement, protocol.codes[held.byte]
     because = f": {judgement.reason}" if judgement.reason else ", it is valid"
-    reading = f" ({judgement.reading})" if judgement.reading else ""
-    both_faulty = not judgement.valid and said.outcome is not Outcome.VALID
+    choices = {choice.code: choice.reading for choice in other_choices(protocol, judgement)}
+    rests_on = choices.get(held.byte) or judgement.reading
+    reading = f" ({rests_on})" if rests_on else ""
     return Why(
         "disagreeing",
-        Severity.WARNING if both_faulty and reading else Severity.ERROR,
+        Severity.WARNING if held.byte in choices else Severity.ERROR,
         f"the device says {said.name} to {judgement.describe()}, expected is "
         f"{judgement.response.name}{because}{reading}",
     )

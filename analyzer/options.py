@@ -22,13 +22,15 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 def line_options(command: Command) -> Command:
     """How the line is set: `baud`, `parity`, `stopbits`, None where the grammar's default holds."""
     options = (
-        click.option("--baud", type=click.IntRange(1), help="Bits/s; 115200 unless given."),
+        click.option("--baud", type=click.IntRange(1), help="Bits/s; the grammar's unless given."),
         click.option(
             "--parity",
             type=click.Choice(list("NEOMS"), case_sensitive=False),
-            help="None, even, odd, mark or space; N unless given.",
+            help="None, even, odd, mark or space; the grammar's unless given.",
         ),
-        click.option("--stopbits", type=click.Choice(["1", "1.5", "2"]), help="1 unless given."),
+        click.option(
+            "--stopbits", type=click.Choice(["1", "1.5", "2"]), help="The grammar's unless given."
+        ),
     )
     for option in reversed(options):
         command = option(command)
@@ -58,7 +60,17 @@ def timeout_option(command: Command) -> Command:
         "--truncation-timeout",
         metavar="MS",
         type=click.FloatRange(0, min_open=True, max=60_000),
-        help="Longest pause inside a frame, in milliseconds; 50 unless given.",
+        help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
+    )(command)
+
+
+def judge_option(command: Command) -> Command:
+    """`--judge`, as `judged`."""
+    return click.option(
+        "--judge",
+        "judged",
+        is_flag=True,
+        help="Judge the device by what passes: at the end what was covered, and violations.",
     )(command)
 
 

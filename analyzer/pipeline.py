@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from analyzer.outputs import Output, Shown
+from analyzer.passive_judge import PassiveJudge
 from analyzer.recording import Recorder
 from analyzer.records import Record
 from analyzer.session import Session
@@ -16,7 +17,7 @@ class Pipeline:
     """Joins a session to what is done with its records.
 
     The raw bytes reach the capture before anything is made of them. `wanted` decides which records
-    may be shown at all (a replay's window), None for all.
+    may be shown and judged at all (a replay's window), None for all.
     """
 
     def __init__(
@@ -27,6 +28,7 @@ class Pipeline:
         shown: Shown,
         recorder: Recorder | None = None,
         wanted: Callable[[Record], bool] | None = None,
+        judge: PassiveJudge | None = None,
     ) -> None:
         self._session = session
         self._statistics = statistics
@@ -34,6 +36,7 @@ class Pipeline:
         self._shown = shown
         self._recorder = recorder
         self._wanted = wanted
+        self._judge = judge
 
     @property
     def full(self) -> bool:
@@ -50,6 +53,8 @@ class Pipeline:
         if self._recorder:
             self._recorder.event(event)
         self._statistics.event(event)
+        if self._judge:
+            self._judge.event(event)
         return self._records(self._session.feed(event))
 
     def advance(self, now: int) -> list[Record]:
@@ -69,6 +74,9 @@ class Pipeline:
         for record in listed:
             if self._recorder:
                 self._recorder.record(record)
-            shown = (self._wanted is None or self._wanted(record)) and self._shown.show(record)
+            wanted = self._wanted is None or self._wanted(record)
+            if wanted and self._judge:
+                self._judge.record(record)
+            shown = wanted and self._shown.show(record)
             self._statistics.record(record, shown=shown)
         return listed

@@ -9,9 +9,9 @@ from itertools import chain
 
 from analyzer.stopping import Stopper
 from captures.player import paced
-from captures.schemas import Chunk, Line
+from captures.schemas import Chunk, Line, Look
 
-Event = Chunk | Line
+Event = Chunk | Line | Look
 
 AFTERMATH = 3_000_000_000
 """Ns after a window's end in which what began inside it may still be decided."""

@@ -40,9 +40,9 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
 
     Raw mode, 8 bits, no flow control, non-blocking; a path is locked against other programs that
     ask for the lock (advisory). DTR and RTS are raised, as pyserial does: an Arduino resets.
-    `settings` are 115200 8N1 unless given; `socket://` has none. Raises LinkError.
+    `settings` are the built-in grammar's unless given; `socket://` has none. Raises LinkError.
     """
-    settings = settings or LineSettings()
+    settings = settings or _usual_settings()
     _require_address(name)
     try:
         with warnings.catch_warnings():
@@ -74,6 +74,13 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
         port.close()
         raise opening_failed(name, error, str(settings), _paths_here()) from error
     return port
+
+
+def _usual_settings() -> LineSettings:
+    from analyzer.grammar_file import load_protocol
+
+    line = load_protocol().line
+    return LineSettings(line.baud, line.parity, line.stopbits)
 
 
 def wait_readable(

@@ -10,7 +10,7 @@ from typing import Self
 from analyzer.pairing import MILLISECOND
 from analyzer.records import DeviceRecord, Fault, HostRecord, Record, faults_of
 from analyzer.version import kit_version
-from captures.schemas import CaseMark, Chunk, Direction, Line, Log, Look, State, Time
+from captures.schemas import Asked, CaseMark, Chunk, Direction, Line, Log, Look, State, Time
 from captures.writer import CaptureWriter
 from spec.protocol import Protocol
 
@@ -81,9 +81,13 @@ class Recorder:
         for fault in faults_of(record):
             self._writer.write(self._log(fault), fault.t)
 
-    def mark(self, value: CaseMark | Look, t: int) -> None:
-        """Write a case's begin or end, or a reading of the probe, at `t` ns since the start."""
+    def mark(self, value: CaseMark | Look | Asked, t: int) -> None:
+        """Write what belongs to a conformance run, at `t` ns since the start."""
         self._writer.write(value, t)
+
+    def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
+        """Attach a file's content at `t` ns since the start."""
+        self._writer.attach(name, media_type, data, t)
 
     def tick(self, now: int) -> None:
         """Let time pass (ns since the start): what has waited for 0.1 s reaches the disk."""

@@ -14,6 +14,9 @@ STRING_BYTES = 64 * 1024
 RECORD_BYTES = 16 * 1024 * 1024
 """A record that is neither a chunk nor a message and whose content is wanted."""
 
+ATTACHMENT_BYTES = 64 * 1024 * 1024
+"""One attachment whose content is wanted."""
+
 CHANNELS = 64
 """Channels in one file."""
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from captures import topics
 from captures.contents import Contents
 from captures.errors import CaptureError, shown
 from captures.records import MAGIC, Damaged
-from captures.schemas import Chunk, Direction, Line
+from captures.schemas import Chunk, Direction, Line, Look
 from captures.stored import Stored, stored_messages
 from captures.survey import JSON_ERRORS, surveyed
 
@@ -63,6 +64,13 @@ class Capture:
         Where messages are lost to damage in the file a Line `gap` is put in. Raises CaptureError
         if the file changed since it was opened or cannot be read.
         """
+        return (event for event in self.sights() if not isinstance(event, Look))
+
+    def sights(self) -> Iterator[Chunk | Line | Look]:
+        """The events, and the looks of a conformance run among them, in order.
+
+        Raises CaptureError as `events` does.
+        """
         directions: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
         names = {channel: topic for channel, (topic, _) in self.contents.channels.items()}
         for message in self._stored():
@@ -78,15 +86,22 @@ class Capture:
                 except JSON_ERRORS:
                     continue
                 yield Line(t, line.event, line.tap, line.detail)
+            elif topic == topics.LOOKS:
+                try:
+                    yield replace(msgspec.json.decode(message.data, type=Look), t=t)
+                except JSON_ERRORS:
+                    continue
 
-    def messages(self) -> Iterator[Message]:
-        """Every message of every topic that the file describes, in order.
+    def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
+        """Every message of every topic that the file describes, in order; only of those `wanted`.
 
         Raises CaptureError if the file changed since it was opened or cannot be read.
         """
         for message in self._stored():
             if message.channel in self.contents.channels:
                 topic, encoding = self.contents.channels[message.channel]
+                if wanted is not None and topic not in wanted:
+                    continue
                 value = _value(topic, encoding, message.data)
                 yield Message(topic, message.log_time - self.start, value, message.sequence)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
@@ -122,6 +123,25 @@ def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, s
     pairs = cursor.texts()
     _ends(cursor, own)
     return name, pairs
+
+
+def attachment_record(content: bytes, own: bool = True) -> tuple[str, bytes]:
+    """An attachment's name and data. Raises Damaged where its fields or its checksum do not fit."""
+    cursor = Cursor(content)
+    cursor.block(16)
+    name = cursor.text()
+    cursor.text()
+    data = cursor.block(cursor.number(_U64))
+    crc = cursor.number(_U32)
+    _ends(cursor, own)
+    if (crc or own) and crc != zlib.crc32(memoryview(content)[:-4]):
+        raise Damaged("the checksum (CRC) of an attachment is wrong")
+    return name, data
+
+
+def check_attachment(content: bytes, own: bool) -> None:
+    """Raise Damaged unless an attachment's fields and its checksum fit."""
+    attachment_record(content, own)
 
 
 def check_schema(content: bytes, own: bool) -> None:

@@ -8,7 +8,7 @@ from io import BufferedReader
 from typing import Final, NamedTuple
 
 from captures import records
-from captures.limits import CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
+from captures.limits import ATTACHMENT_BYTES, CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
 from captures.records import CutOff, Damaged
 from captures.unpack import unpacked_chunk
 
@@ -26,12 +26,16 @@ CHUNK_FRONT = re.compile(
     re.DOTALL,
 )
 
+ATTACHED: Final = ATTACHMENT_BYTES + 1024
+"""Bytes that a record with the largest attachment may have, its names included."""
+
 INDEX_RECORDS = {0x08, 0x0A, 0x0B, 0x0D, 0x0E, records.FOOTER}
 
 CHECKS: dict[int, Callable[[bytes, bool], object]] = {
     records.HEADER: records.header_library,
     records.CHANNEL: records.channel_record,
     records.METADATA: records.metadata_record,
+    records.ATTACHMENT: records.check_attachment,
     records.SCHEMA: records.check_schema,
     records.MESSAGE_INDEX: records.check_message_index,
 }
@@ -141,9 +145,11 @@ class RecordFile:
         return Found(records.MESSAGE, end, self._content(length))
 
     def _other(self, opcode: int, length: int, end: int) -> Found:
-        if opcode in CHECKS:
-            if length > RECORD_BYTES:
-                raise Damaged(f"a record is larger than the {RECORD_BYTES} bytes allowed")
+        # Foreign attachments are stepped over: nothing in them is wanted.
+        if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
+            most = ATTACHED if opcode == records.ATTACHMENT else RECORD_BYTES
+            if length > most:
+                raise Damaged(f"a record is larger than the {most} bytes allowed")
             content = self._content(length)
             CHECKS[opcode](content, self.own)
             return Found(opcode, end, content)
@@ -157,9 +163,7 @@ class RecordFile:
             raise Damaged("a record of the index stands before the end of the data")
         if opcode == records.DATA_END and length != records.DATA_END_BYTES:
             raise Damaged("the end of the data is not as long as it should be")
-        if opcode == 0 or (
-            self.own and (opcode > records.LAST_KNOWN or opcode == records.ATTACHMENT)
-        ):
+        if opcode == 0 or (self.own and opcode > records.LAST_KNOWN):
             raise Damaged("what stands there is no record")
         return Found(opcode, end)
 

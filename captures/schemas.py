@@ -117,6 +117,23 @@ class CaseMark(msgspec.Struct, frozen=True):
     reason: str = ""
 
 
+class Asked(msgspec.Struct, frozen=True):
+    """One thing that a conformance run asked for, written when it was done (`/conformance/asks`).
+
+    What was sent, heard and seen stands in the messages before it; `t` is when it was done, of a
+    `send` when the last byte had gone, `begun` when a `look` was asked for. `ended` says why it
+    could not be done, or why the run was told to end (`interrupt`); then `error` tells that the
+    kit, the port or the probe failed and `line_works` that the robot could still be homed.
+    """
+
+    t: int
+    ask: Literal["send", "listen", "look", "power", "interrupt"]
+    begun: int | None = None
+    ended: str | None = None
+    error: bool | None = None
+    line_works: bool | None = None
+
+
 class Look(msgspec.Struct, frozen=True):
     """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell."""
 

@@ -16,13 +16,16 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from captures.schemas import CaseMark, Chunk, Instruction, Line, Log, Look, Response, State
+from captures.schemas import Asked, CaseMark, Chunk, Instruction, Line, Log, Look, Response, State
 
-Written: TypeAlias = Instruction | Response | State | Log | Line | CaseMark | Look
+Written: TypeAlias = Instruction | Response | State | Log | Line | CaseMark | Look | Asked
 
 HOST_RAW = "/host/raw"
 DEVICE_RAW = "/device/raw"
 LINE = "/line"
+CASES = "/conformance/cases"
+LOOKS = "/conformance/looks"
+ASKS = "/conformance/asks"
 
 METADATA_NAME = "bilprov"
 START_KEY = "start"  # in the metadata: the wall clock at t = 0, ns
@@ -37,6 +40,7 @@ SINCE_START = (
 TIMES = {
     "t": SINCE_START,
     "end": SINCE_START,
+    "begun": SINCE_START,
     "latency": "Integer nanoseconds from the instruction's last byte to this byte.",
 }
 
@@ -63,8 +67,9 @@ TOPICS: tuple[Topic, ...] = (
     Topic("/state", 5, JSON_ENCODING, "bilprov.State", State),
     Topic("/faults", 6, JSON_ENCODING, "foxglove.Log", Log),
     Topic(LINE, 7, JSON_ENCODING, "bilprov.Line", Line),
-    Topic("/conformance/cases", 8, JSON_ENCODING, "bilprov.CaseMark", CaseMark),
-    Topic("/conformance/looks", 9, JSON_ENCODING, "bilprov.Look", Look),
+    Topic(CASES, 8, JSON_ENCODING, "bilprov.CaseMark", CaseMark),
+    Topic(LOOKS, 9, JSON_ENCODING, "bilprov.Look", Look),
+    Topic(ASKS, 10, JSON_ENCODING, "bilprov.Asked", Asked),
 )
 
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}

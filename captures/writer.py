@@ -21,8 +21,9 @@ from mcap.writer import CompressionType, Writer
 
 from captures import topics
 from captures.errors import CaptureError, shown
-from captures.limits import MESSAGE_BYTES, STRING_BYTES
+from captures.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from captures.schemas import Chunk, Log, Time
+from captures.sealing import SEAL_NAME, HashedFile
 
 FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # a seek costs in proportion to this
@@ -66,8 +67,9 @@ class CaptureWriter:
         self._file = _new_file(self._path)
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
+        self._hashed = HashedFile(self._file)
         self._mcap = Writer(
-            self._file,
+            self._hashed,  # type: ignore[arg-type]  # it writes, tells and flushes; no more is met
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_crcs=True,
@@ -96,9 +98,22 @@ class CaptureWriter:
         if len(data) <= MESSAGE_BYTES:
             self._add(topic.channel, data, t)
             return
-        seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)
         left_out = f"{topic.name}: a message of {len(data)} bytes, allowed are {MESSAGE_BYTES}"
-        self.write(Log(Time(seconds, nanoseconds), 3, left_out, "left out"), t)
+        self._leave_out(left_out, t)
+
+    def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
+        """Attach a file's content beside the messages, at `t` ns; it is handed on at once.
+
+        One of more than 64 MiB is left out, and `/faults` says so. Raises CaptureError if the file
+        cannot be written.
+        """
+        log_time = self._log_time(t)
+        if len(data) > ATTACHMENT_BYTES:
+            self._leave_out(f"{name}: {len(data)} bytes, allowed are {ATTACHMENT_BYTES}", t)
+            return
+        self.flush()
+        self._guarded(lambda: self._mcap.add_attachment(log_time, log_time, name, media_type, data))
+        self.flush()
 
     def tick(self, now: int) -> None:
         """Flush if anything has waited for 0.1 s; `now` is ns since the capture's start.
@@ -134,6 +149,7 @@ class CaptureWriter:
         if self._closed:
             return
         self.flush()
+        self._guarded(lambda: self._mcap.add_metadata(SEAL_NAME, self._hashed.seal()))
         self._guarded(self._mcap.finish)
         self._guarded(self._file.close)
         self._closed = True
@@ -168,7 +184,7 @@ class CaptureWriter:
             if channel != topic.channel:
                 raise AssertionError(f"{topic.name} is channel {channel}, not {topic.channel}")
             Channel(channel, topic.name, topic.encoding, guarded, schema).write(table)
-        self._file.write(table.end())  # type: ignore[no-untyped-call]
+        self._hashed.write(table.end())  # type: ignore[no-untyped-call]
         self._file.flush()
         self._kept_bytes = self._file.tell()
 
@@ -186,6 +202,10 @@ class CaptureWriter:
             self.flush()
         else:
             self.tick(t)
+
+    def _leave_out(self, what: str, t: int) -> None:
+        seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)
+        self.write(Log(Time(seconds, nanoseconds), 3, what, "left out"), t)
 
     def _log_time(self, t: int) -> int:
         log_time = self._start + t

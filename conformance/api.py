@@ -5,30 +5,36 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from fnmatch import fnmatchcase
-from typing import Any, Protocol
+from typing import Protocol
 
 from analyzer.grammar_file import load_protocol
 from analyzer.line_settings import LineSettings
 from analyzer.link_errors import LinkError
 from analyzer.port import Port
-from conformance.cases import Case, all_cases
+from conformance.budget import dropped, within
+from conformance.cases import Case
+from conformance.checked import CheckedDevice
+from conformance.choices import Choices, parse_allowed
+from conformance.circumstances import Circumstances
+from conformance.discovery import reading_cases
 from conformance.drive import Device, Link, Tap, VirtualLink, drive
+from conformance.estimate import before_the_cases, seconds
+from conformance.journal import Journal, journalled
 from conformance.judging import MS
+from conformance.levels import LEVELS, AnyCase, level_cases
+from conformance.meter import Meter
 from conformance.opening import opening_cases, truncation_timeout
 from conformance.port_link import PortLink
 from conformance.probes import Probe
+from conformance.profile_file import profile_from
 from conformance.report import Report, make_report
-from conformance.run import Eyes, Limits, Run
-from conformance.runner import Runner
+from conformance.run import Eyes, Profile, Run
+from conformance.runner import Runner, Spare
+from conformance.selection import BY_THEMSELVES, matching, share
 from conformance.simulator import Simulator
 from conformance.verdicts import CaseResult
+from conformance.wire_log import WireLog
 from spec.protocol import Protocol as Grammar
-
-# How much later than an answer a stop may be seen on a real line although it was in time: link and
-# probe are two lines, and a busy machine is late itself.
-_GRACE = 20 * MS
-_WASTE = 90_000 * MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +45,7 @@ class Options:
     motions rotate through the cases. `strict` counts non-strict as failed, `fail_fast` ends the run
     after the first failure. `deadline` is how soon an answer is due, `silence` how long the line is
     listened to after one, `truncation_timeout` the pause that ends a frame (measured if None).
+    `shard` (I, N) runs the I-th of N shares of the cases.
     """
 
     only: tuple[str, ...] = ()
@@ -48,6 +55,12 @@ class Options:
     deadline: float | None = None
     silence: float | None = None
     truncation_timeout: float | None = None
+    level: str = "standard"
+    soak: int = 0
+    allow: tuple[str, ...] = ()
+    budget: float | None = None
+    profile: str = ""
+    shard: tuple[int, int] | None = None
 
 
 class Watcher(Protocol):
@@ -70,25 +83,40 @@ class Unwatched:
         """A case is final."""
 
 
-def select_cases(grammar: Grammar, options: Options, *, every_cut: bool) -> tuple[Case, ...]:
+def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
     """The cases of a run, besides those that open every run.
 
-    Raises ValueError when `only` leaves none, and names none of the opening ones either.
+    Raises ValueError when `only` leaves none, and names none of the opening ones either, and for a
+    shard that there is not.
     """
-    cases = all_cases(grammar, options.seed, every_cut=every_cut)
-    if not options.only:
+    cases = level_cases(grammar, options.level, options.seed, options.soak)
+    if options.only:
+        wanted = matching(options.only)
+        chosen = tuple(case for case in cases if wanted(case.id))
+        if not chosen and not any(wanted(case.id) for case in always(grammar)):
+            raise ValueError(
+                f"no case matches {' or '.join(options.only)}; see the ids with --list, for "
+                f"example --only '{cases[0].id.split('/')[0]}/*'"
+            )
+        cases = chosen
+    if options.budget is not None:
+        left = options.budget - before_the_cases(grammar.timing.truncation_timeout / 1000)
+        cases = within(grammar, cases, left, lambda c: estimated_seconds(grammar, [c], options))
+    if options.shard is None:
         return cases
-    chosen = tuple(c for c in cases if _wanted(c, options))
-    if not chosen and not any(_wanted(c, options) for c in opening_cases(grammar)):
-        raise ValueError(
-            f"no case matches {' or '.join(options.only)}; see the ids with --list, for example "
-            f"--only '{cases[0].kind}/*'"
-        )
-    return chosen
+    return share(cases, options.shard, lambda case: estimated_seconds(grammar, [case], options))
 
 
-def _wanted(case: Case, options: Options) -> bool:
-    return any(fnmatchcase(case.id, glob) for glob in options.only)
+def always(grammar: Grammar) -> tuple[Case, ...]:
+    """The cases that every run has: the opening, and the probes of the device's choices."""
+    return (*opening_cases(grammar), *reading_cases(grammar))
+
+
+def suite_ids(grammar: Grammar, options: Options) -> tuple[str, ...]:
+    """The ids of every case that a run has with these options if nothing is left out."""
+    whole = replace(options, only=(), shard=None)
+    cases = (*always(grammar), *select_cases(grammar, whole))
+    return (*(case.id for case in cases), *BY_THEMSELVES)
 
 
 def conform(
@@ -101,37 +129,42 @@ def conform(
     interrupted: Callable[[], bool | str] = lambda: False,
     name: str = "sim",
     fault: str | None = None,
+    spare: Spare | None = None,
+    logged: bool = True,
 ) -> Report:
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
     `device` is anything with the four methods of `conformance.drive.Device` (times in ns), the
     kit's own simulator if None; one without `look` is judged by its answers alone. `name` and
-    `fault` only say in the report what it was. Raises ValueError when no case is left to run.
+    `fault` only say in the report what it was. `spare` is asked before each case, with its id and
+    the results so far, whether to skip it. Without `logged` no case keeps its wire log. Raises
+    ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
+    that does not keep to its four methods.
     """
     grammar = grammar or load_protocol()
     options = options or Options()
     device = device or Simulator(grammar)
     line = grammar.line
     settings = LineSettings(line.baud, line.parity, line.stopbits)
-    link = VirtualLink(device, settings.byte_time, tap)
+    own = isinstance(device, Simulator)
+    link = VirtualLink(device if own else CheckedDevice(device), settings.byte_time, tap)
     eyes = Eyes(hasattr(device, "look"), why="the device object has no look")
-    return _run(
+    about = {
+        "kind": "virtual",
+        "line": str(settings),
+        "probe": "sim" if eyes.open else "none",
+        "fault": fault,
+    }
+    return run_on(
         link,
-        select_cases(grammar, options, every_cut=True),
-        Limits(longest=_longest(grammar)),
-        eyes,
+        Circumstances(True, eyes, hasattr(device, "power_cycle"), name, about),
         grammar=grammar,
         options=options,
         watcher=watcher,
         interrupted=interrupted,
-        name=name,
-        about={
-            "kind": "virtual",
-            "line": str(settings),
-            "probe": "sim" if eyes.open else "none",
-            "fault": fault,
-        },
-        power=hasattr(device, "power_cycle"),
+        tap=tap,
+        spare=spare,
+        logged=logged,
     )
 
 
@@ -158,19 +191,21 @@ def conform_port(
         eyes = Eyes(open=False)
     else:
         eyes = Eyes(True, probe.sparse, f"{probe_name} is asked only about a few cases")
+    about = {
+        "kind": "port",
+        "line": str(port.settings),
+        "baud": port.settings.baud,
+        "probe": probe_name,
+    }
     try:
-        return _run(
+        return run_on(
             PortLink(port, probe, stop, tap, power),
-            select_cases(grammar, options, every_cut=False),
-            Limits(longest=_longest(grammar), grace=_GRACE, settle=2 * MS, waste=_WASTE),
-            eyes,
+            Circumstances(False, eyes, power is not None, port.name, about),
             grammar=grammar,
             options=options,
             watcher=watcher,
             interrupted=interrupted,
-            name=port.name,
-            about={"kind": "port", "line": str(port.settings), "probe": probe_name},
-            power=power is not None,
+            tap=tap,
         )
     except BaseException:
         # A fault of the kit itself must not leave the robot driving.
@@ -179,71 +214,104 @@ def conform_port(
         raise
 
 
-def _longest(grammar: Grammar) -> int:
-    """How long an answer is waited for: what is later than allowed must still be heard."""
-    return int(grammar.timing.answer_longest * MS)
-
-
-def _run(
+def run_on(
     link: Link,
-    cases: Sequence[Case],
-    limits: Limits,
-    eyes: Eyes,
+    circumstances: Circumstances,
     *,
     grammar: Grammar,
     options: Options,
-    watcher: Watcher | None,
-    interrupted: Callable[[], bool | str],
-    name: str,
-    about: dict[str, Any],
-    power: bool,
+    watcher: Watcher | None = None,
+    interrupted: Callable[[], bool | str] = lambda: False,
+    tap: Tap | None = None,
+    spare: Spare | None = None,
+    logged: bool = True,
 ) -> Report:
+    """Run the cases over a link, live or recorded: every run is made here.
+
+    Raises ValueError when no case is left to run.
+    """
+    cases = select_cases(grammar, options)
+    journal = tap if isinstance(tap, Journal) else None
+    if journal:
+        journal.begins(grammar, options, circumstances)
+        link, interrupted = journalled(link, interrupted, journal)
+    log = WireLog()
+    line = grammar.line
+    baud = circumstances.link.get("baud", line.baud)
+    meter = Meter(LineSettings(baud, line.parity, line.stopbits).byte_time)
+    link = meter.over(log.over(link) if logged else link)
     watcher = watcher or Unwatched()
+    limits = circumstances.limits(grammar)
     deadline = options.deadline or grammar.timing.answer_deadline
-    limits = replace(limits, deadline=int(deadline * MS))
+    limits = replace(limits, deadline=int(deadline * MS), idle=LEVELS[options.level].idle * MS)
+    if options.budget is not None and limits.whole is not None:
+        limits = replace(limits, whole=int(options.budget * 1e9))
     if options.silence:
         limits = replace(limits, silence=int(options.silence * MS))
     timeout = options.truncation_timeout
+    allowed = parse_allowed(grammar, options.allow)
+    profile = Profile(choices=Choices(allowed=allowed))
+    if options.profile:
+        profile = profile_from(grammar, options.profile, allowed)
+
+    def begin(ident: str) -> None:
+        if logged:
+            log.begin(ident)
+        watcher.begin(ident)
+
     books = Run(
         grammar,
         limits,
-        eyes,
-        begin=watcher.begin,
-        report=watcher.end,
+        circumstances.eyes,
+        begin=begin,
+        report=lambda result: watcher.end(log.attached(result)),
         truncation_timeout=None if timeout is None else int(timeout * MS),
-        power=power,
+        power=circumstances.power,
+        profile=profile,
     )
     timeout_case = truncation_timeout(grammar)
-    asked = bool(options.only and timeout_case and _wanted(timeout_case, options))
-    runner = Runner(books, cases, fail_fast=options.fail_fast, measure=asked)
+    asked = timeout_case is not None and matching(options.only)(timeout_case.id)
+    runner = Runner(
+        books,
+        cases,
+        fail_fast=options.fail_fast,
+        measure=asked,
+        discover=not options.profile,
+        spare=spare,
+    )
     drive(runner.run(), link, interrupted)
     ended = runner.ended
-    return make_report(
+    report = make_report(
         grammar,
-        books.results,
+        [log.attached(result) for result in books.results],
         cases,
         books.profile,
-        device=name,
-        link=about,
+        device=circumstances.device,
+        link=circumstances.link,
         options=asdict(options),
         seed=options.seed,
         unusable=runner.unusable,
         ended=str(ended) if ended else "",
+        timing=meter.report(books.timeouts),
+        dropped=_dropped(grammar, options, cases),
         error=bool(ended and ended.error),
         interrupted=bool(ended and not ended.error),
     )
+    if journal:
+        journal.reported(report)
+    return report
 
 
-def estimated_seconds(grammar: Grammar, cases: Sequence[Case], options: Options) -> float:
-    """About how long the cases take on a port, in s: the silences they wait for, and exchanges."""
-    silence = (options.silence or Limits().silence / MS) / 1000
+def _dropped(grammar: Grammar, options: Options, cases: Sequence[AnyCase]) -> dict[str, int]:
+    """How many cases of each group the budget has left out."""
+    if options.budget is None:
+        return {}
+    return dropped(select_cases(grammar, replace(options, budget=None, shard=None)), cases)
+
+
+def estimated_seconds(grammar: Grammar, cases: Sequence[AnyCase], options: Options) -> float:
+    """About how long the cases take on a port, in s: the wire, silences and time-outs, looks."""
     timeout = (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000
-    hold = Limits().hold / 1e9
-    total = 0.0
-    for case in cases:
-        total += 0.008
-        if case.stop:
-            total += hold if case.thorough else silence
-        if case.arrived is not None:
-            total += timeout
-    return total
+    line = LineSettings(grammar.line.baud, grammar.line.parity, grammar.line.stopbits)
+    byte_time = line.byte_time / 1e9
+    return sum(seconds(grammar, case, byte_time, timeout) for case in cases)

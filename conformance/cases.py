@@ -9,34 +9,13 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import cycle
 
-from conformance.verdicts import Verdict
+from conformance.model import FAULT, NOTHING, Deed
+from conformance.steps import Accepted, Class, Step, bad, cut, unused, valid, wrong_length
 from spec.codec import all_data, bad_data, lying, spaced
-from spec.fields import Outcome
 from spec.motion import WHEELS, Motion, State
-from spec.protocol import InstructionSpec, Protocol
-
-
-class Class(StrEnum):
-    """The classes of single frames; a case's id begins with it."""
-
-    VALID = "valid"
-    UNUSED_ID = "unused-id"
-    WRONG_LENGTH = "wrong-length"
-    BAD_DATA = "bad-data"
-    TRUNCATED = "truncated"
-    RECOVERY = "recovery"
-
-
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """A list of answers that may come, the verdict it earns and the reading it rests on."""
-
-    codes: tuple[int, ...]
-    verdict: Verdict = Verdict.PASS
-    reading: str = ""
+from spec.protocol import Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +24,10 @@ class Case:
 
     `setup` is the state the robot is brought to (and, where it moves, seen to move in) before
     `stimulus` is sent; `accepted` are the answer lists that may come back, the expected one
-    first; `expected` the state after it, `stop` whether standing still is the point. `arrived` is
-    None for whole frames, else the number of data bytes that are sent before the line falls silent.
-    `then` is a valid frame that must work right after it. `occasion` (fault, stop, drive or set) is
-    what happened, which decides what else the document leaves open about the state. `short` frames
+    first; `deed` is what the stimulus does and `expected` the reference's state after it, `stop`
+    whether standing still is the point. `arrived` is None for whole frames, else the number of data
+    bytes that are sent before the line falls silent. `then` is a valid frame that must work right
+    after it. `point` is the silence of the document that the answer rests on. `short` frames
     announce less than the instruction takes: a device must not take the next byte for its data.
     `thorough` cases hold the stop longer and are the ones that are looked at when looks are dear.
     """
@@ -62,13 +41,41 @@ class Case:
     expected: State
     stop: bool
     kind: Class
-    occasion: str = "fault"
+    deed: Deed = FAULT
     reading: str = ""
+    point: str = ""
     arrived: int | None = None
     then: bytes = b""
     after_then: State | None = None
     short: bool = False
     thorough: bool = False
+
+    @property
+    def step(self) -> Step:
+        """The stimulus as a step."""
+        return Step(
+            self.stimulus,
+            self.kind,
+            self.accepted,
+            self.deed,
+            self.clause,
+            self.point,
+            self.reading,
+            self.arrived is not None,
+        )
+
+    def as_step(self, step: Step) -> Case:
+        """The case with another step in the place of its stimulus."""
+        return replace(
+            self,
+            stimulus=step.frame,
+            kind=step.kind,
+            accepted=step.accepted,
+            deed=step.deed,
+            point=step.point,
+            arrived=len(step.frame) - 1 if step.cut else None,
+            stop=self.stop and step.faulty if self.step.faulty else self.stop or step.faulty,
+        )
 
     @property
     def sent(self) -> tuple[bytes, ...]:
@@ -95,7 +102,7 @@ def special(
         expected=protocol.power_on,
         stop=False,
         kind=Class.VALID,
-        occasion="set",
+        deed=NOTHING,
         reading=reading,
     )
 
@@ -176,12 +183,7 @@ def _mark_thorough(found: list[Case]) -> Iterator[Case]:
         yield replace(case, thorough=True) if first else case
 
 
-def _code(protocol: Protocol, outcome: Outcome) -> int:
-    return protocol.answers[outcome].code
-
-
 def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
-    accepted = (Accepted((_code(protocol, Outcome.VALID),)),)
     for spec in protocol.instructions:
         for data in all_data(spec):
             values = {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
@@ -189,75 +191,53 @@ def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 setup = setups.next()
                 if spec.effect.apply(setup, values) != setup:
                     break  # what changes nothing shows nothing
+            step = valid(protocol, spec, values)
             tail = "".join(f"/{value}" for value in values.values())
             yield Case(
                 id=f"{Class.VALID}/{spec.name}{tail}",
-                clause=protocol.clauses.instructions,
+                clause=step.clause,
                 requirement=f"{spec.name}: {spec.prose}",
                 setup=setup,
-                stimulus=lying(protocol, spec.id, spec.length, data),
-                accepted=accepted,
+                stimulus=step.frame,
+                accepted=step.accepted,
                 expected=spec.effect.apply(setup, values),
                 stop=spec.effect.motion is Motion.STOPPED,
                 kind=Class.VALID,
-                occasion=_occasion(spec),
+                deed=step.deed,
             )
-
-
-def _occasion(spec: InstructionSpec) -> str:
-    if spec.effect.motion is None:
-        return "set"
-    return "stop" if spec.effect.motion is Motion.STOPPED else "drive"
 
 
 def _faulty(
     protocol: Protocol,
     setup: State,
     ident: str,
-    stimulus: bytes,
-    kind: Class,
-    outcome: Outcome,
+    step: Step,
     requirement: str,
-    clause: str,
-    others: tuple[Accepted, ...] = (),
-    reading: str = "",
     arrived: int | None = None,
 ) -> Case:
+    code = step.accepted[0].codes[0]
     return Case(
-        id=f"{kind}/{ident}",
-        clause=clause,
-        requirement=f"{requirement}: {protocol.answers[outcome].name}, and the robot stops",
+        id=f"{step.kind}/{ident}",
+        clause=step.clause,
+        requirement=f"{requirement}: {protocol.codes[code].name}, and the robot stops",
         setup=setup,
-        stimulus=stimulus,
-        accepted=(Accepted((_code(protocol, outcome),)), *others),
+        stimulus=step.frame,
+        accepted=step.accepted,
         expected=protocol.on_fault.apply(setup),
         stop=True,
-        kind=kind,
-        reading=reading,
+        kind=step.kind,
+        reading=step.reading,
+        point=step.point,
         arrived=arrived,
     )
-
-
-def _non_strict(protocol: Protocol, reading: str, *outcomes: Outcome) -> tuple[Accepted, ...]:
-    return tuple(Accepted((_code(protocol, o),), Verdict.NON_STRICT, reading) for o in outcomes)
 
 
 def _unused_ids(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     for identity in protocol.unused_ids:
         for length in protocol.data_lengths:
-            others = _non_strict(protocol, "R-unused-length", Outcome.TOO_MANY, Outcome.TOO_FEW)
-            yield _faulty(
-                protocol,
-                setups.next(),
-                f"{identity}/{length}",
-                lying(protocol, identity, length, bytes([protocol.filler]) * length),
-                Class.UNUSED_ID,
-                Outcome.UNKNOWN_ID,
-                f"ID {identity} is unused",
-                protocol.clauses.instructions,
-                others if length else (),
-                "R-unused-length" if length else "",
-            )
+            step = unused(protocol, identity, length, bytes([protocol.filler]) * length)
+            what = f"ID {identity} is unused"
+            yield _faulty(protocol, setups.next(), f"{identity}/{length}", step, what)
 
 
 def _wrong_lengths(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
@@ -268,125 +248,75 @@ def _wrong_lengths(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
             if length == spec.length:
                 continue
             many = length > spec.length
-            case = _faulty(
-                protocol,
-                setups.next(next(motions[many])),
-                f"{spec.name}/{length}",
-                lying(protocol, spec.id, length, bytes([protocol.filler]) * length),
-                Class.WRONG_LENGTH,
-                Outcome.TOO_MANY if many else Outcome.TOO_FEW,
-                f"{spec.name} takes {spec.length} data bytes, not {length}",
-                protocol.clauses.responses,
-                _competing(protocol, spec, length),
-                "R-known-length",
-            )
+            step = wrong_length(protocol, spec, length, bytes([protocol.filler]) * length)
+            setup = setups.next(next(motions[many]))
+            what = f"{spec.name} takes {spec.length} data bytes, not {length}"
+            case = _faulty(protocol, setup, f"{spec.name}/{length}", step, what)
             yield replace(case, short=not many)
-
-
-def _competing(protocol: Protocol, spec: InstructionSpec, length: int) -> tuple[Accepted, ...]:
-    """Data out of range *and* too many: judging the data first is a legal other reading."""
-    data = bytes([protocol.filler]) * spec.length
-    if length > spec.length and data in set(bad_data(spec)):
-        return _non_strict(protocol, "R-competing-errors", Outcome.BAD_DATA)
-    return ()
 
 
 def _bad_data(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     for spec in protocol.instructions:
         for data in bad_data(spec):
             raw = int.from_bytes(data, "big")
-            yield _faulty(
-                protocol,
-                setups.next(),
-                f"{spec.name}/{raw}",
-                lying(protocol, spec.id, spec.length, data),
-                Class.BAD_DATA,
-                Outcome.BAD_DATA,
-                f"{spec.name} does not take the data {spaced(data)}",
-                protocol.clauses.instructions,
-                reading=next((f.reading for f in spec.fields if f.reading), ""),
-            )
+            what = f"{spec.name} does not take the data {spaced(data)}"
+            step = bad(protocol, spec, data)
+            yield _faulty(protocol, setups.next(), f"{spec.name}/{raw}", step, what)
 
 
 def _truncated(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Iterator[Case]:
     turn = 0
-    for header in range(len(protocol.headers)):
-        identity, length = protocol.headers[header]
+    for identity, length in protocol.headers:
         spec = protocol.by_id.get(identity)
-        whole = spec is not None and length == spec.length
+        own = spec is not None and length == spec.length
         cuts = range(length)
-        if not every_cut and not whole and length:
+        if not every_cut and not own and length:
             cuts = range(turn % length, turn % length + 1)
             turn += 1
         for arrived in cuts:
-            if spec is None:
-                outcome, name = Outcome.UNKNOWN_ID, str(identity)
-                others = (
-                    *_non_strict(protocol, "R-truncated-unused", Outcome.TOO_FEW),
-                    *_non_strict(protocol, "R-unused-length", Outcome.TOO_MANY),
-                )
-                reading = "R-truncated-unused"
-            else:
-                outcome, name = Outcome.TOO_FEW, spec.name
-                long = length > spec.length
-                others = _non_strict(protocol, "R-truncated-long", Outcome.TOO_MANY) if long else ()
-                reading = "R-truncated-long" if long else "R-truncated-known"
-            silent = Accepted((), Verdict.NON_STRICT, "R-truncated-known")
-            yield _faulty(
-                protocol,
-                setups.next(),
-                f"{name}/{arrived}" if whole else f"{name}/{length}/{arrived}",
-                lying(protocol, identity, length, bytes([protocol.filler]) * arrived),
-                Class.TRUNCATED,
-                outcome,
-                f"{arrived} of {length} data bytes arrive, then silence",
-                protocol.clauses.responses if spec else protocol.clauses.instructions,
-                (*others, silent),
-                reading,
-                arrived,
-            )
+            step = cut(protocol, identity, length, bytes([protocol.filler]) * arrived)
+            name = spec.name if spec else str(identity)
+            ident = f"{name}/{arrived}" if own else f"{name}/{length}/{arrived}"
+            what = f"{arrived} of {length} data bytes arrive, then silence"
+            yield _faulty(protocol, setups.next(), ident, step, what, arrived)
 
 
 def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     """After each class of fault, in each kind of motion, the next valid instruction works."""
-    wrong = protocol.header_bytes
-    carrying = next((s for s in protocol.instructions if s.length), None)
-    faults: dict[str, tuple[bytes, Outcome, int | None]] = {}
-    if protocol.unused_ids:
-        frame = bytes([wrong[protocol.unused_ids[0], 0]])
-        faults[Class.UNUSED_ID] = (frame, Outcome.UNKNOWN_ID, None)
-    many = protocol.stop.length + 1
-    frame = lying(protocol, protocol.stop.id, many, bytes([protocol.filler]) * many)
-    faults["too-many"] = (frame, Outcome.TOO_MANY, None)
-    if carrying:
-        few = lying(protocol, carrying.id, carrying.length - 1)
-        few += bytes([protocol.filler]) * (carrying.length - 1)
-        faults["too-few"] = (few, Outcome.TOO_FEW, None)
-        cut = lying(protocol, carrying.id, carrying.length)
-        faults[Class.TRUNCATED] = (cut, Outcome.TOO_FEW, 0)
-    limited = next((s for s in protocol.instructions if any(True for _ in bad_data(s))), None)
-    if limited:
-        data = next(iter(bad_data(limited)))
-        frame = lying(protocol, limited.id, limited.length, data)
-        faults[Class.BAD_DATA] = (frame, Outcome.BAD_DATA, None)
-    for name, (stimulus, outcome, arrived) in faults.items():
+    for name, step in _one_of_each(protocol).items():
         for spec in protocol.instructions:
             motion = spec.effect.motion
             if spec.fields or motion in (None, Motion.STOPPED):
                 continue
             setup = setups.next(motion)
             after = protocol.on_fault.apply(setup)
-            case = _faulty(
-                protocol,
-                setup,
-                f"{name}/{spec.name}",
-                stimulus,
-                Class.RECOVERY,
-                outcome,
-                f"after a fault ({name}) {spec.name} works again",
-                protocol.clauses.safety,
-                (Accepted((), Verdict.NON_STRICT, "R-truncated-known"),) if arrived == 0 else (),
-                arrived=arrived,
+            what = f"after a fault ({name}) {spec.name} works again"
+            arrived = len(step.frame) - 1 if step.cut else None
+            case = _faulty(protocol, setup, f"{name}/{spec.name}", step, what, arrived)
+            yield replace(
+                case,
+                id=f"{Class.RECOVERY}/{name}/{spec.name}",
+                clause=protocol.clauses.safety,
+                kind=Class.RECOVERY,
+                then=lying(protocol, spec.id, 0),
+                after_then=spec.effect.apply(after),
             )
-            then = lying(protocol, spec.id, 0)
-            yield replace(case, then=then, after_then=spec.effect.apply(after))
+
+
+def _one_of_each(protocol: Protocol) -> dict[str, Step]:
+    """One faulty frame of each class."""
+    fill = bytes([protocol.filler])
+    faults = {}
+    if protocol.unused_ids:
+        faults[str(Class.UNUSED_ID)] = unused(protocol, protocol.unused_ids[0], 0, b"")
+    many = protocol.stop.length + 1
+    faults["too-many"] = wrong_length(protocol, protocol.stop, many, fill * many)
+    carrying = next((s for s in protocol.instructions if s.length), None)
+    if carrying:
+        few = carrying.length - 1
+        faults["too-few"] = wrong_length(protocol, carrying, few, fill * few)
+        faults[str(Class.TRUNCATED)] = cut(protocol, carrying.id, carrying.length, b"")
+    limited = next((s for s in protocol.instructions if any(True for _ in bad_data(s))), None)
+    if limited:
+        faults[str(Class.BAD_DATA)] = bad(protocol, limited, next(iter(bad_data(limited))))
+    return faults

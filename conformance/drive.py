@@ -69,13 +69,18 @@ def drive(script: Script[T], link: Link, interrupted: Callable[[], bool | str]) 
         error = None
         if not told and (why := interrupted()):
             told = True
-            failed = isinstance(why, str)
-            error = Ended(str(why) if failed else "interrupted", error=failed, line_works=True)
+            error = interruption(why)
             continue
         try:
             reply = link.do(ask)
         except Ended as ended:
             error = ended
+
+
+def interruption(why: bool | str) -> Ended:
+    """What a script is told: True is the user's wish, a sentence says what of the kit failed."""
+    failed = isinstance(why, str)
+    return Ended(str(why) if failed else "interrupted", error=failed, line_works=True)
 
 
 class VirtualLink:
@@ -89,6 +94,7 @@ class VirtualLink:
         self._byte_time = byte_time
         self._tap = tap
         self._now = 0
+        self._ready = 0
         self._heard: list[tuple[int, int]] = []
 
     def do(self, ask: Ask) -> int | Heard | Seen:
@@ -97,11 +103,7 @@ class VirtualLink:
             case Send(data):
                 if self._tap:
                     self._tap.sent(data, self._now)
-                for index in range(len(data)):
-                    self._pass(self._now + self._byte_time)
-                    self._device.receive(data[index : index + 1], self._now)
-                    self._collect()
-                return self._now
+                return self._send(data)
             case Listen(count, patience):
                 until = self._now + patience
                 self._collect()  # also what is there already, where nobody waits
@@ -111,6 +113,9 @@ class VirtualLink:
                     if due is not None and due <= self._now and self._device.deadline() == due:
                         raise RuntimeError("the device's deadline does not advance")
                 heard, self._heard = tuple(self._heard), []
+                if heard:
+                    # An answer takes its time on the wire: who waited for it sends only then.
+                    self._ready = heard[-1][0] + self._byte_time
                 return Heard(heard[:HELD], self._now)
             case PowerCycle():
                 power = getattr(self._device, "power_cycle")  # noqa: B009  # not every device has
@@ -122,6 +127,21 @@ class VirtualLink:
                 if self._tap:
                     self._tap.looked(look)
                 return Seen(self._now, self._now, look)
+
+    def _send(self, data: bytes) -> int:
+        """Send byte by byte, each in its time on the wire."""
+        device, byte_time = self._device, self._byte_time
+        if self._now < self._ready:
+            self._pass(self._ready)
+        for index in range(len(data)):
+            arrives = self._now + byte_time
+            due = device.deadline()
+            if due is not None and due <= arrives:
+                self._pass(arrives)
+            self._now = arrives
+            device.receive(data[index : index + 1], arrives)
+            self._collect()
+        return self._now
 
     def _pass(self, until: int) -> None:
         """Let time pass; what the device does on its way happens at its own time."""

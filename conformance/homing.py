@@ -5,17 +5,20 @@ As many stops as the longest frame has bytes do it from any state, whatever the 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from conformance.asks import Script, Seen, listen, see, send
 from conformance.cases import special
 from conformance.judging import MS, look_words
 from conformance.run import Ended, GaveUp, Run
-from conformance.setup import frames_to
+from conformance.setup import deed_of, frames_to
 from conformance.verdicts import Axis, Verdict
 from spec.motion import Motion, State
 
 # So many times more answers than were due, so often, and the rest of a run would show no more.
 _FLOOD, _FLOODS = 4, 3
 _SLOW = 20 * MS  # for an answer
+_TRIES = 3  # to see it move: an instruction may get lost on the line
 
 
 def pad(run: Run) -> bytes:
@@ -68,23 +71,21 @@ def home(run: Run) -> Script[None]:
 
 def _as_they_come(run: Run, due: int, patience: int) -> Script[tuple[tuple[int, int], ...]]:
     """Up to `due` answers and what follows at once; a slow device may take its time for each."""
-    got: tuple[tuple[int, int], ...] = ()
-    while len(got) < due:
-        heard = yield from listen(due - len(got), patience)
-        if not heard.answers:
-            run.waste(patience)
-            break
-        got += heard.answers
+    got = yield from run.all_answers(due, patience)
+    if len(got.answers) < due:
+        run.waste(patience)
     more = yield from listen(None, run.limits.settle)
-    return got + more.answers
+    return got.answers + more.answers
 
 
 def _too_many(run: Run, extra: tuple[tuple[int, int], ...]) -> Script[None]:
     what = "1 more answer" if len(extra) == 1 else f"{len(extra)} more answers"
-    run.charge(extra, f"{what} came later than the case")
     flood = yield from listen(None, run.limits.silence)
     if len(flood.answers) > len(extra):
-        run.charge(flood.answers[:8], "the device sends without being asked")
+        reason = "the device sends without being asked"
+        run.charge((extra + flood.answers)[:8], reason, "R-unsolicited")
+    else:
+        run.charge(extra, f"{what} came later than the case")
     if len(extra) + len(flood.answers) > _FLOOD * run.protocol.longest_frame:
         run.floods += 1
         if run.floods >= _FLOODS:
@@ -130,13 +131,16 @@ def set_up(run: Run, state: State) -> Script[str]:
 
     Returns "" or what is wrong: an instruction that was not answered exactly once.
     """
-    frames = frames_to(run.protocol, state)
+    run.belief = run.model.homed(run.model.found())
+    frames = [frame for frame in frames_to(run.protocol, state) if run.wire(frame)]
     answered = 0
     for frame in frames:
-        sent = yield from send(frame)
+        sent = yield from send(run.wire(frame))
+        run.belief = run.model.after(run.belief, deed_of(run.protocol, frame))
         heard = yield from run.answers(1)
         answered += len(heard.answers)
         run.profile.measured(heard, sent)
+    run.belief = replace(run.belief, rests=frozenset())
     if answered == len(frames):
         return ""
     return f"{answered} answers to {len(frames)} instructions of the set-up"
@@ -176,9 +180,12 @@ def see_motions(run: Run) -> Script[None]:
         motion = spec.effect.motion
         if motion is None or motion is Motion.STOPPED or spec.fields:
             continue
-        yield from set_up(run, State(motion=motion, speed=fast))
-        seen = yield from watch(run, moving=True, patience=run.limits.deadline)
+        for _ in range(_TRIES):
+            yield from set_up(run, State(motion=motion, speed=fast))
+            seen = yield from watch(run, moving=True, patience=run.limits.deadline)
+            yield from home(run)
+            if seen.look.moving is not False:
+                break
         if seen.look.moving:
             moves.add(motion)
-        yield from home(run)
     run.moves = moves

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from dataclasses import replace
 
 from captures.schemas import Look
 from conformance.asks import Heard
-from conformance.cases import Accepted, Case, Class
+from conformance.cases import Case
+from conformance.choices import POINTS, STATE_POINTS
+from conformance.model import Belief, Deed, Model
+from conformance.steps import Accepted, Class
 from conformance.verdicts import Axis, Verdict
-from spec.motion import WHEELS, Motion, State
+from spec.motion import WHEELS, State
 from spec.protocol import Protocol
 
 MS = 1_000_000
@@ -45,7 +48,7 @@ def judge_answers(
     """
     expected = answer_words(protocol, accepted[0].codes)
     actual = answer_words(protocol, heard.codes)
-    match = next((choice for choice in accepted if choice.codes == heard.codes), None)
+    match = matching(accepted, heard.codes)
     if match is None:
         return Axis(Verdict.FAIL, expected, actual, _mismatch(protocol, accepted[0], heard))
     verdict, reason, reading = match.verdict, "", match.reading
@@ -70,6 +73,11 @@ def judge_answers(
                 f"{protocol.timing.answer_deadline:g} ms are expected"
             )
     return Axis(verdict, expected, actual, reason, reading)
+
+
+def matching(accepted: tuple[Accepted, ...], codes: tuple[int, ...]) -> Accepted | None:
+    """The accepted list that these answers are, None if they are none of them."""
+    return next((choice for choice in accepted if choice.codes == codes), None)
 
 
 def _mismatch(protocol: Protocol, wanted: Accepted, heard: Heard) -> str:
@@ -116,103 +124,88 @@ def look_words(look: Look) -> str:
     return ", ".join(facets)
 
 
-# What else the document leaves open about the state after an instruction, by what is judged:
-# (facet, reading, verdict, how the facet then is).
-_KEPT, _RESET = "kept", "reset"
-_LEGAL = {
-    "fault": (
-        ("speed", "R-fault-state", Verdict.INFORMATIONAL, _RESET),
-        ("steering", "R-fault-state", Verdict.INFORMATIONAL, _KEPT),
-        ("led", "R-led-state", Verdict.INFORMATIONAL, _RESET),
-    ),
-    "stop": (
-        ("speed", "R-stop-speed", Verdict.NON_STRICT, _RESET),
-        ("steering", "R-stop-steering", Verdict.NON_STRICT, _KEPT),
-        ("led", "R-led-state", Verdict.INFORMATIONAL, _RESET),
-    ),
-    "drive": (("steering", "R-drive-steering", Verdict.INFORMATIONAL, _RESET),),
-    "set": (("speed", "R-speed-moving", Verdict.NON_STRICT, _KEPT),),
-}
-
-
 # What the stop axis judges already.
 MOVING = ("moving", "motion", "wheels")
 
 
-def judge_state(
-    expected: State, before: State, look: Look, when: str, ignore: Container[str] = ()
-) -> Axis:
-    """The state axis: each facet that the probe tells, against the predicted state.
+def judge_belief(model: Model, belief: Belief, look: Look, ignore: Container[str] = ()) -> Axis:
+    """The state axis: each facet that the probe tells, against what the robot must be like.
 
-    `when` is `fault`, `stop`, `drive` or `set`; it says which other choices the document leaves
-    open. `ignore` names facets that are judged elsewhere.
+    A state that another choice of the device shaped gets that choice's verdict. `ignore` names
+    facets that are judged elsewhere.
     """
-    words = state_words(expected), look_words(look)
-    verdict, reason, reading = Verdict.PASS, "", ""
-    for facet, wanted, actual in _facets(expected, look):
-        if actual is None or wanted == actual or facet in ignore:
-            continue
-        legal = _legal(facet, look, expected, before, when)
-        found = legal[1] if legal else Verdict.FAIL
-        if found > verdict:
-            verdict = found
-            reading = legal[0] if legal else ""
-            reason = f"{facet} is {actual}, expected is {wanted}"
-            if legal:
-                reason += f" (another reading of {reading})"
-    return Axis(verdict, *words, reason, reading)
+    words = state_words(belief.state), look_words(look)
+    for facet, wanted, actual in differences(model, belief, look):
+        if facet not in ignore:
+            return Axis(Verdict.FAIL, *words, f"{facet} is {actual}, expected is {wanted}")
+    if not belief.rests:
+        return Axis(Verdict.PASS, *words)
+    choices = model.choices
+    worst = max(sorted(belief.rests), key=choices.verdict)
+    reading = POINTS[worst].reading
+    reason = f"{choices.word(worst)}: another reading of {reading}"
+    return Axis(choices.verdict(worst), *words, reason, reading)
 
 
-def _legal(
-    facet: str, look: Look, expected: State, before: State, when: str
-) -> tuple[str, Verdict] | None:
-    """The reading under which what was seen is legal, with its verdict; None if it never is."""
-    for name, reading, verdict, how in _LEGAL[when]:
-        other = getattr(before, name) if how is _KEPT else 0
-        if name == facet and getattr(look, name) == other:
-            return reading, verdict
-        if facet == "wheels" and _turn_as(_with(expected, name, other), look):
-            return reading, verdict
-    if facet in ("moving", "motion", "wheels"):
-        slow_start = when == "set" and before.speed != expected.speed
-        if slow_start and look.moving == before.moving:
-            return "R-speed-moving", Verdict.NON_STRICT
-        curve = expected.motion in (Motion.ROTATE_RIGHT, Motion.ROTATE_LEFT) and look.moving
-        if when == "set" and before.steering != expected.steering and curve and facet != "moving":
-            return "R-steer-rotating", Verdict.INFORMATIONAL
-    return None
+def contradiction(model: Model, before: Belief, deed: Deed, look: Look) -> tuple[str, str]:
+    """The reading, and a sentence, if the robot is as another choice than it has shown would be."""
+    for point in STATE_POINTS:
+        shown = model.choices.word(point)
+        word = next(c.word for c in POINTS[point].choices if c.word != shown)
+        other = replace(model, choices=model.choices.but(point, word))
+        if not differences(model, other.after(before, deed), look):
+            reading = POINTS[point].reading
+            return reading, f"{reading}: {word} here, {shown} before; a device keeps to one choice"
+    return "", ""
 
 
-def _with(state: State, name: str, value: int) -> State:
-    return replace(state, **{name: value})  # type: ignore[arg-type]  # motion is never one of them
+def differences(model: Model, belief: Belief, look: Look) -> list[tuple[str, object, object]]:
+    """(facet, expected, seen) for each facet that is not as it must be."""
+    return [
+        (facet, wanted, actual)
+        for facet, wanted, actual in _facets(model, belief, look)
+        if actual is not None and wanted != actual
+    ]
 
 
-def _turn_as(state: State, look: Look) -> bool:
-    """Whether the wheels are seen to turn as in this state."""
-    if look.left is None or look.right is None:
-        return False
-    wanted, seen = _wheels(state, look.left, look.right)
-    return wanted == seen
-
-
-def _facets(expected: State, look: Look) -> list[tuple[str, object, object]]:
+def _facets(model: Model, belief: Belief, look: Look) -> Iterator[tuple[str, object, object]]:
     """(facet, expected, seen) for whatever the probe tells; wheels by sign and by order only."""
-    facets: list[tuple[str, object, object]] = [("moving", expected.moving, look.moving)]
+    expected, loose = belief.state, belief.loose
+    if "speed" not in loose or belief.still:
+        yield "moving", expected.moving, look.moving
+        if "motion" not in loose:
+            yield from _direction(model, belief, look)
+        elif "speed" not in loose and expected.moving:
+            yield "motion", "a curve", _curve(expected, look)
+    for name in ("speed", "steering", "led"):
+        seen = getattr(look, name)
+        waiting = name == "speed" and belief.waiting is not None and seen == belief.waiting
+        if name not in loose and not waiting:
+            yield name, getattr(expected, name), seen
+
+
+def _direction(model: Model, belief: Belief, look: Look) -> Iterator[tuple[str, object, object]]:
+    expected = belief.state
     if look.motion is not None:
         # A probe may name the direction that is set although speed 0 keeps the wheels still.
         set_only = not look.moving and look.motion == expected.motion
         shown = expected.visible_motion.value if set_only else look.motion
-        facets.append(("motion", expected.visible_motion.value, shown))
-    facets += [
-        (name, getattr(expected, name), getattr(look, name))
-        for name in ("speed", "steering", "led")
-    ]
+        yield "motion", expected.visible_motion.value, shown
     if look.left is not None and look.right is not None:
-        facets.append(("wheels", *_wheels(expected, look.left, look.right)))
-    return facets
+        yield "wheels", *_wheels(model, expected, look.left, look.right, belief.loose)
 
 
-def _wheels(expected: State, left: int, right: int) -> tuple[str, str]:
+def _curve(expected: State, look: Look) -> str:
+    """What a rotation is that steering makes a curve of: no longer on the spot."""
+    spot = look.motion == expected.motion.value
+    if look.left is not None and look.right is not None:
+        spot = look.left * look.right < 0
+    return f"{expected.motion.value} on the spot" if spot else "a curve"
+
+
+def _wheels(
+    model: Model, expected: State, left: int, right: int, loose: Container[str]
+) -> tuple[str, str]:
     """How the wheels should turn and how they do, in comparable words."""
     want_left, want_right = WHEELS[expected.visible_motion]
     seen = f"left {left}, right {right}"
@@ -221,14 +214,18 @@ def _wheels(expected: State, left: int, right: int) -> tuple[str, str]:
     if want_left != want_right:
         wanted = f"{expected.visible_motion.value} on the spot"
         return wanted, wanted if left * want_left > 0 and right * want_right > 0 else seen
-    # No mixing law is given: the outer wheel drives on, the inner one is not faster.
-    forward_left, forward_right = left * want_left, right * want_right
-    if expected.steering == 0:
-        wanted, fits = "both alike", forward_left == forward_right > 0
-    elif expected.steering > 0:
-        wanted, fits = "left ahead", forward_left > 0 and forward_left >= forward_right
+    # No mixing law is given: the outer wheel drives on, the inner one is not faster, and slower
+    # where the steering and the speed are large enough to show.
+    outer, inner = left * want_left, right * want_right
+    if expected.steering < 0:
+        outer, inner = inner, outer
+    if "steering" in loose:
+        wanted, fits = expected.motion.value, max(outer, inner) > 0
+    elif expected.steering == 0:
+        wanted, fits = "both alike", outer == inner > 0
     else:
-        wanted, fits = "right ahead", forward_right > 0 and forward_right >= forward_left
+        wanted = "left ahead" if expected.steering > 0 else "right ahead"
+        fits = outer > 0 and (outer > inner or (outer == inner and not model.shows(expected)))
     return wanted, wanted if fits else seen
 
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.cases import Accepted, Case, special
+from conformance.cases import Case, special
 from conformance.setup import moves, setting
+from conformance.steps import Accepted
 from conformance.verdicts import Verdict
 from spec.codec import judge
 from spec.protocol import Protocol
@@ -28,14 +29,15 @@ def at_rest(protocol: Protocol) -> Case:
     )
 
 
-def link_check(protocol: Protocol) -> tuple[Case, ...]:
-    """A setting (must not move), an unused ID, and a setting without its data."""
+def link_check(protocol: Protocol, taken: int | None = None) -> tuple[Case, ...]:
+    """A setting (must not move), an unused ID (not the one that is `taken`), and missing data."""
     low, high = protocol.limits.get("speed", (0, 0))
     speed = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.filler])
     judged = judge(protocol, speed)
     cases = [_answered(protocol, f"power-on/{judged.name}", "a setting does not move it", speed)]
-    if protocol.unused_ids:
-        unused = bytes([protocol.header_bytes[protocol.unused_ids[0], 0]])
+    free = [identity for identity in protocol.unused_ids if identity != taken]
+    if free:
+        unused = bytes([protocol.header_bytes[free[0], 0]])
         cases.append(_answered(protocol, "link/unused-id", "an unused ID is refused", unused))
     if judged.length:
         short = bytes([protocol.header_bytes[judged.id, 0]])

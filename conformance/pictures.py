@@ -1,10 +1,18 @@
-"""Draws the README's pictures: the live view of a drive, and the summary of a faulty robot."""
+"""Draws the README's pictures: the live view of a drive, a faulty robot's summary and its page.
+
+The page is taken by Chromium (apt-get install chromium); the same browser and fonts give the same
+picture again.
+"""
 
 from __future__ import annotations
 
 import io
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from urllib.parse import quote
 
 from rich.console import Console, RenderableType
 
@@ -17,13 +25,17 @@ from captures.schemas import Chunk
 from conformance.api import Options, conform
 from conformance.demo import examples
 from conformance.faults import fault_bank
+from conformance.html_report import as_html
 from conformance.judging import MS
 from conformance.simulator import Simulator
 from conformance.summary import show
+from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 
 _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
+_WIDTH, _HEIGHT = 1120, 900  # pixels of the page's picture
+_PATIENCE = 120  # s for the browser
 
 
 def drive_picture(protocol: Protocol) -> RenderableType:
@@ -69,6 +81,41 @@ def draw(folder: Path) -> None:
     report = conform(Simulator(protocol, fault), options=options, fault=fault.name)
     show(report, console)
     console.save_svg(str(folder / "conform.svg"), title="bilprov conform", unique_id="conform")
+    failed = next(result.id for result in report.results if result.verdict is Verdict.FAIL)
+    take(as_html([report], protocol), failed, folder / "report.png")
+
+
+def take(page: str, case: str, picture: Path) -> None:
+    """Take a picture of a report's page with one case open. Raises OSError without Chromium."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise FileNotFoundError("no Chromium to take the page's picture: apt-get install chromium")
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "report.html").write_text(page, encoding="utf-8")
+        # The browser takes its picture from the top: what scrolls must be a frame in the page.
+        frame = Path(place) / "frame.html"
+        frame.write_text(
+            "<!doctype html><body style='margin: 0'><iframe style='border: 0; display: block' "
+            f"width={_WIDTH} height={_HEIGHT} src='report.html#case={quote(case, safe='')}'>",
+            encoding="utf-8",
+        )
+        subprocess.run(
+            [
+                *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
+                *("--no-first-run", "--disable-background-networking", "--disable-sync"),
+                *("--disable-component-update", "--disable-quic", "--disable-dev-shm-usage"),
+                "--force-prefers-reduced-motion",  # else it is taken while the page still scrolls
+                f"--user-data-dir={place}/profile",
+                f"--window-size={_WIDTH},{_HEIGHT}",
+                f"--screenshot={picture.resolve()}",
+                frame.as_uri(),
+            ],
+            check=True,
+            timeout=_PATIENCE,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
 
 
 if __name__ == "__main__":

@@ -1,17 +1,44 @@
-"""Records a run: raw bytes both ways, what they mean, each case's begin and end, each look."""
+"""Records a run as evidence: all that is needed to judge it again, and the verdict beside it.
+
+Messages: the raw bytes both ways and what they mean, each case's begin and end, each look, each
+thing that the runner asked for. Attached at the start: the grammar's text (`grammar.py`) and what
+the run rests on (`run.json`); at the end: what was measured (`profile.json`) and the report
+(`verdict.json`, as `--json` writes it).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
+
+import msgspec
 
 from analyzer.recording import Recorder
 from analyzer.records import Record
 from analyzer.session import Session
+from analyzer.version import kit_version
 from captures.errors import CaptureError
-from captures.schemas import CaseMark, Chunk, Line, Look
+from captures.schemas import Asked, CaseMark, Chunk, Line, Look
+from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
+from conformance.circumstances import Circumstances
+from conformance.report import Report, as_json
+from conformance.run import Ended
 from conformance.verdicts import CaseResult
+from spec.protocol import Protocol
+
+GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"
+"""The names of what is attached."""
+
+AskName = Literal["send", "listen", "look", "power", "interrupt"]
+NAMES: dict[type, AskName] = {
+    Send: "send",
+    Listen: "listen",
+    See: "look",
+    PowerCycle: "power",
+    type(None): "interrupt",
+}
+"""What each ask is called in a recording."""
 
 
 class RunRecorder:
@@ -75,6 +102,42 @@ class RunRecorder:
     def end(self, result: CaseResult) -> None:
         """A case is final."""
         self._mark(CaseMark(self._now, result.id, "end", result.verdict.label, result.reason))
+
+    def begins(self, grammar: Protocol, options: object, circumstances: Circumstances) -> None:
+        """The run begins: what it rests on is in the file before anything is sent."""
+        about = msgspec.json.encode(
+            {
+                "kit": kit_version(),
+                "grammar": {"sha256": grammar.sha256, "file": grammar.origin},
+                "options": options,
+                "circumstances": circumstances,
+            }
+        )
+        self._attach(GRAMMAR, "text/x-python", grammar.source.encode())
+        self._attach(RUN, "application/json", about)
+
+    def asked(self, ask: Ask | None, reply: int | Heard | Seen | Ended) -> None:
+        """An ask was done, or could not be: one message after all that it brought."""
+        name = NAMES[type(ask)]
+        match reply:
+            case Ended():
+                value = Asked(self._now, name, None, str(reply), reply.error, reply.line_works)
+            case Seen():
+                value = Asked(reply.now, name, reply.asked)
+            case Heard():
+                self._now = max(self._now, reply.now)
+                value = Asked(reply.now, name)
+            case _:
+                value = Asked(reply, name)
+        self._try(lambda: self._file.mark(value, value.t))
+
+    def reported(self, report: Report) -> None:
+        """The run is over."""
+        self._attach(PROFILE, "application/json", msgspec.json.encode(report.profile))
+        self._attach(VERDICT, "application/json", as_json(report))
+
+    def _attach(self, name: str, media_type: str, data: bytes) -> None:
+        self._try(lambda: self._file.attach(name, media_type, data, self._now))
 
     def close(self) -> None:
         """Finish the file."""

@@ -11,23 +11,29 @@ from typing import Any
 import msgspec
 
 from analyzer.version import kit_version
-from conformance.cases import Case, Class
+from conformance.coverage import covered
+from conformance.expected import Comparison
 from conformance.judging import MS
+from conformance.levels import AnyCase
 from conformance.run import Profile
 from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
-from spec.motion import Motion
+from conformance.walks import Walk
 from spec.protocol import Protocol
 
 AXES = ("answer", "stop", "state")
-_NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
+NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 
 
 class Report(msgspec.Struct, frozen=True):
     """Everything that is known after a run.
 
     `unusable` says why nothing could be judged, `ended` why the run ended early; both are "" for a
-    run that went to its end. `profile` holds what was measured (ms), `coverage` pairs of how many
-    and out of how many.
+    run that went to its end; `ended_by` is then `error` (the kit, the port or the probe failed) or
+    `user`. `profile` holds what was measured (ms), `coverage` pairs of how many and out of how
+    many, `kit` the version that judged. `comparison` is what a file of expected failures says about
+    it, if there is one. `again` has the command that tries a case again where it was read, not run
+    here. `timing` says where the time went (see `meter`), `dropped` how many cases of each group a
+    budget has left out.
     """
 
     grammar: dict[str, str]
@@ -38,9 +44,15 @@ class Report(msgspec.Struct, frozen=True):
     exit: int
     unusable: str
     ended: str
-    profile: dict[str, float | bool | None]
+    profile: dict[str, Any]
     coverage: dict[str, tuple[int, int]]
     results: tuple[CaseResult, ...]
+    kit: str = ""
+    ended_by: str = ""
+    comparison: Comparison | None = None
+    again: dict[str, str] = {}
+    timing: dict[str, float] = {}
+    dropped: dict[str, int] = {}
 
     @property
     def verdict(self) -> Verdict:
@@ -57,13 +69,15 @@ class Report(msgspec.Struct, frozen=True):
 def make_report(
     protocol: Protocol,
     results: Sequence[CaseResult],
-    cases: Sequence[Case],
+    cases: Sequence[AnyCase],
     profile: Profile,
     *,
     device: str,
     link: dict[str, Any],
     options: dict[str, Any],
     seed: int,
+    timing: dict[str, float] | None = None,
+    dropped: dict[str, int] | None = None,
     unusable: str = "",
     ended: str = "",
     error: bool = False,
@@ -73,11 +87,7 @@ def make_report(
 
     An interrupted run with nothing failed cannot vouch for the rest: its exit code is 3.
     """
-    code = exit_code((r.verdict for r in results), strict=bool(options.get("strict")))
-    if unusable or (error and code != 1):
-        code = 2
-    elif interrupted and code == 0:
-        code = 3
+    ended_by = "error" if error else "user" if interrupted else ""
     return Report(
         grammar={
             "name": protocol.name,
@@ -89,59 +99,94 @@ def make_report(
         link=link,
         options=options,
         seed=seed,
-        exit=code,
+        exit=decided_exit(results, options, unusable, ended_by),
         unusable=unusable,
         ended=ended,
         profile=_measured(profile),
-        coverage=_coverage(protocol, results, cases),
+        coverage=coverage(protocol, results, cases),
         results=tuple(results),
+        kit=kit_version(),
+        timing=timing or {},
+        dropped=dropped or {},
+        ended_by=ended_by,
     )
 
 
-def _measured(profile: Profile) -> dict[str, float | bool | None]:
-    """What was measured, times in milliseconds."""
+def compared(report: Report, comparison: Comparison) -> Report:
+    """The report of the same run where failures are expected: only the others decide its exit."""
+    counted = [r for r in report.results if r.id not in comparison.expected]
+    code = decided_exit(counted, report.options, report.unusable, report.ended_by)
+    if comparison.stale:
+        code = 1
+    return msgspec.structs.replace(report, exit=code, comparison=comparison)
+
+
+def decided_exit(
+    results: Sequence[CaseResult], options: dict[str, Any], unusable: str, ended_by: str
+) -> int:
+    """The exit code of a run with these results; `unusable` and `ended_by` as in a Report."""
+    code = exit_code((r.verdict for r in results), strict=bool(options.get("strict")))
+    if unusable or (ended_by == "error" and code != 1):
+        return 2
+    return 3 if ended_by and code == 0 else code
+
+
+def _measured(profile: Profile) -> dict[str, Any]:
+    """What was measured, times in milliseconds, and what the device chose where it was open."""
     times = [latency / MS for latency in profile.latencies]
-    timeout = profile.truncation_timeout
+
+    def ms(time: int | None) -> float | None:
+        return None if time is None else round(time / MS, 3)
+
     return {
-        "truncation_timeout_ms": None if timeout is None else round(timeout / MS, 3),
+        "truncation_timeout_ms": ms(profile.truncation_timeout),
         "truncated_frames_answered": profile.truncation_answered,
         "latency_median_ms": round(statistics.median(times), 3) if times else None,
         "latency_max_ms": round(max(times), 3) if times else None,
+        "round_trip_ms": ms(profile.round_trip),
+        "jitter_ms": ms(profile.jitter),
+        "boot_ms": ms(profile.boot),
+        "flushes": profile.flushes,
+        "whole_frame": profile.whole_frame,
+        "led_id": profile.choices.led_id,
+        "stop_latency_ms": ms(profile.stop_latency),
+        "watchdog_ms": ms(profile.watchdog),
+        "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},
     }
 
 
-def _coverage(
-    protocol: Protocol, results: Sequence[CaseResult], cases: Sequence[Case]
+def coverage(
+    protocol: Protocol, results: Sequence[CaseResult], cases: Sequence[AnyCase]
 ) -> dict[str, tuple[int, int]]:
-    """What was exercised out of what there is, as facts. A case that was not run counts nothing."""
+    """What was exercised out of what there is, as facts.
+
+    A case that was not run counts nothing, nor does a walk that ended before its end.
+    """
     done = {r.id for r in results if r.sent and r.axes.get("answer") and r.received}
     done |= {r.id for r in results if "stop" in r.axes or "state" in r.axes}
-    run = [case for case in cases if case.id in done]
-    moving = [m for m in Motion if m is not Motion.STOPPED]
-    frames = {case.stimulus for case in run if case.kind is Class.VALID}
-    valid = sum(1 for case in cases if case.kind is Class.VALID)
-    cuts = {(case.stimulus[:1], case.arrived) for case in run if case.arrived is not None}
-    classes = [k for k in Class if k not in (Class.VALID, Class.RECOVERY)]
-    met = {(case.kind, case.setup.motion) for case in run if case.kind in classes}
-    return {
-        "headers": (len({case.stimulus[0] for case in run}), len(protocol.headers)),
-        "valid frames": (len(frames), max(valid, len(frames))),
-        "truncations": (len(cuts), sum(protocol.lengths)),
-        "fault classes x kinds of motion": (len(met), len(classes) * len(moving)),
-    }
+    broken = {r.id for r in results if r.verdict >= Verdict.INCONCLUSIVE}
+    run = [c for c in cases if c.id in done and not (isinstance(c, Walk) and c.id in broken)]
+    return covered(protocol, run)
 
 
 def as_json(report: Report) -> bytes:
     """The report for machines: one JSON object, every key always there.
 
     `verdict` and `exit` sum up, `counts` has each verdict, `coverage` what was exercised (`done`)
-    and how much there is (`of`), `profile` what was measured (ms). Each of `cases` has `id`,
+    and how much there is (`of`), `profile` what was measured (ms)
+    and what the device chose where the document is silent, `timing` where the time went, `dropped`
+    what a budget has left out. Each of `cases` has `id`,
     `clause`, `requirement`, `verdict`, `axes` (`answer`, `stop`, `state`: each `verdict`,
-    `expected`, `actual`, `reason`; `skipped` where a case has no such axis), `reading`, `sent` (hex
-    of each frame), `received` (`hex` and `t`, in s since the stimulus had gone) and `reproduce`.
+    `expected`, `actual`, `reason`, `reading`; `skipped` where a case has no such axis), `reading`,
+    `sent` (hex of each frame), `received` (`hex` and `t`, in s since the stimulus had gone), `log`
+    (`t` in s since its first entry, `kind`: `sent`, `received`, `look` or `clipped`, `hex`, `look`)
+    `reproduce` and `expected_failure` (its verdict stays `fail`). `expected_failures` sums these
+    up: `file`, `expected` and `unexpected` (how many cases), `stale` (a sentence for each entry
+    that no longer fails); null without such a file. `ended_by` is `error`, `user` or null.
+    `options.shard` is [I, N] for a shard, else null.
     """
     document = {
-        "kit": kit_version(),
+        "kit": report.kit,
         "grammar": report.grammar,
         "device": report.device,
         "link": report.link,
@@ -151,42 +196,86 @@ def as_json(report: Report) -> bytes:
         "exit": report.exit,
         "unusable": report.unusable or None,
         "ended": report.ended or None,
+        "ended_by": report.ended_by or None,
         "counts": report.counts,
         "coverage": {name: {"done": d, "of": of} for name, (d, of) in report.coverage.items()},
+        "timing": report.timing,
+        "dropped": report.dropped,
         "profile": report.profile,
-        "cases": [_case(report, result) for result in report.results],
+        "expected_failures": expected_failures(report.comparison),
     }
-    return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    head = msgspec.json.format(msgspec.json.encode(document), indent=1).removesuffix(b"\n}")
+    cases = b",\n".join(_case(report, result) for result in report.results)
+    return head + b',\n "cases": [' + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n"
 
 
-def _case(report: Report, result: CaseResult) -> dict[str, Any]:
+def _case(report: Report, result: CaseResult) -> bytes:
+    """One case, with each entry of its log on a line of its own."""
+    case = case_as_json(report, result)
+    text = msgspec.json.format(msgspec.json.encode(case), indent=1).removesuffix(b"\n}")
+    log = b",\n    ".join(
+        msgspec.json.encode({"t": e.t / 1e9, "kind": e.kind, "hex": e.hex, "look": e.look})
+        for e in result.log
+    )
+    log = b"\n    " + log + b"\n   " if log else b""
+    return b"  " + text.replace(b"\n", b"\n  ") + b',\n   "log": [' + log + b"]\n  }"
+
+
+def case_as_json(report: Report, result: CaseResult) -> dict[str, Any]:
+    """One of `cases` of the JSON, without its log."""
     return {
         "id": result.id,
         "clause": result.clause,
         "requirement": result.requirement,
         "verdict": result.verdict.label,
-        "axes": {name: _axis(result.axes.get(name, _NO_AXIS)) for name in AXES},
+        "axes": {name: _axis(result.axes.get(name, NO_AXIS)) for name in AXES},
         "reading": result.reading or None,
         "sent": result.sent,
         "received": [{"hex": byte.hex, "t": byte.t / 1e9} for byte in result.received],
-        "reproduce": reproduce(report, result.id),
+        "reproduce": reproduce(report, result),
+        "expected_failure": bool(report.comparison and result.id in report.comparison.expected),
     }
 
 
-def _axis(axis: Axis) -> dict[str, str]:
+def expected_failures(comparison: Comparison | None) -> dict[str, Any] | None:
+    """What `expected_failures` of the JSON says."""
+    if comparison is None:
+        return None
+    return {
+        "file": comparison.file,
+        "expected": len(comparison.expected),
+        "unexpected": comparison.unexpected,
+        "stale": comparison.stale,
+    }
+
+
+def _axis(axis: Axis) -> dict[str, str | None]:
     return {
         "verdict": axis.verdict.label,
         "expected": axis.expected,
         "actual": axis.actual,
         "reason": axis.reason,
+        "reading": axis.reading or None,
     }
 
 
-def reproduce(report: Report, ident: str) -> str:
-    """The command that tries this case again."""
-    words = ["bilprov", "conform", report.device, "--seed", str(report.seed), "--only", ident]
-    if report.grammar["file"] != "grammar.py":
-        words[1:1] = ["--grammar", report.grammar["file"]]
+def reproduce(report: Report, result: CaseResult) -> str:
+    """The command that tries this case again, or for a sequence the frames that fail.
+
+    What fails in the built-in simulator is sent to `PORT`, where `bilprov simulate` serves it.
+    """
+    if report.again.get(result.id):
+        return report.again[result.id]
+    grammar = report.grammar["file"]
+    start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
+    if result.reproduce:
+        port = report.device if report.link["kind"] == "port" else "PORT"
+        return shlex.join([*start, "send", port, *result.reproduce.split()])
+    words = [*start, "conform", report.device, "--seed", str(report.seed), "--only", result.id]
+    if report.options.get("level", "standard") != "standard":
+        words += ["--level", report.options["level"]]
+    for allowed in report.options.get("allow", ()):
+        words += ["--allow", allowed]
     probe, fault = report.link.get("probe"), report.link.get("fault")
     if report.link["kind"] == "port" and probe:
         words += ["--probe", probe]

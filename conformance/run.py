@@ -11,8 +11,12 @@ from dataclasses import dataclass, field
 
 from conformance.asks import Heard, Script, listen
 from conformance.cases import Case, special
-from conformance.judging import MS, NOT_OBSERVABLE, answer_words
+from conformance.choices import POINTS, Choices
+from conformance.chosen import on_the_wire
+from conformance.judging import MS, NOT_OBSERVABLE, answer_words, matching
+from conformance.model import Model
 from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
+from conformance.walks import Walk
 from spec.codec import spaced
 from spec.motion import Motion
 from spec.protocol import Protocol
@@ -42,8 +46,10 @@ class Limits:
     `deadline` for an answer, `longest` until a missing one is given up, `silence` after an answer
     before the next step, `hold` while a thorough case watches the stop, `grace` how much later than
     the answer a stop may be seen although it was in time (the link's own jitter), `settle` for what
-    may still be under way, `boot` for the first answer, `never` before a truncated frame counts as
-    never answered. `waste` is how long in all to wait for answers that do not come; None for ever.
+    may still be under way, `boot` for the first answer, `idle` how
+    long nobody talks to a robot that drives, `never` before a truncated frame counts as
+    never answered. `waste` is how long in all to wait for answers that do not come, `whole`
+    how long all cases may take on a slow device; None for ever.
     """
 
     deadline: int = 100 * MS
@@ -54,7 +60,9 @@ class Limits:
     settle: int = MS
     boot: int = 10_000 * MS
     never: int = 2500 * MS
+    idle: int = 1200 * MS
     waste: int | None = None
+    whole: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +81,11 @@ class Eyes:
 class Profile:
     """What was measured on the device; times in ns, None where it was not.
 
-    `flushes` is true for a device that throws away what follows a fault until the line is idle.
+    `flushes` is true for a device that throws away what follows a fault until the line is idle,
+    `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
+    was seen to stop, `watchdog` after what silence it stopped by itself, `boot` what the first
+    answer took; `round_trip` and `jitter` are the line's and the device's together. `choices` are
+    what it has shown where the document is silent.
     """
 
     truncation_timeout: int | None = None
@@ -81,6 +93,13 @@ class Profile:
     latencies: list[int] = field(default_factory=list)
     slowest: int = 0
     flushes: bool = False
+    whole_frame: bool = False
+    watchdog: int | None = None
+    round_trip: int | None = None
+    jitter: int | None = None
+    boot: int | None = None
+    stop_latency: int = 0
+    choices: Choices = field(default_factory=Choices)
 
     def measured(self, heard: Heard, sent: int) -> None:
         """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
@@ -91,11 +110,12 @@ class Profile:
 
 
 _NEVER = 5  # answers that never came, until a missing one is no longer waited for so long
+_STRAYS = 3  # answers that are nobody's, until they are the device's and not the line's
 
 
 @dataclass
 class _Open:
-    case: Case
+    case: Case | Walk
     axes: dict[str, Axis]
     heard: list[tuple[int, int]]
     sent: int
@@ -104,7 +124,8 @@ class _Open:
 class Run:
     """The books of one run. `begin` and `report` are called as cases begin and become final.
 
-    `power` says whether the robot can be switched off and on.
+    `power` says whether the robot can be switched off and on, `profile` what is known of it.
+    `belief` is what it must be like now, `before` what it was before the case's stimulus.
     """
 
     def __init__(
@@ -117,11 +138,16 @@ class Run:
         report: Callable[[CaseResult], None],
         truncation_timeout: int | None = None,
         power: bool = False,
+        profile: Profile | None = None,
     ) -> None:
         self.protocol = protocol
         self.limits = limits
         self.eyes = eyes
-        self.profile = Profile(truncation_timeout=truncation_timeout)
+        self.profile = profile or Profile()
+        if truncation_timeout is not None:
+            self.profile.truncation_timeout = truncation_timeout
+        self.model = Model(protocol, self.profile.choices)
+        self.before = self.belief = self.model.found()
         self.power = power
         self.begin = begin
         self.results: list[CaseResult] = []
@@ -132,24 +158,49 @@ class Run:
         self.missing = False
         self._never_came = 0
         self._stray = False
+        self._strays: list[tuple[tuple[tuple[int, int], ...], str]] = []
+        self.trying: list[CaseResult] | None = None
+        self.suspect: CaseResult | None = None
+        self.flaky = self.reproduced = self.shrunk = self.missed_stops = 0
         self.floods = 0
+        self.timeouts = 0  # ns that were waited for frames that are cut short
         self._nudges = 0
 
     # -- the case that is open --------------------------------------------------------------------
 
-    def open(self, case: Case, axes: dict[str, Axis], heard: Heard, sent: int) -> None:
+    def open(self, case: Case | Walk, axes: dict[str, Axis], heard: Heard, sent: int) -> None:
         """From now on this case is judged; `sent` is when its stimulus had gone."""
         self._open = _Open(case, dict(axes), list(heard.answers), sent)
 
     def close(self) -> None:
         """The case before is final."""
         if self._open is not None:
+            self._keep_to_choice(self._open)
             done, self._open = self._open, None
             self.end(done.case, done.axes, done.heard, done.sent)
 
+    def _keep_to_choice(self, done: _Open) -> None:
+        """A device that has shown one choice of a point shows no other."""
+        case = done.case
+        if (
+            isinstance(case, Walk)
+            or not case.point
+            or done.axes["answer"].verdict >= Verdict.INCONCLUSIVE
+        ):
+            return
+        codes = tuple(code for _, code in done.heard)
+        choice = matching(case.accepted, codes)
+        if choice is None:
+            return
+        word = choice.word or POINTS[case.point].default
+        contradiction = self.profile.choices.settle(case.point, word, case.id)
+        if contradiction:
+            words, reading = answer_words(self.protocol, codes), POINTS[case.point].reading
+            self.worsen("answer", Verdict.FAIL, words, contradiction, reading)
+
     def end(
         self,
-        case: Case,
+        case: Case | Walk,
         axes: dict[str, Axis],
         heard: Iterable[tuple[int, int]] = (),
         sent: int = 0,
@@ -165,8 +216,22 @@ class Run:
             sent=tuple(spaced(frame) for frame in case.sent if frame),
             received=tuple(Received(f"{code:02x}", t - sent) for t, code in heard),
         )
+        if self.trying is None:
+            self.publish(result)
+        else:
+            self.trying.append(result)
+
+    def publish(self, result: CaseResult) -> None:
+        """A result is final."""
         self.results.append(result)
         self._report(result)
+
+    def drop_tries(self) -> None:
+        """The run ends while a case is tried again: it failed once, and that is not confirmed."""
+        self.trying = None
+        if self.suspect is not None:
+            suspect, self.suspect, self._open = self.suspect, None, None
+            self.publish(suspect)
 
     @property
     def axes(self) -> dict[str, Axis]:
@@ -196,20 +261,42 @@ class Run:
         if worst(axis.verdict for axis in self.axes.values()) < Verdict.FAIL:
             self.worsen("answer", verdict, self.axes["answer"].actual, reason)
 
-    def charge(self, late: Iterable[tuple[int, int]], reason: str) -> None:
+    def charge(self, late: Iterable[tuple[int, int]], reason: str, reading: str = "") -> None:
         """What came too late belongs to the case before; before the first one to nobody's."""
         if self._open is not None:
             self._open.heard += late
             codes = tuple(code for _, code in self._open.heard)
-            self.worsen("answer", Verdict.FAIL, answer_words(self.protocol, codes), reason)
-        elif not self._stray:
-            self._stray = True
-            came = tuple(late)
-            words = answer_words(self.protocol, tuple(code for _, code in came))
-            axis = Axis(Verdict.FAIL, "no answer", words, reason, "R-unsolicited")
-            clause, requirement = self.protocol.clauses.responses, "answers only when it is asked"
-            case = special(self.protocol, "line/unsolicited", clause, requirement, b"")
-            self.end(case, {"answer": axis}, came, came[0][0] if came else 0)
+            words = answer_words(self.protocol, codes)
+            if reading:  # it explains whatever else went wrong in the case
+                expected = self.axes["answer"].expected
+                self.axes["answer"] = Axis(Verdict.FAIL, expected, words, reason, reading)
+            self.worsen("answer", Verdict.FAIL, words, reason)
+            return
+        came = tuple(late)
+        self._strays.append((came, reason))
+        # One that came by itself may be the line's: a byte doubled. A flood or a silence is not.
+        if len(self._strays) >= _STRAYS or not 0 < len(came) < _STRAYS:
+            self._end_strays(Verdict.FAIL)
+
+    def close_strays(self) -> None:
+        """What came by itself once or twice in a run and was nobody's: no failure, and no pass."""
+        if self._strays:
+            self._end_strays(Verdict.INCONCLUSIVE)
+
+    def _end_strays(self, verdict: Verdict) -> None:
+        if self._stray:
+            return
+        self._stray = True
+        came = tuple(answer for answers, _ in self._strays for answer in answers)
+        reason = self._strays[-1][1]
+        if verdict is not Verdict.FAIL:
+            times = "once" if len(self._strays) == 1 else f"{len(self._strays)} times"
+            reason = f"flaky, only {times} in the run: {reason}"
+        words = answer_words(self.protocol, tuple(code for _, code in came))
+        axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
+        clause, requirement = self.protocol.clauses.responses, "answers only when it is asked"
+        case = special(self.protocol, "line/unsolicited", clause, requirement, b"")
+        self.end(case, {"answer": axis}, came, came[0][0] if came else 0)
 
     @property
     def in_step(self) -> bool:
@@ -220,6 +307,10 @@ class Run:
     def open_id(self) -> str:
         """The open case's id, "" between cases."""
         return self._open.case.id if self._open else ""
+
+    def wire(self, frame: bytes) -> bytes:
+        """A valid frame as this device takes it, b"" for one that it does not know."""
+        return on_the_wire(self.protocol, self.profile.choices, frame)
 
     # -- patience ---------------------------------------------------------------------------------
 
@@ -234,6 +325,15 @@ class Run:
             self.missing = True
             self.waste(patience)
         return heard
+
+    def all_answers(self, count: int, patience: int = 0) -> Script[Heard]:
+        """Listen for `count` answers, each for `patience` ns after the one before (0: `usual`)."""
+        got: tuple[tuple[int, int], ...] = ()
+        while True:
+            heard = yield from listen(count - len(got), patience or self.usual)
+            got += heard.answers
+            if not heard.answers or len(got) >= count:
+                return Heard(got, heard.now)
 
     @property
     def usual(self) -> int:

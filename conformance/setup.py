@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from spec.codec import build
+from functools import lru_cache
+
+from conformance.model import Deed
+from spec.codec import build, judge
 from spec.motion import WHEELS, Motion, State
 from spec.protocol import InstructionSpec, Protocol
 
@@ -26,6 +29,14 @@ def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
     return tuple(frame for frame in (speed, led, *late) if frame)
 
 
+def deed_of(protocol: Protocol, frame: bytes) -> Deed:
+    """What a valid frame does."""
+    judged = judge(protocol, frame)
+    assert judged.valid
+    assert judged.instruction is not None
+    return Deed(judged.instruction.effect, dict(judged.fields))
+
+
 def moves(spec: InstructionSpec) -> bool:
     """Whether the instruction sets a motion."""
     return spec.effect.motion not in (None, Motion.STOPPED)
@@ -38,6 +49,7 @@ def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
     )
 
 
+@lru_cache(maxsize=1 << 12)
 def setting(protocol: Protocol, variable: str, value: int) -> bytes:
     """The frame that sets a variable and leaves the motion alone, b"" if there is none."""
     for spec in protocol.instructions:

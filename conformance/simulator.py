@@ -7,140 +7,131 @@ hears, how it reacts, or what its wheels and LED then do. No port, no clock.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from collections.abc import Callable, Hashable, Sequence
+from functools import cache, lru_cache
+from typing import cast
 
 import msgspec
 
+from analyzer.line_settings import LineSettings
 from captures.schemas import Look
+from conformance.fault import CONFORMING as CONFORMING
+from conformance.fault import MS as MS
+from conformance.fault import Event as Event
+from conformance.fault import Fault as Fault
+from conformance.fault import React as React
+from conformance.fault import Reaction as Reaction
+from conformance.fault import answers as answers
+from conformance.watched import COUNTED, Reads, Watched
 from spec.codec import Judgement, judge
-from spec.framing import Framed, Framer
 from spec.motion import State, wheels
 from spec.protocol import Protocol
 
-MS = 1_000_000
+Step = Callable[[bytes, State], tuple[Judgement, State]]
 
 
-@dataclass(frozen=True, slots=True)
-class Reaction:
-    """What a frame brings about.
+@cache
+def conforming_step(protocol: Protocol) -> Step:
+    """For each frame and state before it: its judgement, and the state that a device then has."""
+    judged = lru_cache(maxsize=1 << 17)(lambda frame: judge(protocol, frame))
 
-    `answers` are (delay in ns, code); `state` holds at once; `later` are states that come by
-    themselves: (delay in ns, state).
-    """
+    @lru_cache(maxsize=1 << 17)
+    def step(frame: bytes, before: State) -> tuple[Judgement, State]:
+        judgement = judged(frame)
+        if not judgement.valid:
+            return judgement, protocol.on_fault.apply(before)
+        assert judgement.instruction is not None
+        return judgement, judgement.instruction.effect.apply(before, dict(judgement.fields))
 
-    answers: tuple[tuple[int, int], ...]
-    state: State
-    later: tuple[tuple[int, State], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A frame that arrived: its judgement, the state before it, how many came before it."""
-
-    judgement: Judgement
-    before: State
-    frames: int
-    faults: int
-    kind: str
-    now: int
-
-
-React = Callable[["Simulator", Event, Reaction], Reaction]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One named way to misbehave.
-
-    `doc` says in a sentence what it does. `caught_by` are globs of the case ids that are meant to
-    fail, `exit` the exit code of a run against it. What is left out behaves well: `react` changes
-    the reaction to a frame, `hear` the bytes before they are framed (and may answer at once),
-    `lengths` the data length of each header byte, `timeout` (ns, None for never) the pause that
-    cuts a frame short, `show` what a probe can see, `power_on` the state it starts in, `begins`
-    what happens when a header has arrived.
-    """
-
-    name: str
-    family: str
-    doc: str
-    caught_by: tuple[str, ...] = ()
-    exit: int = 1
-    react: React | None = None
-    hear: Callable[[Simulator, bytes, int], bytes] | None = None
-    lengths: Sequence[int] | None = None
-    timeout: int | str | None = "default"
-    show: Callable[[Look], Look] | None = None
-    power_on: State | None = None
-    begins: Callable[[Simulator, int], Sequence[int]] | None = None
-
-
-CONFORMING = Fault("none", "none", "behaves as the kit reads the document", exit=0)
-
-
-@dataclass
-class _Pending:
-    """What is still to come, in order of time: answer bytes and states."""
-
-    answers: deque[tuple[int, int]] = field(default_factory=deque)
-    states: deque[tuple[int, State]] = field(default_factory=deque)
+    return step
 
 
 class Simulator:
-    """The reference device, with at most one fault. Times are integers in nanoseconds."""
+    """The reference device, with at most one fault. Times are integers in nanoseconds.
+
+    `memory` is where a fault keeps what it remembers between frames; `reads`, where it is given,
+    notes what the fault looks at.
+    """
 
     def __init__(self, protocol: Protocol, fault: Fault | None = None, latency: int = 0) -> None:
         self.protocol = protocol
         self.fault = fault or CONFORMING
         self.latency = latency
-        self._judge = lru_cache(maxsize=1 << 17)(partial(judge, protocol))
+        self.reads: Reads | None = None
+        line = protocol.line
+        self.byte_time = LineSettings(line.baud, line.parity, line.stopbits).byte_time
+        self.step = conforming_step(protocol)
         self._full_steering = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
+        self._lengths: Sequence[int] = self.fault.lengths or protocol.lengths
+        usual = int(protocol.timing.truncation_timeout * MS)
+        timeout = usual if isinstance(self.fault.timeout, str) else self.fault.timeout
+        self._timeouts = [
+            self.fault.timeouts(header) if self.fault.timeouts else timeout for header in range(256)
+        ]
         self.power_cycle(0)
 
     def power_cycle(self, now: int) -> None:
         """Switch it off and on at `now`: it knows nothing of what was before."""
-        timeout = self.fault.timeout
-        self._framer = Framer(
-            self.fault.lengths or self.protocol.lengths,
-            int(self.protocol.timing.truncation_timeout * MS)
-            if isinstance(timeout, str)
-            else timeout,
-        )
         self.state = self.fault.power_on or self.protocol.power_on
-        self.frames = 0
-        self.faults = 0
+        self.frames = self.faults = self.truncated = self.row = 0
         self.memory: dict[str, int] = {}
-        self._pending = _Pending()
+        self.previous: Judgement | None = None
+        self._previous_kind = ""
+        self._held = bytearray()
+        self._missing = 0
+        self._cut: int | None = None  # when the frame begun is cut short
+        self._pause = 0
+        self._gap: int | None = None
+        self._byte_at = now
+        self.over_at: int | None = None  # when (ns) the frame before was over
+        self._answers: deque[tuple[int, int]] = deque()
+        self._states: deque[tuple[int, State]] = deque()
+        self._unasked: deque[tuple[int, int]] = deque()
+        for code in self.fault.banner:
+            self.answer(code, now)
+
+    @property
+    def held(self) -> bytes:
+        """The bytes of the frame that is not complete yet."""
+        return bytes(self._held)
+
+    def drop(self) -> None:
+        """Forget the frame begun: its bytes are lost, the next byte is a header."""
+        self._held.clear()
+        self._cut = None
 
     def receive(self, data: bytes, now: int) -> None:
         """Bytes from the host that arrive at `now`."""
-        self._settle(now)
-        if self.fault.hear:
-            data = self.fault.hear(self, data, now)
-        for byte in data:
-            fresh = not self._framer.held
-            records = self._framer.feed(bytes([byte]), now)
-            if fresh and not records and self.fault.begins:
-                for code in self.fault.begins(self, byte):
-                    self.answer(code, now)
-            for record in records:
-                self._handle(record)
+        if self._cut is not None or self._states or self._unasked:
+            self._settle(now)
+        hear = self.fault.hear
+        if hear is None:
+            for byte in data:
+                self._take(byte, now)
+        else:
+            for index in range(len(data)):
+                for byte in hear(self, data[index : index + 1], now):
+                    self._take(byte, now)
 
     def advance(self, now: int) -> bytes:
         """Let time pass until `now`: what the device sends until then."""
-        self._settle(now)
+        if self._cut is not None or self._states or self._unasked:
+            self._settle(now)
+        queue = self._answers
+        if not queue or queue[0][0] > now:
+            return b""
         due = bytearray()
-        while self._pending.answers and self._pending.answers[0][0] <= now:
-            due.append(self._pending.answers.popleft()[1])
+        while queue and queue[0][0] <= now:
+            due.append(queue.popleft()[1])
         return bytes(due)
 
     def deadline(self) -> int | None:
         """When it next acts by itself, None if it only waits."""
-        times = [queue[0][0] for queue in (self._pending.answers, self._pending.states) if queue]
-        if self._framer.deadline is not None:
-            times.append(self._framer.deadline)
-        return min(times, default=None)
+        due = self._cut
+        for queue in (self._answers, self._states, self._unasked):
+            if queue and (due is None or queue[0][0] < due):
+                due = queue[0][0]
+        return due
 
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now`."""
@@ -166,46 +157,137 @@ class Simulator:
 
     def answer(self, code: int, at: int) -> None:
         """Queue an answer byte for the time `at`."""
-        queue = self._pending.answers
-        queue.append((at, code))
-        if len(queue) > 1 and queue[-2][0] > at:
-            self._pending.answers = deque(sorted(queue, key=lambda entry: entry[0]))
+        queue = self._answers
+        if queue and queue[-1][0] > at:
+            self._answers = deque(sorted([*queue, (at, code)], key=lambda entry: entry[0]))
+        else:
+            queue.append((at, code))
+
+    def twin(self) -> Simulator:
+        """Another device in the same state, that shares nothing that changes."""
+        other = Simulator.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.memory = dict(self.memory)
+        other._held = bytearray(self._held)
+        other._answers = deque(self._answers)
+        other._states = deque(self._states)
+        other._unasked = deque(self._unasked)
+        return other
+
+    def snapshot(self, now: int, longest: int, reads: Reads) -> Hashable:
+        """All that its future depends on, as seen from `now`; pauses above `longest` ns are alike.
+
+        `reads` is what its fault has been seen to look at. What `memory` keeps under a name that
+        ends in `at` is a time. Two devices of one fault with equal snapshots behave alike.
+        """
+        since = None if self.over_at is None else min(now - self.over_at, longest)
+        timed = self.fault.hear or not reads.names.isdisjoint(("gap", "pipelined"))
+        queues = (self._answers, self._states, self._unasked)
+        return (
+            self.state,
+            tuple(
+                (name, max(value - now, -longest) if name.endswith("at") else value)
+                for name, value in sorted(self.memory.items())
+            ),
+            bytes(self._held),
+            None if self._cut is None else self._cut - now,
+            tuple(tuple((at - now, what) for at, what in queue) for queue in queues),
+            tuple(reads.seen(name, getattr(self, name)) for name in COUNTED),
+            reads.of_previous(self.previous),
+            self._previous_kind if "previous_kind" in reads.names else "",
+            since if timed else None,
+            (min(now - self._byte_at, longest), self._pause, self._gap) if self._held else None,
+        )
+
+    def _take(self, byte: int, now: int) -> None:
+        """One byte of a frame."""
+        held = self._held
+        if held:
+            held.append(byte)
+            self._missing -= 1
+            if now - self._byte_at > self._pause:
+                self._pause = now - self._byte_at
+            if self._missing and not self.fault.whole_frame:
+                timeout = self._timeouts[held[0]]
+                self._cut = None if timeout is None else now + timeout
+        else:
+            held.append(byte)
+            self._pause = 0
+            self._gap = None if self.over_at is None else now - self.over_at
+            self._missing = self._lengths[byte]
+            if self._missing:
+                timeout = self._timeouts[byte]
+                self._cut = None if timeout is None else now + timeout
+                if self.fault.begins:
+                    for code in self.fault.begins(self, byte):
+                        self.answer(code, now)
+        self._byte_at = now
+        if not self._missing:
+            self._cut = None
+            frame = bytes(held)
+            held.clear()
+            self._handle(frame, "instruction", now)
 
     def _settle(self, now: int) -> None:
-        """Apply the states and time-outs that are due until `now`, in order of time."""
+        """Apply the states, answers and time-outs that are due until `now`, in order of time."""
         while True:
-            state = self._pending.states[0][0] if self._pending.states else None
-            cut = self._framer.deadline
+            state = self._states[0][0] if self._states else None
+            cut = self._cut
             if cut is not None and cut <= now and (state is None or cut <= state):
-                for record in self._framer.advance(cut):
-                    self._handle(record)
+                frame = bytes(self._held)
+                self._held.clear()
+                self._cut = None
+                self._handle(frame, "truncated", cut)
+                if self.fault.remains:
+                    for byte in self.fault.remains(self, frame):
+                        self._take(byte, cut)
             elif state is not None and state <= now:
-                self.state = self._pending.states.popleft()[1]
+                self.state = self._states.popleft()[1]
             else:
-                return
+                break
+        while self._unasked and self._unasked[0][0] <= now:
+            at, code = self._unasked.popleft()
+            self.answer(code, at)
 
-    def _handle(self, record: Framed) -> None:
-        lengths = self.protocol.lengths
-        whole = record.data[: 1 + lengths[record.data[0]]]
-        judgement = self._judge(whole)
-        if judgement.valid:
-            effect, fields = judgement.instruction, dict(judgement.fields)
-            after = effect.effect.apply(self.state, fields) if effect else self.state
+    def _handle(self, frame: bytes, kind: str, known: int) -> None:
+        if self.fault.lengths:
+            frame = frame[: 1 + self.protocol.lengths[frame[0]]]
+        before = self.state
+        judgement, after = self.step(frame, before)
+        code = judgement.response.code
+        if self.fault.react is None:
+            self.state = after
+            self._states.clear()
+            self.answer(code, known + self.latency)
         else:
-            after = self.protocol.on_fault.apply(self.state)
-        event = Event(judgement, self.state, self.frames, self.faults, record.kind, record.known)
-        reaction = Reaction(((0, judgement.response.code),), after)
-        if self.fault.react:
-            reaction = self.fault.react(self, event, reaction)
+            gap = self._gap
+            event = Event(
+                judgement,
+                before,
+                self.frames,
+                self.faults,
+                kind,
+                known,
+                self.truncated,
+                self.row,
+                self.previous,
+                self._previous_kind,
+                gap,
+                self._pause,
+                gap is not None and gap <= self.byte_time,
+            )
+            shown = event if self.reads is None else cast(Event, Watched(event, self.reads))
+            reaction = self.fault.react(self, shown, Reaction(((0, code),), after))
+            self.state = reaction.state
+            self._states = deque((known + d, state) for d, state in reaction.later)
+            self._unasked = deque((known + d, code) for d, code in reaction.unasked)
+            for delay, code in reaction.answers:
+                self.answer(code, known + self.latency + delay)
         self.frames += 1
-        self.faults += not judgement.valid
-        self.state = reaction.state
-        self._pending.states.clear()
-        self._pending.states.extend((record.known + d, state) for d, state in reaction.later)
-        for delay, code in reaction.answers:
-            self.answer(code, record.known + self.latency + delay)
-
-
-def answers(reaction: Reaction, *codes: int, delay: int = 0) -> Reaction:
-    """The reaction with other answers, `delay` ns after their time."""
-    return replace(reaction, answers=tuple((delay, code) for code in codes))
+        if judgement.valid:
+            self.row = 0
+        else:
+            self.faults += 1
+            self.row += 1
+            self.truncated += kind == "truncated"
+        self.previous, self._previous_kind, self.over_at = judgement, kind, known

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from conformance.choices import default_of
 from conformance.report import Report, reproduce
 from conformance.verdicts import CaseResult, Verdict
 
@@ -29,7 +31,8 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
     if report.results:
         console.print(_table(report))
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.NON_STRICT):
-        found = [result for result in report.results if result.verdict is verdict]
+        known = report.comparison.expected if report.comparison else frozenset()
+        found = [r for r in report.results if r.verdict is verdict and r.id not in known]
         if verdict is Verdict.INCONCLUSIVE and not everything:
             _reasons(found, console)
         else:
@@ -37,15 +40,45 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
     for name, (done, of) in report.coverage.items():
         if report.results and done:
             console.print(Text(f"{name}: {done} of {of}", "dim"))
-    timeout = report.profile.get("truncation_timeout_ms")
-    latency = report.profile.get("latency_median_ms")
-    if timeout is not None:
-        console.print(Text(f"measured truncation time-out: {timeout} ms", "dim"))
-    if latency is not None and report.link["kind"] == "port":
-        slowest = report.profile.get("latency_max_ms")
-        console.print(Text(f"answers after {latency} ms (median), {slowest} ms (longest)", "dim"))
-    console.print(Text(f"seed {report.seed}", "dim"))
+    for line in _facts(report):
+        console.print(Text(line, "dim"))
+    level = report.options.get("level", "")
+    console.print(Text(f"level {level}, seed {report.seed}", "dim"))
+    if report.comparison:
+        said = f"{len(report.comparison.expected)} fail as {report.comparison.file} expects"
+        console.print(Text(said, "dim"))
+        stale = report.comparison.stale
+        for sentence in stale if everything else stale[:_REASONS]:
+            console.print(Text(sentence, STYLES[Verdict.FAIL]))
+        if len(stale) > _REASONS and not everything:
+            console.print(Text(f"and {len(stale) - _REASONS} more; --verbose lists them", "dim"))
     console.print(conclusion(report))
+
+
+def _facts(report: Report) -> Iterator[str]:
+    """What was measured, what the device chose, what was left out, and where the time went."""
+    profile, timing = report.profile, report.timing
+    timeout, latency = profile.get("truncation_timeout_ms"), profile.get("latency_median_ms")
+    if timeout is not None:
+        yield f"measured truncation time-out: {timeout} ms"
+    if latency is not None and report.link["kind"] == "port":
+        slowest = profile.get("latency_max_ms")
+        yield f"answers after {latency} ms (median), {slowest} ms (longest)"
+    chosen = {p: w for p, w in profile.get("readings", {}).items() if w != default_of(p)}
+    if chosen:
+        yield "reads the document otherwise: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
+    if report.dropped:
+        left = ", ".join(f"{count} of {name}" for name, count in report.dropped.items())
+        yield f"left out for the budget of {report.options['budget']:g} s: {left}"
+    if timing and report.link["kind"] == "port":
+        yield (
+            f"took {timing['took_s']:.1f} s, {timing['ratio']:.2f} times its wire, silences, "
+            "time-outs and looks: "
+            f"{timing['bytes_sent']:.0f} bytes sent and {timing['bytes_received']:.0f} received "
+            f"({timing['wire_s']:.1f} s on the wire), {timing['silences_s']:.1f} s of silences, "
+            f"{timing['timeouts_s']:.1f} s of time-outs, {timing['looks']:.0f} looks of "
+            f"{timing['look_ms']:.2f} ms"
+        )
 
 
 def conclusion(report: Report) -> Text:
@@ -54,7 +87,14 @@ def conclusion(report: Report) -> Text:
         return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
     counts = {name: count for name, count in report.counts.items() if count}
     words = ", ".join(f"{count} {name}" for name, count in counts.items())
-    if report.exit == 0:
+    shard = report.options.get("shard")
+    words += f" (shard {shard[0]} of {shard[1]})" if shard else ""
+    comparison = report.comparison
+    if comparison and comparison.expected and report.exit == 0:
+        text = Text(f"{report.device} fails only as expected: {words}", STYLES[Verdict.PASS])
+    elif comparison and comparison.stale and not comparison.unexpected:
+        text = Text(f"{comparison.file} no longer fits: {words}", STYLES[Verdict.FAIL])
+    elif report.exit == 0:
         text = Text(f"{report.device} conforms: {words}", STYLES[Verdict.PASS])
     elif report.exit == 1:
         text = Text(f"{report.device} does not conform: {words}", STYLES[Verdict.FAIL])
@@ -69,7 +109,8 @@ def conclusion(report: Report) -> Text:
 
 def _table(report: Report) -> Table:
     columns = [v for v in Verdict if any(r.verdict is v for r in report.results)]
-    table = Table(title=f"{report.device}, {report.grammar['name']} {report.grammar['version']}")
+    title = f"{report.device}, {report.grammar['name']} {report.grammar['version']}"
+    table = Table(title=Text(title, "table.title"))
     table.add_column("cases")
     for verdict in columns:
         table.add_column(verdict.label, justify="right", style=STYLES[verdict])
@@ -77,7 +118,7 @@ def _table(report: Report) -> Table:
     for result in report.results:
         groups.setdefault(result.id.split("/")[0], Counter())[result.verdict] += 1
     for name, counts in groups.items():
-        table.add_row(name, *(str(counts[v] or "") for v in columns))
+        table.add_row(Text(name), *(str(counts[v] or "") for v in columns))
     if len(groups) > 1:
         total = Counter(result.verdict for result in report.results)
         table.add_section()
@@ -102,16 +143,16 @@ def _cases(report: Report, found: list[CaseResult], console: Console, most: int)
         classes.setdefault(result.id.split("/")[0], []).append(result)
     for name, results in classes.items():
         for result in results[:most]:
-            _case(result, console)
+            _case(report, result, console)
         left = len(results) - most
         if left > 0:
             more = f"      and {left} more of {name}; --verbose lists them"
             console.print(Text(more, "dim"))
     if found and found[0].verdict is Verdict.FAIL:
-        console.print(Text(f"again: {reproduce(report, found[0].id)}"))
+        console.print(Text(f"again: {reproduce(report, found[0])}"))
 
 
-def _case(result: CaseResult, console: Console) -> None:
+def _case(report: Report, result: CaseResult, console: Console) -> None:
     """One case: what was sent, and for each axis that is not well what was expected and seen."""
     head = Text.assemble(
         (result.verdict.label, STYLES[result.verdict]),
@@ -130,6 +171,8 @@ def _case(result: CaseResult, console: Console) -> None:
             ("expected", axis.expected),
             ("got", axis.actual),
         ]
+    if result.reproduce:
+        rows.append(("again", reproduce(report, result)))
     for label, words in rows:
         if words:
             line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)

@@ -4,33 +4,44 @@ from __future__ import annotations
 
 from conformance.aftermath import hold, recover, restart
 from conformance.asks import Heard, Script, Seen, listen, see, send
-from conformance.cases import Case, Class
+from conformance.cases import Case
+from conformance.chosen import as_chosen
 from conformance.homing import set_up, watch
 from conformance.judging import (
     MOVING,
     MS,
     NOT_OBSERVABLE,
     answer_words,
+    contradiction,
     judge_answers,
-    judge_state,
+    judge_belief,
     look_words,
     state_words,
     unseen,
 )
 from conformance.run import Run
+from conformance.steps import Class
 from conformance.verdicts import Axis, Verdict
 from spec.fields import Outcome
 
 
 def try_case(run: Run, case: Case) -> Script[None]:
     """Try a case on a homed line. It is left open: the next homing makes it final."""
+    case = case.as_step(as_chosen(run.protocol, run.profile.choices, case.step))
     looks = run.looks_at(case)
-    lost = yield from _precondition(run, case, looks)
+    lost, stray = yield from _precondition(run, case, looks)
+    if stray.answers:
+        words = answer_words(run.protocol, stray.codes)
+        reason = "answers came without an instruction"
+        axis = Axis(Verdict.FAIL, "no answer", words, reason, "R-unsolicited")
+        run.open(case, {"answer": axis}, stray, stray.now)
+        return
     if lost and case.kind is not Class.VALID:
         axis = Axis(Verdict.INCONCLUSIVE, "", "", f"precondition lost: {lost}")
         run.open(case, {"answer": axis}, Heard((), 0), 0)
         return
     sent = yield from send(case.stimulus)
+    run.before, run.belief = run.belief, run.model.after(run.belief, case.deed)
     heard, filled = yield from _answers(run, case, sent)
 
     def judged(heard: Heard, sent: int) -> Axis:
@@ -45,7 +56,7 @@ def try_case(run: Run, case: Case) -> Script[None]:
     if not looks:
         if case.stop:
             run.axes["stop"] = run.blind("stopped")
-        run.axes["state"] = run.blind(state_words(case.expected))
+        run.axes["state"] = run.blind(state_words(run.belief.state))
     elif case.stop:
         yield from _stop(run, case, answered)
     else:
@@ -56,8 +67,11 @@ def try_case(run: Run, case: Case) -> Script[None]:
         yield from restart(run, case, looks)
 
 
-def _precondition(run: Run, case: Case, looks: bool) -> Script[str]:
-    """Bring the robot to where the case begins; returns what is missing, "" if nothing."""
+def _precondition(run: Run, case: Case, looks: bool) -> Script[tuple[str, Heard]]:
+    """Bring the robot to where the case begins.
+
+    Returns what is missing, "" if nothing, and the answers that came without an instruction.
+    """
     lost = yield from set_up(run, case.setup)
     if not lost and looks and case.setup.moving:
         moves = run.moves is None or case.setup.motion in run.moves
@@ -66,7 +80,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Script[str]:
         if not seen.look.moving:
             lost = f"not seen moving ({case.setup.motion.value}) before the stimulus"
     stray = yield from listen(None, 0)
-    return "answers came without an instruction" if stray.answers else lost
+    return lost, stray
 
 
 def _answers(run: Run, case: Case, sent: int) -> Script[tuple[Heard, bool]]:
@@ -91,7 +105,8 @@ def _after_silence(run: Run, due: int, sent: int) -> Script[Heard]:
     pause = timeout + timeout // 4 + run.limits.settle
     if run.profile.truncation_answered is False:
         return (yield from listen(None, pause))
-    heard = yield from run.answers(due, pause + run.limits.deadline)
+    heard = yield from run.answers(due, pause + run.usual)
+    run.timeouts += run.timeout if heard.answers else 0
     if heard.now - sent < timeout // 2:
         # Answered at its header: what comes now would still be taken for its data.
         more = yield from listen(None, sent + pause - heard.now)
@@ -129,6 +144,7 @@ def _stop(run: Run, case: Case, answered: int) -> Script[None]:
         reason = f"still moves {late / MS:.0f} ms after its answer was due"
         axis = Axis(Verdict.FAIL, "stopped", words, reason, reading)
     elif late > run.limits.grace:
+        run.profile.stop_latency = max(run.profile.stop_latency, late)
         reason = f"stopped only {late / MS:.0f} ms after its answer"
         axis = Axis(Verdict.NON_STRICT, "stopped", words, reason, reading)
     else:
@@ -155,7 +171,11 @@ def _state(run: Run, case: Case) -> Script[None]:
 
 def _judge_state(run: Run, case: Case, seen: Seen) -> Axis:
     elsewhere = MOVING if case.stop and seen.look.moving else ()
-    axis = judge_state(case.expected, case.setup, seen.look, case.occasion, elsewhere)
+    axis = judge_belief(run.model, run.belief, seen.look, elsewhere)
+    if axis.verdict is Verdict.FAIL:
+        reading, why = contradiction(run.model, run.before, case.deed, seen.look)
+        if why:
+            axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
     if axis.verdict is Verdict.FAIL and run.moves == set():
         reason = "never seen moving in any kind of motion: is the motor power on?"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)

@@ -47,8 +47,25 @@ class Received(msgspec.Struct, frozen=True):
     t: int
 
 
+class WireEvent(msgspec.Struct, frozen=True, gc=False):
+    """One entry of a case's wire log: `t` is in ns since the log's first entry.
+
+    `kind` is `sent` or `received` (`hex` has the bytes, spaced), `look` (`look` has the probe's
+    reading in words), or `clipped`, where the log leaves something out and `look` says how much.
+    """
+
+    t: int
+    kind: str
+    hex: str = ""
+    look: str = ""
+
+
 class CaseResult(msgspec.Struct, frozen=True):
-    """A judged case. `sent` and `received` are the stimulus's, without the set-up."""
+    """A judged case. `sent` and `received` are the stimulus's, without the set-up.
+
+    `log` is everything on the wire since the case began, set-up and homing included; `reproduce` is
+    the command line that tries it again, "" where the report's own (by id) does.
+    """
 
     id: str
     clause: str
@@ -58,11 +75,14 @@ class CaseResult(msgspec.Struct, frozen=True):
     reading: str
     sent: tuple[str, ...]
     received: tuple[Received, ...]
+    log: tuple[WireEvent, ...] = ()
+    reproduce: str = ""
 
     @property
     def reason(self) -> str:
-        """The reason of the worst axis."""
-        return max(self.axes.values(), key=lambda axis: axis.verdict).reason
+        """The reason of the worst axis, "" where there is none."""
+        worst_axis = max(self.axes.values(), key=lambda axis: axis.verdict, default=None)
+        return worst_axis.reason if worst_axis else ""
 
 
 def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:

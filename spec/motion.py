@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 
 class Motion(StrEnum):
@@ -55,13 +57,21 @@ class Effect:
 
     assignments: tuple[tuple[str, int | Motion | tuple[str, int]], ...] = ()
 
-    def apply(self, state: State, fields: dict[str, int] | None = None) -> State:
+    def apply(self, state: State, fields: Mapping[str, int] | None = None) -> State:
         """The state after this effect, with the instruction's field values at hand."""
-        values = {
+        if not self.assignments:
+            return state
+        values: dict[str, Any] = {
             variable: (fields or {})[value[0]] * value[1] if isinstance(value, tuple) else value
             for variable, value in self.assignments
         }
-        return replace(state, **values)  # type: ignore[arg-type]  # names were checked on load
+        given = values.get
+        return State(
+            given("motion", state.motion),
+            given("speed", state.speed),
+            given("steering", state.steering),
+            given("led", state.led),
+        )
 
     def sets(self, variable: str) -> bool:
         """Whether this effect assigns to the variable."""

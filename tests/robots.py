@@ -19,9 +19,9 @@ from analyzer.outlets import parse_address
 from analyzer.serve import serve
 from analyzer.stopping import Stopper
 from captures.schemas import Look
-from conformance.api import Options, Unwatched, select_cases
+from conformance.api import Unwatched
 from conformance.asks import Ask, Heard, See, Seen
-from conformance.cases import Case
+from conformance.cases import Case, all_cases
 from conformance.drive import VirtualLink, drive
 from conformance.run import Eyes, Limits, Run
 from conformance.runner import Runner
@@ -60,7 +60,9 @@ class CountingLink:
 def cases_of(
     protocol: Protocol, *only: str, seed: int = 1, every_cut: bool = False
 ) -> tuple[Case, ...]:
-    return select_cases(protocol, Options(only=only, seed=seed), every_cut=every_cut)
+    """The single-frame cases, or those of them that the globs name."""
+    cases = all_cases(protocol, seed, every_cut=every_cut)
+    return tuple(case for case in cases if not only or matching(case.id, only))
 
 
 def case_of(protocol: Protocol, ident: str, seed: int = 1) -> Case:
@@ -76,12 +78,16 @@ def run_over(
     eyes: Eyes = ALL_SEEING,
     limits: Limits | None = None,
     fail_fast: bool = False,
+    discover: bool = False,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Runner:
-    """Run cases over a link to the end; the results are in `runner.books`."""
+    """Run cases over a link to the end; the results are in `runner.books`.
+
+    Without `discover` the device is taken to read the document as the kit does.
+    """
     nobody = Unwatched()
     books = Run(protocol, limits or Limits(), eyes, begin=nobody.begin, report=nobody.end)
-    runner = Runner(books, cases, fail_fast=fail_fast)
+    runner = Runner(books, cases, fail_fast=fail_fast, discover=discover)
     drive(runner.run(), link, interrupted)
     return runner
 

@@ -19,6 +19,7 @@ from captures import topics
 from captures.errors import CaptureError
 from captures.reader import Capture, open_capture
 from captures.schemas import (
+    Asked,
     CaseMark,
     Chunk,
     Instruction,
@@ -48,6 +49,8 @@ ONE_OF_EACH: list[topics.Written] = [
     CaseMark(13, "valid/Speed/255", "end", "pass", ""),
     Look(14, True, "forward", 9, 0, 7, 9, 9),
     Look(15, None),
+    Asked(16, "look", 14),
+    Asked(17, "interrupt", None, "interrupted", False, True),
 ]
 
 
@@ -297,10 +300,11 @@ def test_the_official_reader_reads_all_with_checksums_on(tmp_path: Path) -> None
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         rows = list(reader.iter_messages())
-        (metadata,) = reader.iter_metadata()
+        metadata, seal = reader.iter_metadata()
         header = reader.get_header()
     assert (header.profile, header.library) == ("", "bilprov 0.1.0")
     assert (metadata.name, metadata.metadata["grammar"]) == ("bilprov", "g")
+    assert (seal.name, sorted(seal.metadata)) == ("bilprov.seal", ["bytes", "sha256"])
     assert [message.sequence for _, _, message in rows] == list(range(600))
     table = {topic.name: topic for topic in topics.TOPICS}
     for schema, channel, message in rows:
@@ -353,4 +357,5 @@ def test_topics_encodings_and_schema_names_are_the_contract() -> None:
         ("/line", "json", "bilprov.Line"),
         ("/conformance/cases", "json", "bilprov.CaseMark"),
         ("/conformance/looks", "json", "bilprov.Look"),
+        ("/conformance/asks", "json", "bilprov.Asked"),
     ]

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from conformance.cases import Case, Class, all_cases
+from conformance.cases import Case, all_cases
 from conformance.simulator import Simulator
+from conformance.steps import Class
 from conformance.verdicts import Verdict
 from spec.codec import judge
 from spec.motion import Motion

@@ -9,7 +9,9 @@ import signal
 import socket
 import subprocess
 import sys
+from collections import Counter
 from contextlib import closing
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,8 +28,11 @@ from captures.reader import open_capture
 from captures.schemas import Look
 from conformance.api import Options, conform, conform_port
 from conformance.faults import fault_bank
+from conformance.levels import level_cases
 from conformance.probes import TcpProbe
+from conformance.selection import BY_THEMSELVES
 from conformance.simulator import Simulator
+from conformance.walks import Walk
 from spec.protocol import Protocol
 from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate
 from tests.vectors import FRAME_COUNTS, READING_IDS
@@ -45,6 +50,7 @@ class AxisForm(msgspec.Struct, forbid_unknown_fields=True):
     expected: str
     actual: str
     reason: str
+    reading: str | None
 
 
 class ByteForm(msgspec.Struct, forbid_unknown_fields=True):
@@ -52,7 +58,14 @@ class ByteForm(msgspec.Struct, forbid_unknown_fields=True):
     t: float
 
 
-class CaseForm(msgspec.Struct):
+class EntryForm(msgspec.Struct, forbid_unknown_fields=True):
+    t: float
+    kind: Literal["sent", "received", "look", "clipped"]
+    hex: str
+    look: str
+
+
+class CaseForm(msgspec.Struct, forbid_unknown_fields=True):
     id: str
     clause: str
     requirement: str
@@ -62,6 +75,8 @@ class CaseForm(msgspec.Struct):
     sent: list[str]
     received: list[ByteForm]
     reproduce: str
+    expected_failure: bool
+    log: list[EntryForm]
 
 
 class CountsForm(msgspec.Struct, forbid_unknown_fields=True):
@@ -69,7 +84,30 @@ class CountsForm(msgspec.Struct, forbid_unknown_fields=True):
     of: int
 
 
-class ReportForm(msgspec.Struct):
+class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
+    truncation_timeout_ms: float | None
+    truncated_frames_answered: bool | None
+    latency_median_ms: float | None
+    latency_max_ms: float | None
+    round_trip_ms: float | None
+    jitter_ms: float | None
+    boot_ms: float | None
+    flushes: bool | None
+    whole_frame: bool | None
+    led_id: int | None
+    stop_latency_ms: float | None
+    watchdog_ms: float | None
+    readings: dict[str, str]
+
+
+class ExpectedForm(msgspec.Struct, forbid_unknown_fields=True):
+    file: str
+    expected: int
+    unexpected: int
+    stale: list[str]
+
+
+class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     kit: str
     grammar: dict[Literal["name", "version", "sha256", "file"], str]
     device: str
@@ -78,9 +116,15 @@ class ReportForm(msgspec.Struct):
     seed: int
     verdict: VerdictName
     exit: int
+    unusable: str | None
+    ended: str | None
+    ended_by: Literal["error", "user"] | None
     counts: dict[VerdictName, int]
     coverage: dict[str, CountsForm]
-    profile: dict[str, float | bool | None]
+    timing: dict[str, float]
+    dropped: dict[str, int]
+    profile: ProfileForm
+    expected_failures: ExpectedForm | None
     cases: list[CaseForm]
 
 
@@ -98,7 +142,13 @@ def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() ->
     assert b"conforms" in result.stderr
     assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
     assert report.grammar["name"] == "robot-car"
-    assert report.counts["pass"] == len(report.cases) == 10 + 8 + 5
+    assert report.counts["pass"] == len(report.cases) == 10 + 8 + len(OPENING) + READINGS_MADE
+    assert (report.unusable, report.ended, report.ended_by) == (None, None, None)
+    assert (report.dropped, report.expected_failures) == ({}, None)
+    sent = [bytes.fromhex("".join(case.sent)) for case in report.cases]
+    assert report.timing["bytes_sent"] > sum(map(len, sent))
+    assert {name.split()[0] for name in report.profile.readings} <= set(READING_IDS)
+    assert report.profile.readings["R-unused-length"] == "header"
     assert report.options["only"] == ["unused-id/9/?", "valid/LED/*"]
     for case in report.cases:
         assert case.axes
@@ -109,6 +159,8 @@ def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() ->
         assert case.clause
         assert case.requirement
         assert case.id in case.reproduce
+        assert not case.expected_failure
+        assert {entry.kind for entry in case.log} >= ({"sent", "received"} if case.sent else set())
 
 
 def test_the_report_says_what_was_expected_and_what_came(tmp_path: Path) -> None:
@@ -185,45 +237,74 @@ OPENING = [
     *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few", "power-on/Forward"),
     "timing/truncation-timeout",
 ]
+# Then come the probes of what the document leaves open. Three are for a choice that --allow names.
+READINGS = 21
+READINGS_MADE = READINGS - 3
 
 
 def listed(*arguments: str) -> list[str]:
-    """The ids that --list names, without those that every run begins with."""
+    """The ids that --list names, in their order."""
     result = command("conform", *arguments, "--list")
     assert result.returncode == 0
-    ids = [line.split()[0] for line in result.stdout.decode().splitlines()]
-    assert ids[: len(OPENING)] == OPENING
-    return ids[len(OPENING) :]
+    return [line.split()[0] for line in result.stdout.decode().splitlines()]
 
 
-def test_the_list_names_every_case_and_sends_nothing() -> None:
+def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None:
     ids = listed("/nowhere/port")
+    walks = [case for case in level_cases(protocol, "standard", 1) if isinstance(case, Walk)]
 
+    assert ids[: len(OPENING)] == OPENING
+    assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READINGS])
     assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
-    assert len(ids) == len(set(ids)) == sum(FRAME_COUNTS.values()) - 1920 + 240 + 20
+    assert {walk.id for walk in walks} <= set(ids)
+    singles = sum(FRAME_COUNTS.values()) - 1920 + 240 + 20  # one cut of each frame
+    assert len(ids) == len(set(ids)) == len(OPENING) + READINGS + singles + len(walks)
 
 
 @pytest.mark.parametrize(
     ("globs", "count"),
     [
-        (["*"], sum(FRAME_COUNTS.values()) + 20),  # every cut: virtual time is free
         (["unused-id/*"], 112),
         (["*/Speed/3"], 1 + 1),  # wrong-length/Speed/3 and valid/Speed/3
         (["valid/LED/?", "bad-data/LED/8"], 9),
-        (["truncated/*/0"], 240),
+        (["truncated/*"], 240),
         (["valid/Stop", "valid/S*p"], 1),
         (["recovery/*Right"], 5),
-        (["*[!0-9]"], 5 + 20),
-        (["link/*"], 0),
+        (["[!rs]*[!0-9]"], len(OPENING) + 5),  # but readings, recoveries and sequences
+        (["link/*"], 2),
+        (["reading/*"], READINGS),
+        (["reading/watchdog", "power-on/Speed"], 2),
     ],
 )
 def test_a_glob_crosses_slashes_and_several_add_up(globs: list[str], count: int) -> None:
     only = [word for glob in globs for word in ("--only", glob)]
 
-    assert len(listed("sim", *only)) == count
+    ids = listed("sim", *only)
+
+    assert len(ids) == len(set(ids)) == count
+    assert all(any(fnmatchcase(ident, glob) for glob in globs) for ident in ids)
+
+
+def test_level_deep_lists_every_cut() -> None:
+    assert len(listed("sim", "--level", "deep", "--only", "truncated/*")) == 1920
 
 
 # -- wrong use ------------------------------------------------------------------------------------
+
+
+def test_an_unknown_fault_is_told_with_one_place_to_look() -> None:
+    told = sentence(command("conform", "sim", "--fault", "no-such"))
+
+    assert "simulate --list-faults" in told
+    assert told.count("see ") == 1
+
+
+def test_the_help_names_every_probe() -> None:
+    told = command("conform", "--help").stdout.decode()
+
+    words = " ".join(told.replace("│", " ").split())
+    for probe in ("tcp:HOST:PORT", "exec:COMMAND", "modem:LINE", "ask", "none (", "sim ("):
+        assert probe in words
 
 
 @pytest.mark.parametrize(
@@ -368,8 +449,8 @@ def test_a_given_time_out_is_not_measured() -> None:
     measured = report_of(command(*arguments).stdout)
 
     assert "timing/truncation-timeout" not in {case.id for case in given.cases}
-    assert given.profile["truncation_timeout_ms"] == 60
-    assert measured.profile["truncation_timeout_ms"] == pytest.approx(50)
+    assert given.profile.truncation_timeout_ms == 60
+    assert measured.profile.truncation_timeout_ms == pytest.approx(50)
 
 
 # -- recordings -----------------------------------------------------------------------------------
@@ -392,15 +473,19 @@ def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: 
     begun = [mark["id"] for mark in marks if mark["phase"] == "begin"]
     ended = {mark["id"]: mark["verdict"] for mark in marks if mark["phase"] == "end"}
     assert ended == {case.id: case.verdict for case in report.cases}
-    assert set(ended) <= set(begun)
+    assert set(ended) - set(begun) <= set(BY_THEMSELVES)  # nothing is sent for these
+    assert len(begun) == len(set(begun))
     looks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/looks"]
     assert {look["moving"] for look in looks} == {True, False}
     assert {"t", "moving", "motion", "speed", "steering", "led", "left", "right"} == set(looks[0])
     records = list(read_capture(file))
     sent = [r for r in records if isinstance(r, HostRecord)]
     answered = [r for r in records if isinstance(r, DeviceRecord)]
-    frames = {bytes.fromhex(r.value.hex) for r in sent}
-    assert {bytes.fromhex("".join(c.sent)) for c in report.cases if c.sent} <= frames
+    frames = [bytes.fromhex(r.value.hex) for r in sent]
+    probes = {c.id: bytes.fromhex("".join(c.sent)) for c in report.cases if c.sent}
+    single = {data for ident, data in probes.items() if not ident.startswith("reading/")}
+    assert single <= set(frames)
+    assert [ident for ident, data in probes.items() if data not in b"".join(frames)] == []
     assert len(answered) == len(sent)
     assert all(r.value.agrees for r in answered)
 
@@ -522,8 +607,11 @@ def test_the_faults_are_listed_with_family_and_sentence(protocol: Protocol) -> N
     lines = result.stdout.decode().splitlines()
     bank = fault_bank(protocol)
     assert result.returncode == 0
-    assert [line.split()[0] for line in lines] == list(bank)
-    assert all(bank[line.split()[0]].doc in line for line in lines)
+    named = [line for line in lines if line.startswith("  ") and line.split()[0] in bank]
+    assert sorted(line.split()[0] for line in named) == sorted(bank)
+    assert all(bank[line.split()[0]].doc in line for line in named)
+    families = Counter(fault.family for fault in bank.values())
+    assert {f"{family} ({count})" for family, count in families.items()} <= set(lines)
 
 
 @pytest.mark.parametrize("pty", [True, False])
@@ -559,7 +647,7 @@ def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_re
     with simulate() as served:
         result = subprocess.run(
             [
-                *("/bin/sh", "-c", 'ulimit -f 40; exec "$@"', "sh"),
+                *("/bin/sh", "-c", 'ulimit -f 80; exec "$@"', "sh"),
                 *(sys.executable, "-m", "bilprov", "conform", served.port, "--yes"),
                 *("--probe", served.probe, "--only", "valid/*", "--record", str(file)),
             ],

@@ -75,7 +75,8 @@ def test_comparing_what_a_line_does_not_have_is_false(
     [
         ("", ["does not parse", "column 1", "allowed are"]),
         ("faulty and", ["does not parse", "allowed are"]),
-        ("sped > 1", ["column 1", "'sped'", "names are", "speed"]),
+        ("sped > 1", ["column 1", "'sped'", "did you mean speed", "--help"]),
+        ("zzz", ["column 1", "'zzz' is no name here; --help says which there are"]),
         ("faulty or nam == Speed", ["column 11", "'nam'"]),
         ("speed", ["column 1", "number", "compare"]),
         ("name", ["text", "compare"]),

@@ -12,9 +12,11 @@ import pytest
 
 from analyzer.ptys import open_pty
 from conformance.api import Options, conform
-from conformance.cases import Class, all_cases
+from conformance.cases import all_cases
 from conformance.faults import fault_bank
+from conformance.levels import level_cases
 from conformance.simulator import Simulator
+from conformance.steps import Class
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import command, failing, sentence, simulate
@@ -57,12 +59,20 @@ def test_the_cases_follow(horn: Protocol) -> None:
     }
 
 
-def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol) -> None:
-    report = conform(grammar=horn)
+# Cases about the Horn. The sweeps have it in each of four motions: its values in one walk each,
+# what it refuses (252 values, each with a motion before it, 64 bursts a walk) in eight.
+HORNS = {"smoke": 1, "standard": 4 + 252 + 15 + 15 + 4 * (1 + 8)}
+
+
+@pytest.mark.parametrize("level", HORNS)
+def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol, level: str) -> None:
+    report = conform(grammar=horn, options=Options(level=level))
 
     assert report.exit == 0
     assert {result.verdict for result in report.results} == {Verdict.PASS}
-    assert len([r for r in report.results if "/Horn" in r.id]) == 4 + 252 + 15 + 120
+    assert len([r for r in report.results if "/Horn" in r.id]) == HORNS[level]
+    tours = [case for case in level_cases(horn, level, 1) if case.id.startswith("sequence/tour")]
+    assert any(b"\x91" in data for tour in tours for data in tour.sent)
 
 
 def test_a_robot_without_a_horn_fails_the_horns_grammar(protocol: Protocol, horn: Protocol) -> None:
@@ -84,9 +94,27 @@ def test_a_robot_with_a_horn_fails_the_documents_grammar(
     report = conform(Simulator(horn), grammar=protocol, options=Options(only=only))
 
     assert report.exit == 1
+    found = [r for r in report.results if r.verdict is Verdict.FAIL]
+    assert "unused-id/9/1" in {r.id for r in found}  # a horn that sounds
+    # It answers TOO_MANY_DATA for ID 9, and then contradicts that for all others.
+    contradicts = [r for r in found if "a device keeps to one choice" in r.reason]
+    assert {r.reading for r in contradicts} == {"R-unused-length"}
+    rest = [r.id for r in found if r not in contradicts]
+    assert all("/9/" in ident or ident.startswith("link/") for ident in rest)
+
+
+@pytest.mark.parametrize("level", HORNS)
+def test_a_robot_with_a_horn_fails_the_documents_suite_at_each_level(
+    protocol: Protocol, horn: Protocol, level: str
+) -> None:
+    report = conform(Simulator(horn), grammar=protocol, options=Options(level=level))
+
     found = failing(report.results)
-    assert "unused-id/9/1" in found  # a horn that sounds
-    assert all("/9/" in ident or ident.startswith("link/") for ident in found)
+    assert report.exit == 1
+    assert "unused-id/9/1" in found
+    for kind in ("sequence/tour/", "pipelined/tour/", "split/tour/"):
+        assert any(ident.startswith(kind) for ident in found), kind
+    assert not [ident for ident in found if ident.startswith(("valid/", "bad-data/"))]
 
 
 def test_the_bank_of_faults_follows(horn: Protocol) -> None:

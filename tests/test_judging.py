@@ -19,7 +19,9 @@ from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.asks import Heard
 from conformance.cases import Case, all_cases
-from conformance.judging import judge_answers, judge_state
+from conformance.choices import Choices
+from conformance.judging import contradiction, judge_answers, judge_belief
+from conformance.model import FAULT, Belief, Deed, Model
 from conformance.report import Report
 from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
@@ -76,7 +78,7 @@ def cases(protocol: Protocol) -> dict[str, Case]:
         ("truncated/Right/0", [0], FAIL, ""),
         ("truncated/9/4/2", [1], PASS, ""),
         ("truncated/9/4/2", [4], NON_STRICT, "R-truncated-unused"),
-        ("truncated/9/4/2", [3], NON_STRICT, "R-unused-length"),
+        ("truncated/9/4/2", [3], NON_STRICT, "R-truncated-unused"),
         ("truncated/9/4/2", [2], FAIL, ""),
         ("truncated/Stop/4/2", [4], PASS, ""),
         ("truncated/Stop/4/2", [3], NON_STRICT, "R-truncated-long"),
@@ -177,67 +179,174 @@ def told(state: State, **other: Any) -> Look:
     return Look(**(facets | other))
 
 
-@pytest.mark.parametrize(
-    ("when", "before", "expected", "look", "verdict", "reading"),
-    [
-        ("fault", DRIVING, RESTED, told(RESTED), PASS, ""),
-        ("fault", DRIVING, RESTED, told(RESTED, speed=0), INFORMATIONAL, "R-fault-state"),
-        ("fault", DRIVING, RESTED, told(RESTED, steering=40), INFORMATIONAL, "R-fault-state"),
-        ("fault", DRIVING, RESTED, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
-        ("fault", DRIVING, RESTED, told(RESTED, speed=100), FAIL, ""),
-        ("fault", DRIVING, RESTED, told(RESTED, steering=39), FAIL, ""),
-        ("fault", DRIVING, RESTED, told(RESTED, led=2), FAIL, ""),
-        ("fault", DRIVING, RESTED, told(RESTED, speed=0, led=2), FAIL, ""),
-        ("stop", DRIVING, RESTED, told(RESTED, speed=0), NON_STRICT, "R-stop-speed"),
-        ("stop", DRIVING, RESTED, told(RESTED, steering=40), NON_STRICT, "R-stop-steering"),
-        ("stop", DRIVING, RESTED, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
-        ("stop", DRIVING, RESTED, told(RESTED, speed=0, led=0), NON_STRICT, "R-stop-speed"),
-        ("stop", DRIVING, RESTED, told(RESTED, speed=7), FAIL, ""),
-        ("stop", DRIVING, RESTED, told(RESTED, led=7), FAIL, ""),
-        ("drive", DRIVING, TURNING, told(TURNING), PASS, ""),
-        ("drive", DRIVING, TURNING, told(TURNING, steering=0), INFORMATIONAL, "R-drive-steering"),
-        ("drive", DRIVING, TURNING, told(TURNING, steering=-40), FAIL, ""),
-        ("drive", DRIVING, TURNING, told(TURNING, speed=0), FAIL, ""),
-        ("drive", DRIVING, TURNING, told(DRIVING), FAIL, ""),
-        (
-            "set",
-            DRIVING,
-            replace(DRIVING, speed=90),
-            told(DRIVING),
-            NON_STRICT,
-            "R-speed-moving",
-        ),
-        ("set", DRIVING, replace(DRIVING, speed=90), told(DRIVING, speed=91), FAIL, ""),
-        ("set", DRIVING, replace(DRIVING, led=2), told(DRIVING), FAIL, ""),
-        ("set", DRIVING, replace(DRIVING, steering=9), told(DRIVING), FAIL, ""),
-        (
-            "set",
-            TURNING,
-            replace(TURNING, steering=-9),
-            told(TURNING, motion="forward", steering=-9),
-            INFORMATIONAL,
-            "R-steer-rotating",
-        ),
-        (
-            "set",
-            TURNING,
-            replace(TURNING, steering=-9),
-            told(TURNING, motion="stopped", moving=False, steering=-9),
-            FAIL,
-            "",
-        ),
-        ("set", RESTED, replace(RESTED, steering=9), told(DRIVING, steering=9), FAIL, ""),
-        # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
-        ("set", DRIVING, replace(DRIVING, speed=0), told(DRIVING, speed=0, moving=False), PASS, ""),
-    ],
-)
-def test_a_state_gets_the_verdict_of_its_reading(
-    when: str, before: State, expected: State, look: Look, verdict: Verdict, reading: str
-) -> None:
-    axis = judge_state(expected, before, look, when)
+Shown = dict[str, str]  # the words of a device's own choices, by point
 
+
+def deed(protocol: Protocol, name: str, *values: int) -> Deed:
+    """What an instruction does with these values; a fault where there is none of that name."""
+    if name not in protocol.by_name:
+        return FAULT
+    spec = protocol.by_name[name]
+    fields = {part.name: value for part, value in zip(spec.fields, values, strict=True)}
+    return Deed(spec.effect, fields)
+
+
+def choosing(protocol: Protocol, shown: Shown) -> Model:
+    """The model of a device that has shown these choices."""
+    choices = Choices()
+    for point, word in shown.items():
+        choices.settle(point, word, "before")
+    return Model(protocol, choices)
+
+
+ZEROED = {"R-fault-state speed": "zeroed"}
+KEPT = {"R-fault-state steering": "kept"}
+OFF = {"R-led-state fault": "off"}
+STOP_ZEROED = {"R-stop-speed": "zeroed"}
+STOP_KEPT = {"R-stop-steering": "kept"}
+STOP_OFF = {"R-led-state stop": "off"}
+STRAIGHTENED = {"R-drive-steering": "straight"}
+NEXT = {"R-speed-moving": "next-motion"}
+CURVE = {"R-steer-rotating": "curve"}
+
+# What was done, from where; the device's choices; what is seen; the verdict and its reading.
+STATES = [
+    ("fault", DRIVING, {}, told(RESTED), PASS, ""),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=0), INFORMATIONAL, "R-fault-state"),
+    ("fault", DRIVING, KEPT, told(RESTED, steering=40), INFORMATIONAL, "R-fault-state"),
+    ("fault", DRIVING, OFF, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=100), FAIL, ""),
+    ("fault", DRIVING, KEPT, told(RESTED, steering=39), FAIL, ""),
+    ("fault", DRIVING, OFF, told(RESTED, led=2), FAIL, ""),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=0, led=2), FAIL, ""),
+    ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=0), NON_STRICT, "R-stop-speed"),
+    ("Stop", DRIVING, STOP_KEPT, told(RESTED, steering=40), NON_STRICT, "R-stop-steering"),
+    ("Stop", DRIVING, STOP_OFF, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+    (
+        "Stop",
+        DRIVING,
+        STOP_ZEROED | STOP_OFF,
+        told(RESTED, speed=0, led=0),
+        NON_STRICT,
+        "R-stop-speed",
+    ),
+    ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=7), FAIL, ""),
+    ("Stop", DRIVING, STOP_OFF, told(RESTED, led=7), FAIL, ""),
+    # A stop is no fault: a choice that was shown for the one says nothing of the other.
+    ("Stop", DRIVING, ZEROED | KEPT | OFF, told(RESTED), PASS, ""),
+    ("fault", DRIVING, STOP_ZEROED | STOP_KEPT | STOP_OFF, told(RESTED), PASS, ""),
+    ("RotateLeft", DRIVING, {}, told(TURNING), PASS, ""),
+    (
+        "RotateLeft",
+        DRIVING,
+        STRAIGHTENED,
+        told(TURNING, steering=0),
+        INFORMATIONAL,
+        "R-drive-steering",
+    ),
+    ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING, steering=-40), FAIL, ""),
+    ("RotateLeft", DRIVING, {}, told(TURNING, speed=0), FAIL, ""),
+    ("RotateLeft", DRIVING, {}, told(DRIVING), FAIL, ""),
+    ("Speed 90", DRIVING, NEXT, told(DRIVING), NON_STRICT, "R-speed-moving"),
+    # A probe may tell the speed that is set, or the one that the wheels turn with.
+    ("Speed 90", DRIVING, NEXT, told(DRIVING, speed=90), NON_STRICT, "R-speed-moving"),
+    ("Speed 90", DRIVING, NEXT, told(DRIVING, speed=91), FAIL, ""),
+    ("LED 2", DRIVING, {}, told(DRIVING), FAIL, ""),
+    ("Right 9", DRIVING, {}, told(DRIVING), FAIL, ""),
+    (
+        "Left 9",
+        TURNING,
+        CURVE,
+        told(TURNING, motion="forward", steering=-9),
+        INFORMATIONAL,
+        "R-steer-rotating",
+    ),
+    (
+        "Left 9",
+        TURNING,
+        CURVE,
+        told(TURNING, motion="stopped", moving=False, steering=-9),
+        FAIL,
+        "",
+    ),
+    ("Right 9", RESTED, {}, told(DRIVING, steering=9), FAIL, ""),
+    # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
+    ("Speed 0", DRIVING, {}, told(DRIVING, speed=0, moving=False), PASS, ""),
+]
+
+
+@pytest.mark.parametrize(("done", "before", "shown", "look", "verdict", "reading"), STATES)
+def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
+    protocol: Protocol,
+    done: str,
+    before: State,
+    shown: Shown,
+    look: Look,
+    verdict: Verdict,
+    reading: str,
+) -> None:
+    name, *values = done.split()
+    model = choosing(protocol, shown)
+
+    belief = model.after(Belief(before), deed(protocol, name, *map(int, values)))
+
+    axis = judge_belief(model, belief, look)
     assert (axis.verdict, axis.reading) == (verdict, reading)
     assert bool(axis.reason) is (verdict is not PASS)
+
+
+@pytest.mark.parametrize(
+    ("done", "before", "shown", "look", "reading"),
+    [
+        (done, before, shown, look, reading)
+        for done, before, shown, look, verdict, reading in STATES
+        if verdict in (INFORMATIONAL, NON_STRICT) and len(shown) == 1
+    ],
+)
+def test_a_device_that_has_shown_one_choice_fails_with_the_other_by_its_reading(
+    protocol: Protocol, done: str, before: State, shown: Shown, look: Look, reading: str
+) -> None:
+    name, *values = done.split()
+    act = deed(protocol, name, *map(int, values))
+    asked = Belief(before)
+    seen = [(choosing(protocol, {}), look)]
+    if "next-motion" not in shown.values() and "curve" not in shown.values():
+        reference = choosing(protocol, {}).after(asked, act)
+        seen.append((choosing(protocol, shown), told(reference.state)))
+
+    for model, other in seen:
+        axis = judge_belief(model, model.after(asked, act), other)
+        named, why = contradiction(model, asked, act, other)
+        if other.speed == 90:
+            assert axis.verdict is PASS  # what the reference shows too
+            continue
+        assert axis.verdict is FAIL
+        assert named == reading
+        assert "a device keeps to one choice" in why
+
+
+def test_what_no_choice_would_show_contradicts_none(protocol: Protocol) -> None:
+    model = choosing(protocol, {})
+
+    for look in (told(RESTED, speed=100), told(RESTED, led=2), told(DRIVING)):
+        assert contradiction(model, Belief(DRIVING), FAULT, look) == ("", "")
+
+
+def test_what_is_judged_elsewhere_is_not_judged_again(protocol: Protocol) -> None:
+    model = choosing(protocol, {})
+    look = told(RESTED, moving=True)
+
+    assert judge_belief(model, Belief(RESTED), look).verdict is FAIL
+    assert judge_belief(model, Belief(RESTED), look, ("moving", "motion")).verdict is PASS
+
+
+@pytest.mark.parametrize("facet", ["speed", "steering", "led"])
+def test_what_nobody_knows_is_not_held_against_the_device(protocol: Protocol, facet: str) -> None:
+    model = choosing(protocol, {})
+    look = told(RESTED, **{facet: 3})
+
+    assert judge_belief(model, Belief(RESTED), look).verdict is FAIL
+    assert judge_belief(model, Belief(RESTED, frozenset({facet})), look).verdict is PASS
 
 
 STRAIGHT = replace(DRIVING, steering=0)
@@ -252,6 +361,9 @@ STRAIGHT = replace(DRIVING, steering=0)
         (STRAIGHT, 0, 0, FAIL),
         (DRIVING, 100, 60, PASS),
         (DRIVING, 100, 100, PASS),  # no mixing law is given
+        (replace(DRIVING, steering=200), 100, 100, FAIL),  # but so much of it must show
+        (replace(DRIVING, steering=200, speed=20), 10, 10, PASS),  # unless it is as slow as that
+        (replace(DRIVING, steering=200), 100, 99, PASS),
         (DRIVING, 100, -20, PASS),
         (DRIVING, 60, 100, FAIL),
         (replace(DRIVING, steering=-40), 60, 100, PASS),
@@ -268,23 +380,25 @@ STRAIGHT = replace(DRIVING, steering=0)
     ],
 )
 def test_wheels_are_judged_by_their_signs_and_by_which_is_faster(
-    state: State, left: int, right: int, verdict: Verdict
+    protocol: Protocol, state: State, left: int, right: int, verdict: Verdict
 ) -> None:
-    axis = judge_state(state, state, told(state, left=left, right=right), "set")
+    model = choosing(protocol, {})
+
+    axis = judge_belief(model, Belief(state), told(state, left=left, right=right))
 
     assert axis.verdict is verdict
 
 
 @given(
     facets=st.sets(st.sampled_from(["moving", "motion", "speed", "steering", "led"])),
-    when=st.sampled_from(["fault", "stop", "drive", "set"]),
+    state=st.sampled_from([DRIVING, RESTED, TURNING]),
 )
 def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
-    facets: set[str], when: str
+    protocol: Protocol, facets: set[str], state: State
 ) -> None:
-    look = told(RESTED, **dict.fromkeys(facets))
+    look = told(state, **dict.fromkeys(facets))
 
-    assert judge_state(RESTED, DRIVING, look, when).verdict is PASS
+    assert judge_belief(choosing(protocol, {}), Belief(state), look).verdict is PASS
 
 
 # -- whole runs -----------------------------------------------------------------------------------
@@ -350,11 +464,11 @@ def both(first: React, second: React) -> React:
 
 
 def speed_at_next_motion(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """Speed while moving waits for the next motion instruction."""
+    """Speed while moving waits for the next motion instruction, whichever it is."""
     if named("Speed")(event) and event.before.moving:
         device.memory["speed"] = reaction.state.speed
         return replace(reaction, state=event.before)
-    if event.judgement.valid and reaction.state.motion is not event.before.motion:
+    if named("Forward", "Backward", "RotateRight", "RotateLeft")(event):
         speed = device.memory.pop("speed", reaction.state.speed)
         return replace(reaction, state=replace(reaction.state, speed=speed))
     if named("Speed")(event):
@@ -411,6 +525,7 @@ def choice(
     )
 
 
+OPENING = ("power-on", "link", "timing", "reading")
 UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
 CHOICES = [
     choice("the reference itself", "*/Right/0", PASS, "answer"),
@@ -735,7 +850,7 @@ def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
         for result in report.results
         if chosen.axis in result.axes and result.axes[chosen.axis].verdict is chosen.verdict
     ]
-    mine = [r for r in report.results if not r.id.startswith(("power-on", "link", "timing"))]
+    mine = [r for r in report.results if not r.id.startswith(OPENING)]
     assert found
     if chosen.every:
         assert [r.id for r in mine if r not in found] == []
@@ -771,7 +886,10 @@ def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
     assert report.profile["truncation_timeout_ms"] == pytest.approx(timeout)
     (measured,) = [r for r in report.results if r.id == "timing/truncation-timeout"]
     assert (measured.verdict, measured.reading) == (verdict, "R-truncation-timeout")
-    assert {r.verdict for r in report.results if r is not measured} == {PASS}
+    mine = [r for r in report.results if not r.id.startswith("reading")]
+    assert {r.verdict for r in mine if r is not measured} == {PASS}
+    # Where a frame may not pause so long as its answer takes, one probe says that it cannot tell.
+    assert {r.verdict for r in report.results} <= {PASS, INFORMATIONAL, measured.verdict}
 
 
 class Banner:
@@ -797,12 +915,32 @@ def test_a_banner_before_the_first_instruction_is_informational(protocol: Protoc
 
 
 @pytest.mark.parametrize("at", [1, 30])
-def test_a_byte_without_an_instruction_is_a_failure_later(protocol: Protocol, at: int) -> None:
+def test_a_byte_without_an_instruction_that_came_once_is_never_a_pass(
+    protocol: Protocol, at: int
+) -> None:
     device = Banner(Simulator(protocol), at * MS, b"!")
 
     report = conform(device, grammar=protocol, options=Options(only=("wrong-length/*",)))
 
+    assert report.exit in (1, 3)  # 3 where the line may have made it: it was flaky
+    worst_of_all = [r for r in report.results if r.verdict >= INCONCLUSIVE]
+    assert len(worst_of_all) == 1
+    assert report.exit == 1 or "flaky, not reproduced" in worst_of_all[0].reason
+
+
+def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
+    protocol: Protocol,
+) -> None:
+    chatty = Fault("x", "test", "", react=lambda d, e, r: (
+        replace(r, unasked=((10 * MS, 0x21),)) if not e.judgement.valid else r
+    ))  # fmt: skip
+
+    report = conform(
+        Simulator(protocol, chatty), grammar=protocol, options=Options(only=("wrong-length/*",))
+    )
+
     assert report.exit == 1
+    assert [r.id for r in report.results if r.id.startswith("wrong") and r.verdict is PASS] == []
 
 
 def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:
@@ -830,8 +968,8 @@ def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol)
     blind = [r for r in report.results if r.verdict is INCONCLUSIVE]
     assert {r.id.split("/")[1] for r in blind} >= {"LED", "Speed", "Right", "Left", "Forward"}
     for result in blind:
-        assert result.id.startswith("valid/")
-        assert result.axes["answer"].verdict is PASS
+        assert result.id.startswith(("valid/", "reading/"))
+        assert "answer" not in result.axes or result.axes["answer"].verdict is PASS
         assert "not observable" in result.axes["state"].reason
     leds = [r for r in report.results if r.id.startswith("valid/LED")]
     assert sum(r.verdict is INCONCLUSIVE for r in leds) >= 6
@@ -848,8 +986,10 @@ def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
 
     assert report.exit == 3
     assert FAIL not in {r.verdict for r in report.results}
-    mine = [r for r in report.results if not r.id.startswith("link")]
-    assert {r.verdict for r in mine} == {INCONCLUSIVE}
+    mine = [r for r in report.results if not r.id.startswith("timing")]
+    seeing = [r for r in mine if "stop" in r.axes or "state" in r.axes]
+    assert {r.verdict for r in seeing} == {INCONCLUSIVE}
+    assert {r.verdict for r in mine if not r.id.startswith(OPENING)} == {INCONCLUSIVE}
 
 
 def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol) -> None:
@@ -862,7 +1002,7 @@ def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol
     report = conform(Blind(), grammar=protocol, options=Options(only=("*/*/1",)))  # type: ignore[arg-type]
 
     assert report.exit == 3
-    mine = [r for r in report.results if not r.id.startswith(("link", "timing", "power"))]
+    mine = [r for r in report.results if not r.id.startswith(OPENING)]
     assert {r.axes["answer"].verdict for r in mine} == {PASS}
     assert {r.axes["state"].verdict for r in mine} == {INCONCLUSIVE}
     assert {"not observable" in r.axes["state"].reason for r in mine} == {True}

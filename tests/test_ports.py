@@ -28,6 +28,7 @@ from analyzer.ports import (
     open_pty,
     wait_readable,
 )
+from tests.vectors import LINE
 
 ALL = bytes(range(256))
 NAMED = {
@@ -43,11 +44,11 @@ NAMED = {
 # A child that may not open what its owner root may.
 AS_NOBODY = """
 import os, sys
-from analyzer.ports import LinkError, open_port
+from analyzer.ports import LineSettings, LinkError, open_port
 if os.geteuid() == 0:
     os.setgroups([]); os.setegid(65534); os.seteuid(65534)
 try:
-    open_port(sys.argv[1])
+    open_port(sys.argv[1], LineSettings(9600, "N", 1))
 except LinkError as error:
     print(error)
 """
@@ -105,8 +106,8 @@ def refusal(name: str, settings: LineSettings | None = None) -> str:
 @pytest.mark.parametrize(
     ("settings", "text", "byte_time"),
     [
-        (LineSettings(), "115200 8N1", 86_806),
-        (LineSettings(9600, "E"), "9600 8E1", 1_145_833),
+        (LineSettings(115200, "N", 1), "115200 8N1", 86_806),
+        (LineSettings(9600, "E", 1), "9600 8E1", 1_145_833),
         (LineSettings(9600, "N", 1.5), "9600 8N1.5", 1_093_750),
         (LineSettings(1_000_000, "O", 2), "1000000 8O2", 12_000),
     ],
@@ -129,7 +130,12 @@ def test_line_settings_say_themselves_and_their_byte_time(
 )
 def test_line_settings_that_no_line_has_are_refused(wrong: dict[str, int], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
-        LineSettings(**wrong)  # type: ignore[arg-type]
+        LineSettings(**({"baud": 9600, "parity": "N", "stopbits": 1} | wrong))  # type: ignore[arg-type]
+
+
+def test_a_port_without_settings_is_set_as_the_grammar_says() -> None:
+    with open_pty() as pair, open_port(pair.name) as port:
+        assert str(port.settings) == f"{LINE['baud']} 8{LINE['parity']}{LINE['stopbits']}"
 
 
 # Bytes

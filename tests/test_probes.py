@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import select
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -153,6 +154,34 @@ def test_a_look_that_knows_nothing_comes_through_the_link(pty: str) -> None:
 
     assert isinstance(seen, Seen)
     assert seen.look.moving is None
+
+
+@pytest.mark.parametrize("patience", [0.02, 0.05])
+def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patience: float) -> None:
+    """The clock stands still until the limit is asked for: so no wait can be a shorter one."""
+    asked: list[int] = []
+
+    def clock() -> int:
+        asked.append(0)
+        return 0 if len(asked) < 5 else int(patience * 1e9) - (1 if len(asked) < 9 else 0)
+
+    with ExitStack() as stack:
+        silent = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        port = stack.enter_context(open_port(pty))
+        stopper = stack.enter_context(Stopper())
+        probe = TcpProbe(f"127.0.0.1:{silent.getsockname()[1]}")
+        stack.callback(probe.close)
+        probe.patience = patience
+
+        with pytest.raises(Ended, match=rf"did not answer in {patience:g} s") as ended:
+            PortLink(port, probe, stopper.fileno(), clock=clock).do(See())
+
+    assert ended.value.error
+    assert len(asked) >= 9
+
+
+def test_the_limit_of_a_tcp_probe_is_the_one_that_the_contract_tells() -> None:
+    assert TcpProbe.patience == 1.0
 
 
 # -- exec -----------------------------------------------------------------------------------------

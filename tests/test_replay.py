@@ -309,3 +309,22 @@ def test_a_file_that_is_no_capture_is_one_sentence(tmp_path: Path) -> None:
 
         assert run.returncode == 2
         assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffic(
+    tmp_path: Path,
+) -> None:
+    whole = tmp_path / "whole.mcap"
+    run = bilprov("conform", "sim", "--only", "valid/Stop", "--record", str(whole))
+    assert run.returncode == 0
+    data = whole.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: data.index(b"bilprov", 60)])
+
+    result = bilprov("replay", str(cut), "--rate", "0")
+
+    assert result.returncode == 0
+    told = result.stderr.decode()
+    assert "was never finished" in told
+    assert "holds no traffic: not a byte of host or device is in it" in told
+    assert "no traffic" not in bilprov("replay", str(whole), "--rate", "0").stderr.decode()

@@ -29,8 +29,10 @@ ONLY = (
     *("valid/Stop", "valid/Forward", "valid/LED/[67]", "unused-id/9/[01]"),
     *("wrong-length/Speed/[03]", "bad-data/LED/8", "truncated/LED/0", "recovery/*/Forward"),
 )
-BEFORE = ("power-on", "link", "timing", "leave", "line")  # cases that the runner itself stands for
+# Cases that the runner itself stands for.
+BEFORE = ("power-on", "link", "timing", "reading", "leave", "line")
 ASKS = 520  # a little more than a whole run asks
+PROBING = 450  # what the probes of the device's own choices ask besides
 
 
 @pytest.fixture(scope="module")
@@ -144,10 +146,11 @@ def test_an_interrupt_at_any_moment_leaves_the_robot_at_rest(
         assert all(r.reason == "interrupted" for r in left)
 
 
-@given(asks=st.integers(0, ASKS))
-@settings(max_examples=40)
+@given(asks=st.integers(0, ASKS + PROBING), discover=st.booleans())
+@example(asks=ASKS, discover=True)
+@settings(max_examples=60)
 def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
-    protocol: Protocol, cases: tuple[Case, ...], asks: int
+    protocol: Protocol, cases: tuple[Case, ...], asks: int, discover: bool
 ) -> None:
     def broken(done: int) -> None:
         if done >= asks:
@@ -155,7 +158,7 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
 
     begun: list[str] = []
     books = Run(protocol, Limits(), Eyes(True), begin=begun.append, report=Unwatched().end)
-    runner = Runner(books, cases)
+    runner = Runner(books, cases, discover=discover)
     link = CountingLink(Simulator(protocol), broken)
 
     drive(runner.run(), link, lambda: False)

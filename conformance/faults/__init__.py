@@ -6,15 +6,23 @@ makes one for each outcome, motion or instruction, a story is written by hand.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 from conformance.faults.answers import answer_faults
+from conformance.faults.codes import code_faults
+from conformance.faults.counts import count_faults
+from conformance.faults.delivery import delivery_faults
 from conformance.faults.history import history_faults
 from conformance.faults.lines import line_faults
 from conformance.faults.motion import motion_faults
+from conformance.faults.narrow import narrow_faults
+from conformance.faults.pairs import pair_faults
 from conformance.faults.parsing import parsing_faults
+from conformance.faults.pauses import pause_faults
 from conformance.faults.settings import setting_faults
 from conformance.faults.stops import stop_faults
+from conformance.faults.times import timing_faults
 from conformance.simulator import Fault
 from spec.protocol import Protocol
 
@@ -22,6 +30,11 @@ from spec.protocol import Protocol
 @cache
 def fault_bank(protocol: Protocol) -> dict[str, Fault]:
     """Every named fault that this protocol makes, by name."""
+    return {fault.name: fault for fault in all_faults(protocol)}
+
+
+def all_faults(protocol: Protocol) -> list[Fault]:
+    """Every named fault that this protocol makes, family by family."""
     families = (
         answer_faults,
         stop_faults,
@@ -30,5 +43,28 @@ def fault_bank(protocol: Protocol) -> dict[str, Fault]:
         setting_faults,
         history_faults,
         line_faults,
+        code_faults,
+        pair_faults,
+        narrow_faults,
+        count_faults,
+        delivery_faults,
+        pause_faults,
+        timing_faults,
     )
-    return {fault.name: fault for family in families for fault in family(protocol)}
+    return [_with_clauses(fault) for family in families for fault in family(protocol)]
+
+
+# What a fault of each family breaks, where it does not say it itself.
+_CLAUSES = {
+    "answer": ("responses", "instructions"),
+    "stop": ("safety", "instructions", "responses"),
+    "parsing": ("header", "instructions", "responses", "safety"),
+    "motion": ("instructions", "safety"),
+    "setting": ("instructions", "safety"),
+    "history": ("safety", "responses", "instructions"),
+    "line": ("header", "responses", "instructions", "safety"),
+}
+
+
+def _with_clauses(fault: Fault) -> Fault:
+    return fault if fault.clauses else replace(fault, clauses=_CLAUSES[fault.family])

@@ -113,7 +113,7 @@ def answer_faults(protocol: Protocol) -> Iterator[Fault]:
         "answers-too-late",
         family,
         "answers faulty instructions only after 1.2 times the longest time that is allowed",
-        (*WHOLE_FAULTS, "timing/truncation-timeout"),
+        ALL_FAULTY,
         react=faults_only(
             lambda d, e, r: answered(
                 r,

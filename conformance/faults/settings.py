@@ -98,7 +98,7 @@ def setting_faults(protocol: Protocol) -> Iterator[Fault]:
             "bad-data-shown",
             family,
             "refuses bad data and stops, but shows their low bits",
-            ("bad-data/*",),
+            ("bad-data/*", "recovery/bad-data/*"),
             react=when(
                 is_outcome(Outcome.BAD_DATA),
                 lambda d, e, r: replace(

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 from conformance.cases import moving_motions
 from conformance.faults.words import (
+    CUT,
     FOLLOWED,
+    TIMED,
     WATCHED,
-    WATCHED_CUT,
     WATCHED_FAULTS,
     drives_on,
     faults_only,
@@ -41,7 +42,7 @@ def stop_faults(protocol: Protocol) -> Iterator[Fault]:
         "no-stop-on-truncated",
         family,
         "drives on after a frame that is cut short, and answers it",
-        WATCHED_CUT,
+        CUT,
         react=when(is_truncated, drives_on),
     )
     for motion in moving_motions(protocol):
@@ -49,7 +50,7 @@ def stop_faults(protocol: Protocol) -> Iterator[Fault]:
             f"no-stop-while-{motion.value.replace('_', '-')}",
             family,
             f"a fault does not stop it while it moves {motion.value}",
-            WATCHED_FAULTS,
+            (*WATCHED_FAULTS, *(TIMED if motion is min(moving_motions(protocol)) else ())),
             react=faults_only(
                 lambda d, e, r, motion=motion: (  # type: ignore[misc]
                     replace(r, state=e.before) if e.before.motion is motion else r
@@ -61,7 +62,7 @@ def stop_faults(protocol: Protocol) -> Iterator[Fault]:
         "stops-late",
         family,
         "stops three times later than the longest time that is allowed",
-        WATCHED_FAULTS,
+        (*WATCHED_FAULTS, *TIMED),
         react=faults_only(lambda d, e, r: replace(r, state=e.before, later=((3 * late, r.state),))),
     )
     yield Fault(
@@ -82,7 +83,7 @@ def stop_faults(protocol: Protocol) -> Iterator[Fault]:
         "stop-keeps-one-wheel",
         family,
         "a fault stops the left wheel only",
-        WATCHED_FAULTS,
+        (*WATCHED_FAULTS, *TIMED),
         react=_left_wheel_only,
     )
     yield Fault(
@@ -117,7 +118,7 @@ def _left_wheel_only(device: Simulator, event: Event, reaction: Reaction) -> Rea
 def _dead_after_fault(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
     if not event.judgement.valid:
         device.memory["dead"] = 1
-    elif event.judgement.instruction is device.protocol.stop:
+    elif event.judgement.id == device.protocol.stop.id:
         device.memory.pop("dead", None)
     if "dead" in device.memory:
         return replace(reaction, state=replace(reaction.state, motion=Motion.STOPPED))

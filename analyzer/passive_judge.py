@@ -1,0 +1,251 @@
+"""Judges a device from ordinary driving: decoded records in, coverage and violations out.
+
+What a decoded record calls an error is a violation; what it warns of is another reading of the
+document or slow, which is legal. The answers that other readings allow are those of the suite
+(`spec.answers`). What cannot be judged is counted as that, never as fine. No port, no clock.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from analyzer.coverage import Coverage
+from analyzer.findings import Findings, Violation
+from analyzer.pairing import MILLISECOND
+from analyzer.records import (
+    DeviceRecord,
+    Fault,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    Severity,
+    written_state,
+)
+from captures.schemas import Chunk, Line, Look
+from spec.answers import SILENCE_READING, other_choices
+from spec.codec import Judgement
+from spec.fields import Outcome
+from spec.motion import Motion
+from spec.protocol import Protocol
+
+_IN_A_ROW = 64
+_NEVER = 1 << 64  # ns
+KEPT = 20  # violations that are listed; all are counted
+
+MOVING = "moving after a fault"
+_UNSEEN = "it is not clear which instruction was answered"
+_LOST = "bytes were lost before the answer"
+_OVER = "the traffic ended before the answer was due"
+_DEAF = "the other direction was not listened to"
+_GARBAGE = "bytes that belong to no frame"
+
+
+class PassiveJudge:
+    """Judges a session while it goes on.
+
+    `paired` tells whether both directions are heard, `attached` as in Session that listening began
+    in the midst of something. Then, after a loss, and after a frame with a pause in it that a
+    device may have taken for its end, an answer may belong to something else, and shift all that
+    follow: until both sides were silent for the answer deadline with nothing left to answer, or 64
+    answers in a row agreed, what looks wrong is not judged.
+    """
+
+    def __init__(self, protocol: Protocol, *, paired: bool = True, attached: bool = False) -> None:
+        self._protocol = protocol
+        self._paired = paired
+        self._coverage = Coverage(protocol)
+        self._instructions = 0
+        self._judged = 0
+        self._looks = 0
+        self._not_judged: Counter[str] = Counter()
+        self._violations: Counter[str] = Counter()
+        self._readings: Counter[str] = Counter()
+        self._listed: list[Violation] = []
+        self._pending: dict[int, bool] = {}  # whether a device that flushes may have lost it
+        self._flushes_until = -1  # R-drain-known: it may flush until the line is idle
+        self._newest = -1
+        self._motion = written_state(protocol.power_on).motion
+        self._stopped_by: int | None = None  # the faulty instruction that stopped the robot
+        self._said = 0  # when the host last said something
+        self._decoded = 0  # until when it is known what that was
+        self._refused = 0  # when that instruction was answered, or else was over
+        self._stood = False  # whether the robot was seen standing still since
+        self._in_step_from = _NEVER if attached else 0  # since when pairs can be trusted
+        self._agreed = 0
+        self._heard = 0  # when either side last said something
+        self._deadline = round(protocol.timing.answer_deadline * MILLISECOND)
+        self._idle = round(protocol.timing.truncation_timeout * MILLISECOND)
+        self._pause = round(protocol.timing.truncation_shortest * MILLISECOND) // 2
+        self._longest_stop = round(protocol.timing.stop_longest * MILLISECOND)
+
+    def event(self, event: Chunk | Line) -> None:
+        """Something came; what it means comes as records."""
+        if not isinstance(event, Chunk):
+            return
+        silent = event.t - self._heard >= self._deadline and not self._pending
+        if silent and self._in_step_from == _NEVER:
+            self._in_step_from = event.t
+        self._heard = event.t
+        if event.direction == "host":
+            self._said = event.t
+
+    def record(self, record: Record) -> None:
+        """Judge a record."""
+        if isinstance(record, HostRecord):
+            self._host(record)
+        elif isinstance(record, DeviceRecord):
+            self._device(record)
+        elif isinstance(record, FaultRecord):
+            self._unanswered(record.fault)
+        else:
+            self._line(record)
+
+    def look(self, look: Look) -> None:
+        """A reading of a probe: a robot that a fault has stopped must not be seen moving."""
+        # While an instruction is under way nobody knows which came first, it or the look.
+        if self._stopped_by is None or self._pending or self._said > self._decoded:
+            return
+        since = look.t - self._refused
+        if look.moving and since <= self._longest_stop and not self._stood:
+            return  # it may still be stopping (R-stop-latency)
+        if look.moving is None:
+            self._not_judged["the probe does not know whether the robot moves"] += 1
+            return
+        self._looks += 1
+        self._stood = not look.moving
+        if look.moving:
+            number, self._stopped_by = self._stopped_by, None
+            reason = (
+                f"seen moving {since / MILLISECOND:.0f} ms after the faulty instruction {number} "
+                "was over, and nothing has set it in motion since"
+            )
+            fault = Fault(look.t, MOVING, Severity.ERROR, reason, number)
+            self._violate(fault, self._protocol.clauses.safety, "R-stop-latency")
+
+    def finish(self) -> Findings:
+        """The traffic has ended: what was found."""
+        self._give_up(_OVER)
+        return Findings(
+            instructions=self._instructions,
+            judged=self._judged,
+            looks=self._looks,
+            not_judged=dict(self._not_judged),
+            violations=dict(self._violations),
+            readings=dict(self._readings),
+            coverage=tuple(self._coverage.covered()),
+            listed=tuple(self._listed),
+        )
+
+    def _host(self, record: HostRecord) -> None:
+        value, judgement = record.value, record.judgement
+        self._decoded = max(self._decoded, value.end)
+        if judgement is None or value.sequence is None:
+            self._not_judged[_GARBAGE] += len(record.data)
+            self._stopped_by = None  # whatever they were, the device may have taken them up
+            return
+        self._instructions += 1
+        if value.t < self._in_step_from:
+            self._out_of_step()  # it was held back, so the silence was not what it seemed
+        self._coverage.frame(judgement, self._motion)
+        self._motion = record.state.motion
+        if not judgement.valid:
+            self._stopped_by, self._stood = value.sequence, False
+            self._refused = max((value.end, *(fault.t for fault in record.faults)))
+        elif self._motion != Motion.STOPPED:
+            self._stopped_by = None
+        if value.end - value.t > self._pause and not judgement.truncated:
+            self._out_of_step()  # the device may have given up on it (R-truncation-timeout)
+        lost = value.t <= self._flushes_until
+        self._newest = value.sequence
+        if lost or not (judgement.valid or _is_short(judgement)):
+            self._flushes_until = value.end + self._idle
+        if self._paired:
+            self._pending[value.sequence] = lost
+        else:
+            self._not_judged[_DEAF] += 1
+
+    def _device(self, record: DeviceRecord) -> None:
+        value, number = record.value, record.value.instruction
+        if number is None:
+            self._unpaired(record)
+            return
+        if number == self._stopped_by:
+            self._refused = max(self._refused, value.t)
+        if self._pending.pop(number, False):
+            self._flushes_until = -1  # it does not flush
+        if record.answered and _is_short(record.answered) and number == self._newest:
+            self._flushes_until = value.t + self._idle
+        self._agreed = self._agreed + 1 if value.agrees else 0
+        if self._agreed >= _IN_A_ROW:
+            self._in_step_from = min(self._in_step_from, value.t)
+        if value.t < self._in_step_from and not value.agrees:
+            self._not_judged[_UNSEEN] += 1
+            return
+        self._judged += 1
+        self._coverage.answer(value.byte)
+        for fault in record.faults:
+            if fault.severity is Severity.ERROR and record.answered:
+                self._violate(fault, record.answered.clause, record.answered.reading)
+            elif fault.severity is Severity.WARNING and record.answered:
+                self._readings[self._reading(fault, value.byte, record.answered)] += 1
+
+    def _unpaired(self, record: DeviceRecord) -> None:
+        """A byte that answers nothing, or nothing that was seen."""
+        errors = [fault for fault in record.faults if fault.severity is Severity.ERROR]
+        # A banner before the first instruction, an answer around a loss: see R-unsolicited.
+        uncertain = any(fault.severity is Severity.INFO for fault in record.faults)
+        if uncertain or not errors or record.value.t < self._in_step_from:
+            self._not_judged[_UNSEEN if self._paired else _DEAF] += 1
+            return
+        clause = self._protocol.clauses.responses
+        self._violate(errors[0], clause, "R-unsolicited")
+
+    def _unanswered(self, fault: Fault) -> None:
+        if fault.instruction is None or fault.instruction not in self._pending:
+            return
+        lost = self._pending.pop(fault.instruction)
+        if fault.t < self._in_step_from:
+            self._not_judged[_UNSEEN] += 1
+            return
+        self._judged += 1
+        if lost:
+            self._readings["R-drain-known"] += 1
+        elif fault.severity is Severity.ERROR:
+            self._violate(fault, self._protocol.clauses.responses, "R-answer-deadline")
+        else:
+            self._readings[SILENCE_READING] += 1
+
+    def _line(self, record: LineRecord) -> None:
+        if record.lost:
+            self._give_up(_LOST)
+            self._heard = record.value.t
+            self._out_of_step()
+            self._stopped_by = None
+
+    def _out_of_step(self) -> None:
+        self._in_step_from, self._agreed = _NEVER, 0
+
+    def _give_up(self, reason: str) -> None:
+        if self._pending:
+            self._not_judged[reason] += len(self._pending)
+            self._pending.clear()
+
+    def _reading(self, fault: Fault, byte: int, answered: Judgement) -> str:
+        """The reading under which an answer that only earns a warning is legal."""
+        if fault.kind != "disagreeing":
+            return "R-answer-deadline" if fault.kind == "slow" else "R-answer-point"
+        choices = other_choices(self._protocol, answered)
+        return next(choice.reading for choice in choices if choice.code == byte)
+
+    def _violate(self, fault: Fault, clause: str, reading: str) -> None:
+        self._violations[fault.kind] += 1
+        if len(self._listed) < KEPT:
+            self._listed.append(
+                Violation(fault.t, fault.kind, clause, reading, fault.reason, fault.instruction)
+            )
+
+
+def _is_short(judgement: Judgement) -> bool:
+    """Whether a header announces too little: one answered only after the next byte swallowed it."""
+    return judgement.outcome is Outcome.TOO_FEW and not judgement.truncated

@@ -1,0 +1,87 @@
+"""What ordinary driving showed, at the end: a table on standard error, or one JSON object.
+
+The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
+`exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
+`looks`, `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
+`of`), `violations` (how many of each kind), `readings` (how often another legal reading was met),
+and `listed`: the first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
+`reason`, `instruction` (its sequence).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from analyzer.findings import Findings, Violation
+from analyzer.outputs import Format
+
+
+def tell_findings(findings: Findings, style: Format) -> int:
+    """Show what was found, in the format of the output before it; gives the exit code."""
+    if style == "jsonl":
+        sys.stdout.write(msgspec.json.encode(as_json(findings)).decode() + "\n")
+        sys.stdout.flush()
+    else:
+        _draw(findings)
+    return findings.exit
+
+
+def as_json(findings: Findings) -> dict[str, Any]:
+    """The findings for machines; the module's docstring says what the keys mean."""
+    listed = [msgspec.to_builtins(v) | {"t": v.t / 1e9} for v in findings.listed]
+    return {
+        "kind": "judgement",
+        "exit": findings.exit,
+        **msgspec.to_builtins(findings),
+        "listed": listed,
+    }
+
+
+def sentences(findings: Findings) -> Iterator[str]:
+    """The findings in words: what was judged, what was not, what contradicts the document."""
+    yield f"judged {findings.judged} of {findings.instructions} instructions" + (
+        f" and {findings.looks} looks after a fault" if findings.looks else ""
+    )
+    for reason, count in findings.not_judged.items():
+        yield f"not judged: {count} ({reason})"
+    for reading, count in findings.readings.items():
+        yield f"another legal reading of {reading}: {count}"
+    for violation in findings.listed:
+        yield _words(violation)
+    total = sum(findings.violations.values())
+    if total > len(findings.listed):
+        yield f"and {total - len(findings.listed)} violations more"
+    kinds = ", ".join(f"{count} {kind}" for kind, count in findings.violations.items())
+    fine = "no violation was seen" if findings.judged else "nothing could be judged"
+    several = "violation" if total == 1 else "violations"
+    yield f"{total} {several}: {kinds}" if total else fine
+
+
+def _words(violation: Violation) -> str:
+    rests_on = f", {violation.reading}" if violation.reading else ""
+    return (
+        f"violation at {violation.t / 1e9:.3f} s: {violation.kind}: {violation.reason} "
+        f"({violation.clause}{rests_on})"
+    )
+
+
+def _draw(findings: Findings) -> None:
+    # The terminal's output may still be a pipe's: lines are never cut.
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+    drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for name in ("clause", "covered", "done", "of"):
+        drawn.add_column(name, justify="right" if name in ("done", "of") else "left", no_wrap=True)
+    for row in findings.coverage:
+        cells = (row.clause, row.what, str(row.done), str(row.of))
+        drawn.add_row(*map(Text, cells), style="" if row.done else "dim")
+    console.print(drawn)
+    for sentence in sentences(findings):
+        console.print(Text(sentence), style="red" if sentence.startswith("violation") else "")

@@ -1,0 +1,58 @@
+"""Chooses the cases that are worth the most in a given time: what meets most that is new a second.
+
+Pure: cases and their estimated seconds in, the chosen ones out, in their own order.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from conformance.coverage import Fact, facts
+from conformance.levels import AnyCase
+from spec.protocol import Protocol
+
+
+def within(
+    protocol: Protocol,
+    cases: Sequence[AnyCase],
+    budget: float,
+    seconds: Callable[[AnyCase], float],
+) -> tuple[AnyCase, ...]:
+    """The cases that fit into `budget` s and together exercise the most, in the order given.
+
+    One after the other the case is taken that adds most facts (see `coverage`) for its time; what
+    adds none is taken last, as long as there is time.
+    """
+    told = {case.id: frozenset(facts(protocol, case)) for case in cases}
+    cost = {case.id: max(seconds(case), 1e-4) for case in cases}
+    order = {case.id: index for index, case in enumerate(cases)}
+    met: set[Fact] = set()
+    chosen: set[str] = set()
+    # What a case adds only shrinks as others are taken: an old estimate is never too low.
+    heap = [(-len(told[case.id]) / cost[case.id], order[case.id], case.id) for case in cases]
+    heapq.heapify(heap)
+    left = budget
+    while heap:
+        _, index, ident = heapq.heappop(heap)
+        worth = -len(told[ident] - met) / cost[ident]
+        if heap and worth > heap[0][0]:
+            heapq.heappush(heap, (worth, index, ident))
+        elif cost[ident] <= left:
+            chosen.add(ident)
+            met |= told[ident]
+            left -= cost[ident]
+    return tuple(case for case in cases if case.id in chosen)
+
+
+def dropped(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> dict[str, int]:
+    """How many cases of each group were left out."""
+    kept = {case.id for case in chosen}
+    return dict(Counter(group(case.id) for case in cases if case.id not in kept))
+
+
+def group(ident: str) -> str:
+    """The group that a case belongs to: the first part of its id, for walks the first two."""
+    first, *rest = ident.split("/")
+    return f"{first}/{rest[0]}" if first in ("sequence", "pipelined", "split") and rest else first

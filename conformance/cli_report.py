@@ -1,0 +1,58 @@
+"""`bilprov report`: results of runs, read back and written as pages or shown side by side."""
+
+from __future__ import annotations
+
+import msgspec
+import rich_click as click
+from rich.console import Console
+
+from analyzer.grammar_file import load_protocol
+from conformance.compared import show_compared
+from conformance.outputs import STANDARD_OUTPUT, deliver, report_options, require_writable, wanted
+from conformance.read_report import read_report
+from conformance.report import Report
+from conformance.summary import show
+from conformance.visible import all_visible
+
+
+@click.command()
+@click.argument("results", nargs=-1, required=True, metavar="A.json [B.json ...]")
+@report_options
+@click.option("-v", "--verbose", is_flag=True, help="List every case that differs or did not pass.")
+@click.pass_obj
+def report(
+    grammar: str | None,
+    results: tuple[str, ...],
+    junit: str | None,
+    markdown: str | None,
+    html: str | None,
+    verbose: bool,
+) -> int:
+    """Write pages from what conform --json wrote, several runs side by side.
+
+    Without --html, --junit or --markdown a table is shown here. Exit code: 0 once it is written,
+    whatever the verdicts are.
+    """
+    outputs = wanted({"junit": junit, "markdown": markdown, "html": html})
+    require_writable(outputs, inputs=results)
+    try:
+        reports = [read_report(path) for path in results]
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    protocol = load_protocol(grammar)
+    deliver(outputs, reports, protocol)
+    if not outputs:
+        console = Console(highlight=False, soft_wrap=True)
+        if len(reports) == 1:
+            show(_visible(reports[0]), console, everything=verbose)
+        else:
+            show_compared([_visible(one) for one in reports], console, everything=verbose)
+    for output in outputs:
+        if output.path != STANDARD_OUTPUT:
+            click.echo(f"{output.path} written", err=True)
+    return 0
+
+
+def _visible(report: Report) -> Report:
+    """The report with nothing in it that could control the terminal."""
+    return msgspec.convert(all_visible(msgspec.to_builtins(report)), Report)

@@ -1,0 +1,137 @@
+"""`bilprov score`: the suite against every faulty device there is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import rich_click as click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from analyzer.grammar_file import load_protocol
+from conformance.score import Score, chosen_faults, levels, score
+
+_SHOWN = 4  # faults named behind a case group
+
+
+@click.command(name="score")
+@click.option("--level", "at", multiple=True, metavar="LEVEL", help="Only this level; repeatable.")
+@click.option(
+    "--random",
+    "drawn",
+    type=click.IntRange(0),
+    default=300,
+    show_default=True,
+    metavar="N",
+    help="How many random faults, random:1 to random:N.",
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="The suite's seed.")
+@click.option("--only", multiple=True, metavar="GLOB", help="Only faults of these names.")
+@click.option(
+    "--json", "json_path", metavar="FILE", help="All of it as JSON; - is standard output."
+)
+@click.option(
+    "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
+)
+@click.pass_obj
+def command(
+    grammar: str | None,
+    at: tuple[str, ...],
+    drawn: int,
+    seed: int,
+    only: tuple[str, ...],
+    json_path: str | None,
+    jobs: int | None,
+) -> int:
+    """Score the suite: run it, in virtual time, against every faulty device there is.
+
+    Shows how many of each family are caught at each level, what survives, and which faults a group
+    of cases catches alone. A random fault that cannot show at all does not count. Exit code: 0 all
+    is caught that must be, 1 something is not.
+    """
+    protocol = load_protocol(grammar)
+    unknown = [level for level in at if level not in levels()]
+    if unknown:
+        raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(levels())}")
+    faults = chosen_faults(protocol, drawn, only)
+    if not faults:
+        raise click.UsageError(f"no fault matches {' or '.join(only)}; see simulate --list-faults")
+    if json_path not in (None, "-") and not Path(str(json_path)).absolute().parent.is_dir():
+        raise click.UsageError(f"--json {json_path} cannot be written: there is no such folder")
+    console = Console(stderr=json_path == "-", highlight=False, soft_wrap=True)
+    with _bar() as bar:
+        task = bar.add_task("", total=len(faults) * max(1, len(at)))
+
+        def told(name: str) -> None:
+            bar.update(task, advance=1, description=name[:40].ljust(40))
+
+        found = score(
+            protocol, faults, at=at, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=told
+        )
+    _show(found, console)
+    if json_path == "-":
+        click.echo(msgspec.json.encode(found))
+    elif json_path is not None:
+        Path(json_path).write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))
+    return 1 if found.failures else 0
+
+
+def _bar() -> Progress:
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def _show(found: Score, console: Console) -> None:
+    console.print(_matrix(found))
+    last = found.levels[-1]
+    survivors = found.survivors(last)
+    if survivors:
+        console.print(Text(f"\n{last} does not catch", "bold"))
+    for name in survivors:
+        family, doc = found.faults[name]
+        console.print(Text(f"  {name} ({family}): {doc}"))
+        console.print(Text(f"      {found.searches[name]}", "dim"))
+    console.print(Text(f"\nwhat a group of cases catches alone ({last})", "bold"))
+    for group, names in sorted(found.alone(last).items()):
+        if names:
+            more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+            console.print(Text(f"  {group} ({len(names)}): {', '.join(names[:_SHOWN])}{more}"))
+    idle = sorted(group for group, names in found.alone(last).items() if not names)
+    if idle:
+        console.print(Text(f"  nothing alone: {', '.join(idle)}", "dim"))
+    console.print()
+    for level in found.levels:
+        for drawn, what in ((False, "named"), (True, "random")):
+            caught, of = found.share(level, drawn=drawn)
+            if of:
+                share = f"{100 * caught / of:.1f} %"
+                text = f"{level}: {caught} of {of} {what} faults that can show, {share}"
+                console.print(Text(text, "green" if caught == of else ""))
+    if found.soak:
+        console.print(Text(f"not counted, a soak alone shows them: {', '.join(found.soak)}", "dim"))
+    for sentence in found.failures:
+        console.print(Text(sentence, "bold red"))
+
+
+def _matrix(found: Score) -> Table:
+    table = Table("family", *found.levels)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for family in found.families:
+        cells = [found.caught(family, level) for level in found.levels]
+        table.add_row(family, *(f"{caught} of {of}" for caught, of in cells))
+    table.add_section()
+    table.add_row("bytes sent", *(f"{found.bytes[level]:,}" for level in found.levels))
+    return table

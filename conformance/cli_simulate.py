@@ -1,0 +1,57 @@
+"""`bilprov simulate`."""
+
+from __future__ import annotations
+
+import rich_click as click
+
+from analyzer.grammar_file import load_protocol
+from analyzer.serve import serve
+from analyzer.stopping import Stopper
+from conformance.device_option import named_device
+from conformance.faults.names import listed_faults, listed_variants
+from conformance.simulator import Simulator
+
+
+@click.command()
+@click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
+@click.option("--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too.")
+@click.option("--fault", metavar="NAME", help="Misbehave in one way; random:SEED draws one.")
+@click.option("--variant", metavar="NAME", help="Read the document in another legal way.")
+@click.option("--list-faults", is_flag=True, help="List the named faults.")
+@click.option("--list-variants", is_flag=True, help="List the legal variants, and mixtures.")
+@click.pass_obj
+def simulate(
+    grammar: str | None,
+    listen: str | None,
+    probe_listen: str | None,
+    fault: str | None,
+    variant: str | None,
+    list_faults: bool,
+    list_variants: bool,
+) -> int:
+    """Serve the reference device on a pty, or over TCP, until Ctrl-C.
+
+    Prints one line for each thing it serves: the pty's path, socket://HOST:PORT, and
+    probe tcp:HOST:PORT, which are what sniff, conform and --probe take.
+    """
+    protocol = load_protocol(grammar)
+    if list_faults:
+        click.echo(listed_faults(protocol))
+        return 0
+    if list_variants:
+        click.echo(listed_variants(protocol))
+        return 0
+    device = Simulator(protocol, named_device(protocol, fault, variant))
+    with Stopper() as stopper:
+        try:
+            serve(
+                device,
+                pty=listen is None,
+                listen=listen,
+                probe_listen=probe_listen,
+                announce=lambda line: click.echo(line),
+                stop=stopper,
+            )
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+    return 0

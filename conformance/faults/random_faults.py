@@ -1,0 +1,231 @@
+"""Faults drawn at random: when (state, instruction, data, history, timing) x what happens then.
+
+A seed gives the same fault on every machine and with every Python.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple, TypeVar
+
+from conformance.cases import moving_motions
+from conformance.faults.effects import Effect, effects_on
+from conformance.faults.words import (
+    Condition,
+    after,
+    every,
+    faulty,
+    is_named,
+    is_outcome,
+    is_truncated,
+    moving_in,
+    ordinal,
+    when,
+)
+from conformance.simulator import MS, Event, Fault
+from spec.fields import Outcome
+from spec.motion import Motion
+from spec.protocol import InstructionSpec, Protocol
+
+T = TypeVar("T")
+PREFIX = "random:"
+
+
+class Draw:
+    """Draws at random; only `random()` is the same in every Python."""
+
+    def __init__(self, seed: int) -> None:
+        self._next = random.Random(seed).random
+
+    def below(self, end: int) -> int:
+        """A whole number from 0 to `end` - 1."""
+        return int(self._next() * end)
+
+    def pick(self, choices: Sequence[T]) -> T:
+        """One of them."""
+        return choices[self.below(len(choices))]
+
+    def between(self, low: int, high: int) -> int:
+        """A whole number from `low` to `high`, both included."""
+        return low + self.below(high - low + 1)
+
+
+class What(NamedTuple):
+    """The frames that a fault is about: words, condition, and what is known of them.
+
+    `spec` is the instruction they all are, None if they are not one; `outcome` None for any fault.
+    """
+
+    words: str
+    condition: Condition
+    valid: bool
+    spec: InstructionSpec | None = None
+    outcome: Outcome | None = None
+    cut: bool = False
+
+
+class When(NamedTuple):
+    """A further condition, in words that follow the frame's; data values at which it holds."""
+
+    words: str
+    condition: Condition
+    hints: tuple[int, ...] = ()
+
+
+@cache
+def random_fault(protocol: Protocol, seed: int) -> Fault:
+    """The fault that a seed draws."""
+    draw = Draw(seed)
+    what = _what(protocol, draw)
+    kinds = [_state, _state, _history, _timing, *([_data] * 3 if _has_data(what) else [])]
+    count = draw.pick((0, 1, 1, 1, 1, 2))
+    chosen: list[When] = []
+    for _ in range(count):
+        kind = draw.pick(kinds)
+        kinds = [other for other in kinds if other is not kind]
+        chosen.append(kind(protocol, draw, what))
+    effect: Effect = draw.pick(
+        effects_on(protocol, draw, what.spec, what.outcome, valid=what.valid, cut=what.cut)
+    )
+    conditions = ", ".join((what.words, *(one.words for one in chosen)))
+    return Fault(
+        f"{PREFIX}{seed}",
+        "random",
+        f"{conditions}: {effect.words}",
+        ("*",),
+        react=when(every(what.condition, *(one.condition for one in chosen)), effect.react),
+        hear=effect.hear,
+        clauses=("safety", "responses", "instructions", "header"),
+        hints=tuple(hint for one in chosen for hint in one.hints),
+    )
+
+
+def _what(protocol: Protocol, draw: Draw) -> What:
+    faults = [outcome for outcome in Outcome if outcome is not Outcome.VALID]
+    kind = draw.below(10)
+    if kind < 5:
+        spec = draw.pick(protocol.instructions)
+        return What(f"a valid {spec.name}", is_named(spec), True, spec)
+    if kind < 7:
+        outcome = draw.pick(faults)
+        return What(outcome.value, is_outcome(outcome), False, None, outcome)
+    if kind == 7:
+        return What("a frame that is cut short", is_truncated, False, cut=True)
+    if kind == 8 and protocol.unused_ids:
+        identity = draw.pick(protocol.unused_ids)
+        return What(
+            f"the unused ID {identity}",
+            lambda event: event.judgement.id == identity,
+            False,
+            None,
+            Outcome.UNKNOWN_ID,
+        )
+    return What("any fault", faulty, False)
+
+
+def _has_data(what: What) -> bool:
+    return bool(what.spec and what.spec.fields) or (not what.valid and not what.cut)
+
+
+def _state(protocol: Protocol, draw: Draw, what: What) -> When:
+    _, fast = protocol.limits.get("speed", (0, 1))
+    _, lit = protocol.limits.get("led", (0, 0))
+    kind = draw.below(7 if lit else 6)
+    if kind < 3:
+        motion = draw.pick(moving_motions(protocol))
+        return When(f"while it moves {motion.value}", moving_in(motion))
+    if kind == 3 and what.valid and not (what.spec and what.spec.effect.motion is Motion.STOPPED):
+        return When("while it stands", lambda event: not event.before.moving)
+    if kind in (3, 4):
+        least = draw.between(1, fast)
+        return When(
+            f"at a speed from {least}",
+            lambda event: event.before.speed >= least,
+            (least, least - 1),
+        )
+    if kind == 5:
+        sign = draw.pick((-1, 1))
+        side = "right" if sign > 0 else "left"
+        return When(f"steered to the {side}", lambda event: event.before.steering * sign > 0)
+    mask = 1 << draw.below(lit.bit_length())
+    return When(
+        f"with the light's bit {mask:#x} on", lambda event: bool(event.before.led & mask), (mask,)
+    )
+
+
+def _data(protocol: Protocol, draw: Draw, what: What) -> When:
+    if what.spec is None:
+        if what.outcome is Outcome.BAD_DATA:
+            bit = draw.below(8)
+            return When(
+                f"with bit {bit} of its data",
+                lambda event: _value(event) >> bit & 1 == 1,
+                (1 << bit,),
+            )
+        if draw.below(2):
+            odd = draw.below(2)
+            words = "an odd" if odd else "an even"
+            return When(
+                f"with {words} announced length", lambda event: event.judgement.length % 2 == odd
+            )
+        length = draw.pick(protocol.data_lengths)
+        return When(f"with {length} data bytes announced", lambda e: e.judgement.length == length)
+    part = what.spec.fields[0]
+    kind = draw.below(4)
+    if kind == 0:
+        value = draw.between(part.low, part.high)
+        return When(f"with the value {value}", lambda event: _value(event) == value, (value,))
+    if kind == 1:
+        least = draw.between(part.low + 1, part.high)
+        return When(
+            f"with a value from {least}", lambda event: _value(event) >= least, (least, least - 1)
+        )
+    bit = draw.below(max(1, part.high.bit_length()))
+    on = draw.below(2)
+    words = "set" if on else "clear"
+    return When(
+        f"with bit {bit} {words}", lambda event: _value(event) >> bit & 1 == on, (1 << bit, 0)
+    )
+
+
+def _value(event: Event) -> int:
+    fields = event.judgement.fields
+    return fields[0][1] if fields else 0
+
+
+def _history(protocol: Protocol, draw: Draw, what: What) -> When:
+    kind = draw.below(7)
+    if kind < 3:
+        spec = draw.pick(protocol.instructions)
+        return When(f"right after {spec.name}", after(spec))
+    if kind == 3:
+        return When("right after a fault", lambda event: event.row > 0)
+    if kind == 4:
+        step = draw.between(2, 40)
+        return When(
+            f"as every {ordinal(step)} frame", lambda event: event.frames % step == step - 1
+        )
+    if kind == 5:
+        count = draw.between(5, 250)
+        return When(f"after {count} frames", lambda event: event.frames >= count)
+    count = draw.between(2, 60)
+    return When(f"after {count} faults", lambda event: event.faults >= count)
+
+
+def _timing(protocol: Protocol, draw: Draw, what: What) -> When:
+    carries = what.spec.length if what.spec else 2
+    kind = draw.below(3 if carries and not what.cut else 2)
+    if kind == 0:
+        return When("sent ahead of the answer before", lambda event: event.pipelined)
+    if kind == 1:
+        pause = draw.pick((15, 30, 60))
+        return When(
+            f"after {pause} ms without a frame",
+            lambda event: event.gap is not None and event.gap >= pause * MS,
+        )
+    return When("with a pause between its bytes", lambda event: event.pause > MS)
+
+
+Kind = Callable[[Protocol, Draw, What], When]

@@ -1,0 +1,154 @@
+"""Writes reports as one self-contained HTML page: works from a file, asks no other place.
+
+The page has a Content-Security-Policy that lets only its own script and style run, by their hashes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from conformance.html_cases import case_data, case_rows
+from conformance.html_facts import coverage, facts, profile
+from conformance.html_matrix import matrix
+from conformance.html_text import Safe, joined, json_block, tag
+from conformance.report import Report
+from conformance.side_by_side import Row, names, rows, tally
+from conformance.summary import conclusion
+from conformance.verdicts import Verdict
+from conformance.visible import visible
+from spec.protocol import Protocol
+
+_PAGE = Path(__file__).parent / "page"
+_EXIT_LOOK = {0: "pass", 1: "fail", 2: "error", 3: "inconclusive"}
+
+
+def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
+    """One page about one report, or about several side by side.
+
+    What bytes mean is told by `protocol`, for the reports that were made with this grammar.
+    """
+    style = (_PAGE / "report.css").read_text(encoding="utf-8")
+    script = (_PAGE / "report.js").read_text(encoding="utf-8")
+    told, cases = names(reports), rows(reports)
+    title = ", ".join(told)
+    policy = (
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    head = joined(
+        [
+            Safe('<meta charset="utf-8">'),
+            Safe(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
+            Safe('<meta name="viewport" content="width=device-width, initial-scale=1">'),
+            Safe('<meta name="color-scheme" content="light dark">'),
+            tag("title", f"{title} · bilprov conformance report"),
+            tag("style", Safe(style)),
+        ]
+    )
+    body = joined(
+        [
+            _header(reports, told),
+            tag("main", joined(_sections(reports, told, cases))),
+            json_block("data", case_data(reports, told, cases, protocol)),
+            tag("script", Safe(script)),
+        ]
+    )
+    page = tag("html", tag("head", head), tag("body", body), lang="en")
+    return f"<!doctype html>\n{page}\n"
+
+
+def _hash(content: str) -> str:
+    return f"sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}"
+
+
+def _header(reports: Sequence[Report], told: Sequence[str]) -> Safe:
+    several = len(reports) > 1
+    verdicts = [
+        tag(
+            "p",
+            tag("span", name, class_="device") if several else "",
+            conclusion(report).plain,
+            class_=f"conclusion v-{_EXIT_LOOK[report.exit]}",
+        )
+        for name, report in zip(told, reports, strict=True)
+    ]
+    title = f"{len(reports)} runs side by side" if several else tag("span", *told, class_="device")
+    links = ("Matrix", "Cases", "Profile", "Coverage")
+    return tag(
+        "header",
+        tag("p", "bilprov", tag("span", " conformance report"), class_="brand"),
+        tag("h1", "" if several else "Conformance of ", title),
+        *verdicts,
+        tag("nav", *(tag("a", word, href=f"#{word.lower()}") for word in links), aria_label="Page"),
+    )
+
+
+def _sections(reports: Sequence[Report], told: list[str], cases: list[Row]) -> Iterator[Safe]:
+    yield facts(reports, told)
+    yield tag(
+        "section",
+        tag("h2", "Matrix by clause"),
+        matrix(told, cases) if cases else tag("p", "No case was judged.", class_="dim"),
+        id="matrix",
+    )
+    yield tag(
+        "section",
+        tag("h2", "Cases"),
+        tag("noscript", tag("p", "Wire logs and filters need JavaScript; this list does not.")),
+        _filters(reports, cases),
+        tag("p", "", id="shown", aria_live="polite", class_="dim"),
+        _columns(told) if len(told) > 1 else Safe(""),
+        tag("div", case_rows(cases), id="list", class_=f"runs-{min(len(told), 6)}"),
+        id="cases",
+    )
+    yield tag("section", tag("h2", "Profile"), profile(reports, told), id="profile")
+    yield tag("section", tag("h2", "Coverage"), coverage(reports, told), id="coverage")
+
+
+def _columns(told: list[str]) -> Safe:
+    """Which column of the list is which report."""
+    entries = [tag("li", tag("b", index), " ", visible(name)) for index, name in enumerate(told, 1)]
+    return tag("ol", *entries, class_="columns")
+
+
+def _filters(reports: Sequence[Report], cases: list[Row]) -> Safe:
+    """Chips for the verdicts and a field for text; they need the script, so it shows them."""
+    counts = tally([result for row in cases for result in row.results])
+    per = [
+        (verdict.label, verdict.label, sum(verdict in _verdicts(row) for row in cases))
+        for verdict in counts
+    ]
+    if len(reports) > 1:
+        per.append(("missing", "not in all", sum(None in row.results for row in cases)))
+        per.append(("differs", "differing", sum(row.differs for row in cases)))
+    per = [entry for entry in per if entry[2]]
+    chips = [
+        tag(
+            "button",
+            tag("span", word, class_="word"),
+            tag("span", f"{count:,}", class_="count"),
+            type="button",
+            class_=f"chip v-{name}",
+            data_v=name,
+            aria_pressed="false",
+        )
+        for name, word, count in per
+    ]
+    search = tag(
+        "label",
+        tag("span", "Search ", class_="unseen"),
+        Safe('<input id="search" type="search" placeholder="Search id, clause, reason">'),
+    )
+    everything = tag("button", "Show all", type="button", id="everything", class_="chip")
+    scope = tag("button", "", type="button", id="scope", class_="chip", hidden=True)
+    return tag(
+        "div", *chips, scope, everything, search, id="filters", hidden=True, role="group",
+        aria_label="Filter the cases",
+    )  # fmt: skip
+
+
+def _verdicts(row: Row) -> set[Verdict]:
+    return {result.verdict for result in row.results if result}

@@ -1,0 +1,47 @@
+"""Builds HTML from foreign text: whatever goes in as text cannot become markup or script."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Iterable
+
+from conformance.visible import visible
+
+
+class Safe(str):
+    """Markup that is already safe to write out."""
+
+    __slots__ = ()
+
+
+def text(value: object) -> Safe:
+    """A value as text, escaped."""
+    return value if isinstance(value, Safe) else Safe(html.escape(visible(str(value))))
+
+
+def tag(name: str, *content: object, **attributes: object) -> Safe:
+    """An element; content that is not Safe is escaped, and so is every attribute's value.
+
+    An attribute whose value is None or False is left out, one that is True stands alone; a trailing
+    underscore of its name is dropped, other underscores become dashes.
+    """
+    told = "".join(
+        f" {key.rstrip('_').replace('_', '-')}" + ("" if value is True else f'="{text(value)}"')
+        for key, value in attributes.items()
+        if value is not None and value is not False
+    )
+    return Safe(f"<{name}{told}>{joined(content)}</{name}>")
+
+
+def joined(parts: Iterable[object]) -> Safe:
+    """Parts one after another."""
+    return Safe("".join(text(part) for part in parts))
+
+
+def json_block(ident: str, value: object) -> Safe:
+    """A value as JSON inside a page; nothing in it can end the block or a line of script."""
+    written = json.dumps(value, separators=(",", ":"))  # ASCII only: no U+2028 either
+    for sign in "<>&":
+        written = written.replace(sign, f"\\u{ord(sign):04x}")
+    return Safe(f'<script type="application/json" id="{ident}">{written}</script>')

@@ -1,0 +1,96 @@
+"""One run as the command line asks for it: in virtual time or on a port, watched and recorded."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+
+from analyzer.options import line_settings, timeout_in_ns
+from analyzer.port import Port
+from analyzer.recording import session_metadata
+from analyzer.session import Session
+from analyzer.stopping import Stopper
+from captures.errors import CaptureError
+from conformance.api import Options, conform, conform_port
+from conformance.probes import Probe
+from conformance.progress import Progress
+from conformance.recording import RunRecorder
+from conformance.report import Report
+from conformance.simulator import CONFORMING, Simulator
+from spec.protocol import Protocol
+
+SIM = "sim"
+
+
+class Job:
+    """One run as the command line asks for it, with its progress bar and its recording."""
+
+    def __init__(
+        self, protocol: Protocol, options: Options, record: str | None, power: str | None
+    ) -> None:
+        self._power = power
+        self._protocol = protocol
+        self._options = options
+        self._record = record
+        self._tap: RunRecorder | None = None
+
+    @property
+    def broken(self) -> CaptureError | None:
+        """Why the recording ended before the run did, None if it did not."""
+        return self._tap.broken if self._tap else None
+
+    def on_simulator(self, stack: ExitStack, device: Simulator, count: int) -> Report:
+        """Run in virtual time."""
+        stopper = stack.enter_context(Stopper())
+        line = line_settings(self._protocol, None, None, None)
+        tap = self._recorder(stack, SIM, str(line))
+        return conform(
+            device,
+            grammar=self._protocol,
+            options=self._options,
+            watcher=stack.enter_context(Progress(count, tap)),
+            tap=tap,
+            interrupted=lambda: stopper.stopped or str(self.broken or ""),
+            fault=None if device.fault is CONFORMING else device.fault.name,
+        )
+
+    def on_port(
+        self,
+        stack: ExitStack,
+        port: Port,
+        probe: Probe | None,
+        probe_name: str,
+        count: int,
+    ) -> Report:
+        """Run in real time; the robot moves."""
+        stopper = stack.enter_context(Stopper())
+        tap = self._recorder(stack, port.name, str(port.settings))
+        return conform_port(
+            port,
+            probe,
+            probe_name,
+            grammar=self._protocol,
+            options=self._options,
+            stop=stopper.fileno(),
+            interrupted=lambda: stopper.stopped or str(self.broken or ""),
+            watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
+            tap=tap,
+            power=self._power,
+        )
+
+    def _recorder(self, stack: ExitStack, device: str, line: str) -> RunRecorder | None:
+        if self._record is None:
+            return None
+        timeout = timeout_in_ns(self._protocol, self._options.truncation_timeout)
+        metadata = session_metadata(
+            self._protocol,
+            ports={"device": device},
+            line=line,
+            timeout=timeout,
+            skew=0,
+            heard=("host", "device"),
+        )
+        session = Session(self._protocol, timeout=timeout, skew=0)
+        recorder = RunRecorder(self._record, session, time.time_ns(), metadata)
+        self._tap = stack.enter_context(recorder)
+        return self._tap

@@ -1,0 +1,120 @@
+"""Writes reports as JUnit XML: what was not judged is skipped with its reason, never passed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from conformance.report import AXES, Report, reproduce
+from conformance.summary import conclusion
+from conformance.verdicts import CaseResult, Verdict
+from conformance.visible import visible
+from spec.protocol import Protocol
+
+_NOT_RUN = "run"
+
+
+def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
+    """One test suite for each first part of the ids, one test case for each case.
+
+    A failure is a `failure` (with `--strict` non-strict is one too), an error an `error`;
+    inconclusive and skipped are `skipped` with their reason; whatever else is not a plain pass
+    passes and says its verdict and reading in its properties and `system-out`. Times are seconds on
+    the wire. With several reports the device's name stands before that of each suite and class. A
+    run in which nothing could be judged has one test case more, an error.
+    """
+    root = Element("testsuites", name="bilprov conform")
+    for report in reports:
+        before = f"{visible(report.device)}: " if len(reports) > 1 else ""
+        for name, results in _groups(report.results).items():
+            suite = _suite(root, report, before + visible(name))
+            for result in results:
+                _case(suite, report, result, before)
+        if report.unusable:
+            suite = _suite(root, report, before + _NOT_RUN)
+            classname = before + _NOT_RUN
+            case = SubElement(suite, "testcase", classname=classname, name="usable", time="0")
+            SubElement(case, "error", type="error", message=visible(report.unusable))
+    for suite in root:
+        for kind, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+            suite.set(kind, str(len(suite.findall(f"testcase/{tag}"))))
+        cases = suite.findall("testcase")
+        suite.set("tests", str(len(cases)))
+        suite.set("time", f"{sum(float(case.get('time', 0)) for case in cases):.6f}")
+    for total in ("tests", "failures", "errors", "skipped"):
+        root.set(total, str(sum(int(suite.get(total, 0)) for suite in root)))
+    root.set("time", f"{sum(float(suite.get('time', 0)) for suite in root):.6f}")
+    indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, "unicode") + "\n"
+
+
+def _groups(results: Iterable[CaseResult]) -> dict[str, list[CaseResult]]:
+    groups: dict[str, list[CaseResult]] = {}
+    for result in results:
+        groups.setdefault(result.id.split("/")[0], []).append(result)
+    return groups
+
+
+def _suite(root: Element, report: Report, name: str) -> Element:
+    suite = SubElement(root, "testsuite", name=name)
+    properties = SubElement(suite, "properties")
+    grammar = report.grammar
+    facts = {
+        "device": report.device,
+        "conclusion": conclusion(report).plain,
+        "seed": str(report.seed),
+        "kit": report.kit,
+        "grammar": f"{grammar['name']} {grammar['version']} {grammar['sha256']}",
+    }
+    for key, value in facts.items():
+        SubElement(properties, "property", name=key, value=visible(value))
+    return suite
+
+
+def _case(suite: Element, report: Report, result: CaseResult, before: str) -> None:
+    seconds = result.log[-1].t / 1e9 if result.log else 0
+    case = SubElement(
+        suite,
+        "testcase",
+        classname=before + visible(result.clause),
+        name=visible(result.id),
+        time=f"{seconds:.6f}",
+    )
+    properties = SubElement(case, "properties")
+    for key, value in (("verdict", result.verdict.label), ("reading", result.reading)):
+        if value:
+            SubElement(properties, "property", name=key, value=visible(value))
+    if result.verdict is Verdict.PASS:
+        return
+    words = "\n".join(visible(line) for line in _lines(report, result))
+    reason = visible(result.reason) or result.verdict.label
+    tag = outcome(result.verdict, strict=bool(report.options.get("strict")))
+    if tag == "skipped":
+        SubElement(case, tag, type=result.verdict.label, message=reason)
+    elif tag:
+        SubElement(case, tag, type=result.verdict.label, message=reason).text = words
+        return
+    SubElement(case, "system-out").text = words
+
+
+def outcome(verdict: Verdict, *, strict: bool) -> str:
+    """The element that tells of a verdict, "" for a test that passed."""
+    if verdict is Verdict.ERROR:
+        return "error"
+    if verdict is Verdict.FAIL or (strict and verdict is Verdict.NON_STRICT):
+        return "failure"
+    return "skipped" if verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED) else ""
+
+
+def _lines(report: Report, result: CaseResult) -> Iterator[str]:
+    yield f"{result.verdict.label} ({result.clause}): {result.requirement}"
+    if result.sent:
+        yield f"sent      {' | '.join(result.sent)}"
+    for name in AXES:
+        axis = result.axes.get(name)
+        if axis is None or axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
+            continue
+        yield f"{name}: {axis.reason}" + (f" [{axis.reading}]" if axis.reading else "")
+        yield f"expected  {axis.expected}"
+        yield f"got       {axis.actual}"
+    yield f"again     {reproduce(report, result)}"

@@ -1,0 +1,144 @@
+"""Writes reports as Markdown for a CI's page: short, and whatever came from a device is inert."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from conformance.report import Report, reproduce
+from conformance.summary import conclusion
+from conformance.verdicts import CaseResult, Verdict
+from conformance.visible import visible
+from spec.protocol import Protocol
+
+_FIRST = 10  # cases of each verdict in full
+_GROUPS = 60  # rows of the table
+_REASONS = 8
+_LONGEST = 400  # characters of one foreign text
+_MOST = 200_000  # characters in all; GitHub cuts a summary at 1 MiB
+_SIGNS = {
+    Verdict.SKIPPED: "➖",
+    Verdict.PASS: "✅",
+    Verdict.INFORMATIONAL: "ℹ️",
+    Verdict.NON_STRICT: "🟡",
+    Verdict.INCONCLUSIVE: "❔",
+    Verdict.FAIL: "❌",
+    Verdict.ERROR: "💥",
+}
+_EXITS = {0: "✅", 1: "❌", 2: "💥", 3: "❔"}
+
+
+def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
+    """Verdict, table of case groups, first cases that did not pass with their reason, coverage."""
+    text = ""
+    for index, report in enumerate(reports):
+        part = "\n".join(_report(report)) + "\n"
+        if len(text) + len(part) > _MOST:
+            left = len(reports) - index
+            return text + f"\n{left} more {'report is' if left == 1 else 'reports are'} left out.\n"
+        text += ("\n" if text else "") + part
+    return text
+
+
+def prose(text: str) -> str:
+    """Foreign text as plain words: no markup, no HTML, no link, nobody mentioned."""
+    text = _clipped(text).strip()
+    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    text = re.sub(r"([\\`*_\[\]#|~$])", r"\\\1", text)
+    # What makes a list or a heading of a text that begins with it.
+    text = re.sub(r"^(\d+(?=[.)](?:\s|$))|(?=[-+=]))", r"\1\\", text)
+    # GitHub makes links of addresses and of names; an empty comment keeps it from both.
+    return re.sub(r"(?i)(@|://|\bwww(?=\.))", r"\1<!-- -->", text)
+
+
+def code(text: str) -> str:
+    """Foreign text as a span of code, fit for a table cell."""
+    text = _clipped(text)
+    fence = "`" * (1 + max((len(run) for run in re.findall("`+", text)), default=0))
+    space = " " if text.startswith("`") or text.endswith("`") or not text.strip() else ""
+    return f"{fence}{space}{text}{space}{fence}".replace("|", "\\|")
+
+
+def _block(text: str) -> str:
+    """Foreign text as a block of code."""
+    text = _clipped(text)
+    fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", text)), default=0))
+    return f"{fence}sh\n{text}\n{fence}"
+
+
+def _clipped(text: str) -> str:
+    text = visible(text)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
+
+
+def _report(report: Report) -> Iterator[str]:
+    yield f"## {_EXITS.get(report.exit, '')} {prose(conclusion(report).plain)}"
+    yield ""
+    grammar = report.grammar
+    facts = [f"{prose(grammar['name'])} {prose(grammar['version'])}", f"seed {report.seed}"]
+    facts += [f"probe {code(str(report.link['probe']))}"] if report.link.get("probe") else []
+    yield f"{', '.join(facts)}, bilprov {prose(report.kit)}"
+    yield ""
+    if report.results:
+        yield from _table(report)
+    for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.NON_STRICT):
+        found = [result for result in report.results if result.verdict is verdict]
+        if found:
+            yield from _cases(report, verdict, found)
+    yield from _reasons([r for r in report.results if r.verdict is Verdict.INCONCLUSIVE])
+    covered = {name: pair for name, pair in report.coverage.items() if pair[1]}
+    if report.results and covered:
+        yield "### Coverage"
+        yield ""
+        for name, (done, of) in list(covered.items())[:_GROUPS]:
+            yield f"- {prose(name)}: {done} of {of}"
+        yield ""
+
+
+def _table(report: Report) -> Iterator[str]:
+    columns = [v for v in Verdict if any(r.verdict is v for r in report.results)]
+    groups: dict[str, Counter[Verdict]] = {}
+    for result in report.results:
+        groups.setdefault(result.id.split("/")[0], Counter())[result.verdict] += 1
+    yield f"| cases | {' | '.join(f'{_SIGNS[v]} {v.label}' for v in columns)} |"
+    yield f"|---|{'--:|' * len(columns)}"
+    for name, counts in list(groups.items())[:_GROUPS]:
+        yield f"| {code(name)} | {' | '.join(str(counts[v] or '') for v in columns)} |"
+    if len(groups) > _GROUPS:
+        yield f"| and {len(groups) - _GROUPS} more | {' | ' * (len(columns) - 1)} |"
+    total = Counter(result.verdict for result in report.results)
+    yield f"| **all** | {' | '.join(f'**{total[v]}**' for v in columns)} |"
+    yield ""
+
+
+def _cases(report: Report, verdict: Verdict, found: list[CaseResult]) -> Iterator[str]:
+    yield f"### {_SIGNS[verdict]} {len(found)} {verdict.label}"
+    yield ""
+    for result in found[:_FIRST]:
+        reading = f" ({prose(result.reading)})" if result.reading else ""
+        yield f"**{code(result.id)}** {prose(result.clause)}: {prose(result.reason)}{reading}"
+        yield ""
+        yield f"Required: {prose(result.requirement)}"
+        yield ""
+        yield _block(reproduce(report, result))
+        yield ""
+    if len(found) > _FIRST:
+        yield f"and {len(found) - _FIRST} more."
+        yield ""
+
+
+def _reasons(found: list[CaseResult]) -> Iterator[str]:
+    """What could not be judged, by reason: it is rarely about the single case."""
+    if not found:
+        return
+    yield f"### {_SIGNS[Verdict.INCONCLUSIVE]} {len(found)} not judged"
+    yield ""
+    counts = Counter(result.reason for result in found)
+    for reason, count in counts.most_common(_REASONS):
+        first = next(result.id for result in found if result.reason == reason)
+        cases = "1 case" if count == 1 else f"{count} cases"
+        yield f"- {cases}, {code(first)} is the first: {prose(reason)}"
+    if len(counts) > _REASONS:
+        yield f"- and {len(counts) - _REASONS} more reasons"
+    yield ""

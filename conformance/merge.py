@@ -1,0 +1,207 @@
+"""The reports of shards in, the report of the whole run out. Decoded JSON; no file.
+
+What a later kit writes beside the keys that are known here stays as it is: in a case, always; at
+the top, where the parts agree. Where they differ it is kept for each part, in `shards`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from captures.errors import shown
+from conformance.expected import Comparison
+from conformance.levels import AnyCase
+from conformance.parts import Part
+from conformance.report import (
+    Report,
+    case_as_json,
+    compared,
+    coverage,
+    decided_exit,
+)
+from conformance.verdicts import Axis, CaseResult, Verdict
+from spec.codec import spaced
+from spec.protocol import Protocol
+
+# What is worked out anew; everything else at the top is kept, or told for each part.
+_WORKED_OUT = ("coverage", "counts", "cases", "profile", "options", "expected_failures")
+
+_SHOWN = 8  # missing shards
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The whole run, as a report and as JSON."""
+
+    report: Report
+    document: dict[str, Any]
+
+
+def merge(parts: Sequence[Part], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
+    """Put shards that belong together into one report.
+
+    `cases` are those of the whole run, besides the opening ones. A case that several shards ran
+    (the opening ones) counts once, with its worst verdict. What no shard ran is inconclusive.
+    """
+    parts = sorted(parts, key=lambda part: part.index)
+    first = parts[0].told
+    raws, results = _worst_of_each(parts)
+    unrun = [case for case in cases if case.id not in results]
+    ended, ended_by = _endings(parts, len(unrun))
+    for case in unrun:
+        results[case.id] = _not_run(case, ended)
+    order = {case.id: at for at, case in enumerate(cases)}
+    ids = sorted(results, key=lambda ident: order.get(ident, -1))  # the opening ones first
+    merged = [results[ident] for ident in ids]
+    options = {**first.options, "shard": None}
+    report = Report(
+        grammar=msgspec.to_builtins(first.grammar),
+        device=first.device,
+        link=parts[0].raw["link"],
+        options=options,
+        seed=first.seed,
+        exit=decided_exit(merged, options, "", ended_by),
+        unusable="",
+        ended=ended,
+        profile=_profile(parts),
+        coverage=coverage(protocol, merged, cases),
+        results=tuple(merged),
+        ended_by=ended_by,
+        again={ident: str(raw.get("reproduce", "")) for ident, raw in raws.items()},
+    )
+    for case in unrun:
+        raws[case.id] = case_as_json(report, results[case.id])
+    devices = ", ".join(dict.fromkeys(part.told.device for part in parts))
+    report = msgspec.structs.replace(report, device=devices)
+    comparison = _expected(parts, merged)
+    if comparison:
+        report = compared(report, comparison)
+    return Merged(report, _document(report, parts, [raws[ident] for ident in ids]))
+
+
+def _not_run(case: AnyCase, why: str) -> CaseResult:
+    axis = Axis(Verdict.INCONCLUSIVE, "", "not run", why)
+    sent = tuple(spaced(frame) for frame in case.sent if frame)
+    return CaseResult(
+        id=case.id,
+        clause=case.clause,
+        requirement=case.requirement,
+        verdict=axis.verdict,
+        axes={"answer": axis},
+        reading=case.reading,
+        sent=sent,
+        received=(),
+    )
+
+
+def _expected(parts: Sequence[Part], results: Sequence[CaseResult]) -> Comparison | None:
+    """What the shards' own files of expected failures said, None where there were none."""
+    told = [part.raw.get("expected_failures") for part in parts]
+    known = [summary for summary in told if isinstance(summary, dict)]
+    if not known:
+        return None
+    failed = {result.id for result in results if result.verdict is Verdict.FAIL}
+    surprising = {
+        result.id
+        for part in parts
+        for raw, result in zip(part.raw["cases"], part.results, strict=True)
+        if result.verdict is Verdict.FAIL and raw.get("expected_failure") is not True
+    }
+    stale = [sentence for summary in known for sentence in summary.get("stale") or ()]
+    return Comparison(
+        file=", ".join(dict.fromkeys(shown(summary.get("file")) for summary in known)),
+        expected=frozenset(failed - surprising),
+        unexpected=len(failed & surprising),
+        stale=tuple(dict.fromkeys(shown(sentence) for sentence in stale)),
+    )
+
+
+def _worst_of_each(
+    parts: Sequence[Part],
+) -> tuple[dict[str, dict[str, Any]], dict[str, CaseResult]]:
+    """Each case's JSON and result, those of its worst verdict where several shards ran it."""
+    raws: dict[str, dict[str, Any]] = {}
+    results: dict[str, CaseResult] = {}
+    for part in parts:
+        for raw, result in zip(part.raw["cases"], part.results, strict=True):
+            if result.id not in results or result.verdict > results[result.id].verdict:
+                raws[result.id], results[result.id] = raw, result
+    return raws, results
+
+
+def _endings(parts: Sequence[Part], unrun: int) -> tuple[str, str]:
+    """Why the run is not whole, and whose doing that is; both "" if it is."""
+    told = []
+    causes = set()
+    for part in parts:
+        why = part.told.unusable or part.told.ended
+        if why:
+            told.append(f"shard {part.index}/{part.of}: {shown(why)}")
+            causes.add("error" if part.told.unusable else part.told.ended_by or "error")
+    of = parts[0].of
+    missing = sorted(set(range(1, of + 1)) - {part.index for part in parts})
+    if missing:
+        numbers = ", ".join(f"{number}/{of}" for number in missing[:_SHOWN])
+        more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
+        told.append(f"shard{'s' if len(missing) > 1 else ''} {numbers}{more} missing")
+        causes.add("user")
+    elif unrun and not told:
+        told.append(f"{unrun} cases are in none of the shards")
+        causes.add("user")
+    return "; ".join(told), "error" if "error" in causes else "user" if causes else ""
+
+
+def _profile(parts: Sequence[Part]) -> dict[str, Any]:
+    """What was measured: the longest of what is a longest, else what all shards agree in."""
+    found: dict[str, Any] = {}
+    for name in dict.fromkeys(name for part in parts for name in part.told.profile):
+        values = [part.told.profile.get(name) for part in parts]
+        numbers = [value for value in values if isinstance(value, int | float)]
+        if name.endswith("_max_ms") and numbers:
+            found[name] = max(numbers)
+        else:
+            found[name] = values[0] if all(value == values[0] for value in values) else None
+    return found
+
+
+def _document(
+    report: Report, parts: Sequence[Part], cases: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """The whole run as JSON, from the parts' own."""
+    names = dict.fromkeys(name for part in parts for name in part.raw)
+    agreed = {
+        name: parts[0].raw.get(name)
+        for name in names
+        if all(part.raw.get(name) == parts[0].raw.get(name) for part in parts)
+    }
+    apart = [name for name in names if name not in agreed and name not in _WORKED_OUT]
+    shards = [
+        {
+            "file": part.name,
+            "shard": [part.index, part.of],
+            "profile": part.told.profile,
+            **{name: part.raw[name] for name in apart if name in part.raw},
+        }
+        for part in parts
+    ]
+    document = {name: agreed.get(name) for name in names}
+    document |= {
+        "device": report.device,
+        "options": report.options,
+        "verdict": report.verdict.label,
+        "exit": report.exit,
+        "unusable": None,
+        "ended": report.ended or None,
+        "ended_by": report.ended_by or None,
+        "counts": report.counts,
+        "coverage": {name: {"done": d, "of": of} for name, (d, of) in report.coverage.items()},
+        "profile": report.profile,
+        "expected_failures": None,
+        "shards": shards,
+    }
+    del document["cases"]
+    return document | {"cases": list(cases)}

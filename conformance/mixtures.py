@@ -1,0 +1,141 @@
+"""Devices that choose one reading for some frames and another for others: each of them fails.
+
+Only mixtures that can show both choices are made: by ID needs two IDs at which the point arises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+from conformance.fault import MS, Fault
+from conformance.readings_taken import Chooses
+from conformance.simulator import Simulator
+from conformance.variants import MIXTURE, Variant, variants
+from spec.codec import bad_data
+from spec.motion import Motion, State
+from spec.protocol import Protocol
+
+_TIMES = 12  # that the point arises, before the other choice begins
+
+
+@cache
+def mixtures(protocol: Protocol) -> dict[str, Fault]:
+    """Every mixture, by name."""
+    found = [
+        fault
+        for variant in variants(protocol).values()
+        if variant.mixes
+        for fault in _of(protocol, variant)
+    ]
+    return {fault.name: fault for fault in found}
+
+
+def find_mixture(protocol: Protocol, name: str) -> Fault:
+    """The mixture of that name. Raises ValueError, in one sentence, where there is none."""
+    parts = name.removeprefix(MIXTURE).split(":")
+    variant = variants(protocol).get(parts[0])
+    known = {fault.name: fault for fault in _of(protocol, variant)} if variant else {}
+    if name not in known:
+        some = ", ".join(list(known) or list(mixtures(protocol))[:3])
+        raise ValueError(f"there is no mixture {name!r}, perhaps {some}")
+    return known[name]
+
+
+def _of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
+    if not variant.mixes:
+        return
+    ids, motions = _where_it_shows(protocol, variant)
+    rows: list[tuple[str, str, Chooses]] = [
+        ("by-frame", "every second time", _every_second),
+        (f"after-{_TIMES}", f"after it has chosen otherwise {_TIMES} times", _after_times),
+    ]
+    if len(ids) > 1:
+        some = ids[::2]
+        words = f"for ID {', '.join(map(str, some))} and not for {', '.join(map(str, ids[1::2]))}"
+        rows.append(("by-id", words, lambda device, identity: identity in some))
+    if len(motions) > 1:
+        moves = motions[1::2]
+        words = f"while its motion is {' or '.join(motion.value for motion in moves)}"
+        rows.append(("by-motion", words, lambda device, identity: device.state.motion in moves))
+    for name, words, chooses in rows:
+        fault = variant.taking(
+            chooses, f"{MIXTURE}{variant.name}:{name}", f"{variant.doc}, but only {words}"
+        )
+        yield replace(
+            fault,
+            family="mixture",
+            exit=1,
+            caught_by=("reading/*",),
+            clauses=("header", "instructions", "responses", "safety"),
+        )
+
+
+def _every_second(device: Simulator, identity: int) -> bool:
+    device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
+    return turn == 1
+
+
+def _after_times(device: Simulator, identity: int) -> bool:
+    times = device.memory["times"] = min(device.memory.get("times", 0) + 1, _TIMES + 1)
+    return times > _TIMES
+
+
+def _where_it_shows(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:
+    """The IDs, and the motions, at which the variant behaves otherwise than the reference."""
+    ids: dict[int, None] = {}
+    motions: dict[Motion, None] = {}
+    reference, other = Simulator(protocol), Simulator(protocol, variant.fault)
+    frames = list(_frames(protocol))
+    behind = other.fault.hear is not None
+    for motion in Motion:
+        state = _begin(protocol, motion)
+        for frame in frames:
+            told = [_told(one, state, frame, behind=behind) for one in (reference, other)]
+            if told[0] != told[1]:
+                ids[protocol.headers[frame[0]][0]] = None
+                motions[motion] = None
+    return sorted(ids), list(motions)
+
+
+def _begin(protocol: Protocol, motion: Motion) -> State:
+    top = {name: high for name, (_, high) in protocol.limits.items()}
+    return State(motion, top.get("speed", 0), top.get("steering", 0) // 2, top.get("led", 0))
+
+
+def _frames(protocol: Protocol) -> Iterator[bytes]:
+    """For each ID a frame of the right length, a longer one, one with bad data, cut ones."""
+    for identity in protocol.ids:
+        known = protocol.by_id.get(identity)
+        own = known.length if known else 0
+        for length in (own, own + 1, own + 2):
+            header = protocol.header_bytes.get((identity, length))
+            if header is None:
+                continue
+            for byte in (protocol.filler, 0xFF):
+                yield bytes([header]) + bytes([byte]) * length
+            if length:
+                yield bytes([header])
+        if known:
+            header = protocol.header_bytes[identity, own]
+            yield from (bytes([header]) + data for data in list(bad_data(known))[:1])
+
+
+def _told(device: Simulator, state: State, frame: bytes, *, behind: bool) -> object:
+    """What a device in that state does with the frame, and then on a quiet line.
+
+    Where bytes may be lost, one more is sent behind a whole frame.
+    """
+    device.power_cycle(0)
+    device.advance(0)
+    device.state = state
+    now, told = 10 * MS, []
+    whole = len(frame) > device.protocol.lengths[frame[0]]
+    for byte in (*frame, *([device.protocol.filler] if whole and behind else [])):
+        now += device.byte_time
+        device.receive(bytes([byte]), now)
+        told.append((device.advance(now), device.look(now)))
+    now += 2 * int(device.protocol.timing.truncation_timeout * MS)
+    told.append((device.advance(now), device.look(now)))
+    return told

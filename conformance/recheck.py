@@ -1,0 +1,238 @@
+"""Judges a recorded run again from its bytes and looks alone, and compares the verdicts.
+
+The run is made as every run is made (`conformance.api.run_on`), over the recording instead of a
+device. Recorded verdicts are compared with and never used. The seal and the checksums tell damage,
+not forgery: whoever writes a whole recording anew can make it say anything that fits together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from analyzer.grammar_file import load_protocol
+from analyzer.version import kit_version
+from captures import topics
+from captures.errors import CaptureError, shown
+from captures.evidence import Evidence, open_evidence
+from captures.schemas import CaseMark
+from conformance.api import Options, run_on
+from conformance.circumstances import Circumstances
+from conformance.recorded_link import TOPICS, RecordedLink, Strayed
+from conformance.recording import GRAMMAR, RUN, VERDICT
+from conformance.report import Report, as_json
+from conformance.verdicts import CaseResult, worst
+from spec.declared import NotDeclared, require_declarations
+from spec.protocol import GrammarError, Protocol, load
+
+SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile")
+"""The parts of a report, besides its cases, that must come out the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Something that was judged otherwise than the recording says.
+
+    `about` is the case's id or the part of the report, `what` says which of its values differ.
+    """
+
+    about: str
+    what: str
+    recorded: str
+    judged: str
+
+
+@dataclass(frozen=True, slots=True)
+class Recheck:
+    """What came out. `report` is None where the run strayed from the recording.
+
+    `cases` is how many were judged again and compared, `verdict` the worst of them as it came out
+    now. `notes` say what else the reader should know; `whole` is false where the recording ends
+    before its run did.
+    """
+
+    report: Report | None
+    cases: int
+    verdict: str
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+    whole: bool
+
+    @property
+    def exit(self) -> int:
+        """0 the same, 1 something differs, 3 the same as far as the recording goes."""
+        return 1 if self.differences else 0 if self.whole else 3
+
+
+class _Run(msgspec.Struct, frozen=True):
+    kit: str
+    grammar: dict[str, str]
+    options: Options
+    circumstances: Circumstances
+
+
+class _Results:
+    """A watcher that keeps the results, also of a run that strays."""
+
+    def __init__(self) -> None:
+        self.results: list[CaseResult] = []
+        self.last = "before the first case"
+
+    def begin(self, ident: str) -> None:
+        self.last = ident
+
+    def end(self, result: CaseResult) -> None:
+        self.results.append(result)
+
+
+def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
+    """Judge a recorded run again; by its own grammar unless another is given.
+
+    Raises CaptureError, in one sentence, for a file that is damaged (it says which checksum or hash
+    told), is no recording of a run, or cannot be judged again; GrammarError where its grammar is
+    not run because it does more than declare.
+    """
+    evidence = open_evidence(path, (GRAMMAR, RUN, VERDICT))
+    run = _run(path, evidence)
+    grammar = grammar or _grammar(path, evidence, run)
+    watcher = _Results()
+    report, strayed = None, ""
+    try:
+        link = RecordedLink(evidence.capture.messages(TOPICS))
+        report = run_on(
+            link,
+            run.circumstances,
+            grammar=grammar,
+            options=run.options,
+            watcher=watcher,
+            interrupted=link.interrupted,
+        )
+        cut = link.cut
+        if link.left:
+            strayed = "the recording goes on where the run ends"
+    except Strayed as error:
+        strayed, cut = str(error), False
+    except (ArithmeticError, ValueError) as error:
+        raise CaptureError(f"{shown(path)} cannot be judged again: {shown(error)}") from error
+    marks = tuple(_marks(evidence))
+    differences = [*_against_marks(marks, watcher.results)]
+    if strayed:
+        differences.append(Difference(watcher.last, "what is done", "another step", strayed))
+    verdict = evidence.attachments.get(VERDICT)
+    if verdict is not None and report is not None and not cut:
+        known = {difference.about for difference in differences}
+        against = _against_report(path, verdict, report)
+        differences += [d for d in against if d.about not in known]
+    judged = watcher.results[: len(marks)] if cut else watcher.results
+    # A line that cannot be used is an error although no case was judged.
+    whole = report.verdict if report and not cut else worst(r.verdict for r in judged)
+    return Recheck(
+        report=report,
+        cases=len(judged),
+        verdict=whole.label,
+        differences=tuple(differences),
+        notes=tuple(_notes(evidence, run, grammar, report, cut=cut)),
+        whole=evidence.sealed and not cut and verdict is not None,
+    )
+
+
+def _run(path: str, evidence: Evidence) -> _Run:
+    counts = evidence.capture.contents.counts
+    if RUN not in evidence.attachments or not counts.get(topics.ASKS):
+        raise CaptureError(
+            f"{shown(path)} is no recording of a conformance run that can be judged again: make "
+            "one with bilprov conform PORT --record FILE.mcap"
+        )
+    try:
+        return msgspec.json.decode(evidence.attachments[RUN], type=_Run)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{shown(path)}: {RUN} cannot be read: {shown(error)}") from error
+
+
+def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
+    """The grammar that the recording carries; a stranger's is run only if it merely declares."""
+    text = evidence.attachments.get(GRAMMAR, b"").decode("utf-8", "replace")
+    own = load_protocol()
+    if text == own.source:
+        return own
+    try:
+        require_declarations(text)
+    except NotDeclared as error:
+        raise GrammarError(
+            f"the grammar in {shown(path)} is not run, because it does more than declare "
+            f"({shown(error)}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
+        ) from error
+    return load(text, shown(run.grammar.get("file", GRAMMAR)))
+
+
+def _marks(evidence: Evidence) -> Iterator[CaseMark]:
+    for message in evidence.capture.messages({topics.CASES}):
+        try:
+            mark = msgspec.convert(message.value, CaseMark)
+        except msgspec.ValidationError:
+            continue  # then a case has no mark, which differs
+        if mark.phase == "end":
+            yield mark
+
+
+def _against_marks(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> Iterator[Difference]:
+    """Each case that was final in the recording against the same one now."""
+    for number, mark in enumerate(marks):
+        if number >= len(results):
+            yield Difference(mark.id, "verdict", str(mark.verdict), "not judged")
+            continue
+        now = results[number]
+        if now.id != mark.id:
+            yield Difference(mark.id, "order", "this case", f"the case {now.id}")
+        elif now.verdict.label != mark.verdict:
+            yield Difference(mark.id, "verdict", str(mark.verdict), now.verdict.label)
+        elif now.reason != mark.reason:
+            yield Difference(mark.id, "reason", mark.reason, now.reason)
+
+
+def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Difference]:
+    try:
+        was = msgspec.json.decode(recorded, type=dict[str, Any])
+        cases = {case["id"]: case for case in was["cases"]}
+    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{shown(path)}: {VERDICT} cannot be read: {shown(error)}") from error
+    now = msgspec.json.decode(as_json(report), type=dict[str, Any])
+    for case in now["cases"]:
+        yield from _parts(case["id"], cases.pop(case["id"], {}), case)
+    for ident in cases:
+        yield Difference(ident, "verdict", "judged", "no such case")
+    summed = ({name: part.get(name) for name in SUMMED} for part in (was, now))
+    yield from _parts("the report", *summed)
+
+
+def _parts(about: str, was: dict[str, Any], now: dict[str, Any]) -> Iterator[Difference]:
+    """The first part that differs; one is enough."""
+    for name in ("verdict", *now):
+        if was.get(name) != now[name]:
+            yield Difference(about, name, _text(was.get(name)), _text(now[name]))
+            return
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
+
+
+def _notes(
+    evidence: Evidence, run: _Run, grammar: Protocol, report: Report | None, *, cut: bool
+) -> Iterator[str]:
+    if run.kit != kit_version():
+        yield (
+            f"it was recorded by bilprov {shown(run.kit)}, this is {kit_version()}: what differs "
+            "may be the kit's"
+        )
+    if run.grammar.get("sha256") != grammar.sha256:
+        yield f"it was recorded with another grammar than {shown(grammar.origin)}"
+    if not evidence.sealed:
+        yield "it was never finished, so no hash vouches for it: checksums (CRC) vouch for the rest"
+    if cut:
+        yield "it ends before its run did: what is there was judged again"
+    elif report is not None and report.ended:
+        yield f"the run ended early: {shown(report.ended)}"

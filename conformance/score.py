@@ -1,0 +1,297 @@
+"""Scores the suite: which of the faulty devices it catches, at which cost, and by which cases.
+
+In process and in virtual time, on as many processes as wanted. Every value that is shown comes out
+of `Score`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from typing import TypeVar
+
+import msgspec
+
+from captures.schemas import Look
+from conformance.api import Options, conform
+from conformance.equivalence import MOST, Search, search
+from conformance.faults import fault_bank
+from conformance.faults.names import find_fault
+from conformance.faults.random_faults import PREFIX
+from conformance.levels import LEVELS
+from conformance.mixtures import mixtures
+from conformance.simulator import CONFORMING, Fault, Simulator
+from conformance.steps import Class
+from conformance.verdicts import CaseResult, Verdict
+from spec.protocol import Protocol
+
+RANDOM_FLOOR = 0.9  # of the random faults that can show
+FLOORS = {"smoke": 0.88}  # of the named faults; all of them at any other level
+REFERENCE = CONFORMING.name
+A = TypeVar("A")
+B = TypeVar("B")
+Task = tuple[str, str]  # a fault's name and a level
+
+
+class Caught(msgspec.Struct, frozen=True):
+    """One faulty device at one level: what became of it.
+
+    `groups` are case groups that failed: the only one, or the first of several. `own_clause` says
+    whether a case that failed names a clause that the fault breaks, `verdict` is the worst verdict
+    of the run, `sent` how many bytes it took until no more was to be learnt.
+    """
+
+    name: str
+    level: str
+    caught: bool
+    verdict: str
+    groups: tuple[str, ...]
+    own_clause: bool
+    sent: int
+
+
+class Score(msgspec.Struct, frozen=True):
+    """What a suite is worth.
+
+    `levels` are the levels that ran, `bytes` what the reference device cost at each, `faults` the
+    families and sentences by name, `soak` those that only a soak shows, `results` one for each
+    device and level, `reference` the verdict of the conforming device at each level. `searches`
+    are what a search found for each that the last level did not catch.
+    """
+
+    levels: tuple[str, ...]
+    bytes: dict[str, int]
+    faults: dict[str, tuple[str, str]]
+    soak: tuple[str, ...]
+    results: tuple[Caught, ...]
+    reference: dict[str, str]
+    searches: dict[str, Search]
+
+    def at(self, level: str) -> dict[str, Caught]:
+        """The results of one level by the fault's name."""
+        return {result.name: result for result in self.results if result.level == level}
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """The families in their order."""
+        return tuple(dict.fromkeys(family for family, _ in self.faults.values()))
+
+    def caught(self, family: str, level: str) -> tuple[int, int]:
+        """How many of a family are caught at a level, and how many there are."""
+        found = [r for name, r in self.at(level).items() if self.faults[name][0] == family]
+        return sum(result.caught for result in found), len(found)
+
+    def survivors(self, level: str) -> list[str]:
+        """The faults that a level does not catch, without those that only a soak shows."""
+        return [n for n, r in self.at(level).items() if not r.caught and n not in self.soak]
+
+    def can_show(self, name: str) -> bool:
+        """Whether some run could catch it: false for what is proven equivalent to the reference."""
+        found = self.searches.get(name)
+        return found is None or not found.equivalent
+
+    def share(self, level: str, *, drawn: bool) -> tuple[int, int]:
+        """How many of the named (or random) faults that can show are caught, out of how many."""
+        found = [
+            result
+            for name, result in self.at(level).items()
+            if name.startswith(PREFIX) is drawn and name not in self.soak and self.can_show(name)
+        ]
+        return sum(result.caught for result in found), len(found)
+
+    @property
+    def failures(self) -> list[str]:
+        """What falls short of what the suite promises, each in a sentence."""
+        found = [
+            f"{level}: the reference device gets {verdict}"
+            for level, verdict in self.reference.items()
+            if verdict != Verdict.PASS.label
+        ]
+        for level in self.levels:
+            for drawn, floor in ((False, FLOORS.get(level, 1.0)), (True, RANDOM_FLOOR)):
+                caught, of = self.share(level, drawn=drawn)
+                what = "random" if drawn else "named"
+                if caught < floor * of and not (drawn and level in FLOORS):
+                    found.append(f"{level}: {caught} of {of} {what} faults, {floor:.0%} must be")
+            for name, result in self.at(level).items():
+                if not result.own_clause:
+                    found.append(f"{level}: no case that fails for {name} names its clause")
+        return found
+
+    def alone(self, level: str) -> dict[str, list[str]]:
+        """For each case group the faults that no other group catches."""
+        found: dict[str, list[str]] = {}
+        for name, result in self.at(level).items():
+            for group in result.groups:
+                found.setdefault(group, [])
+            if len(result.groups) == 1:
+                found[result.groups[0]].append(name)
+        return found
+
+
+def group_of(ident: str) -> str:
+    """The case group: the class of a single frame, else the first two parts of the id."""
+    first, _, rest = ident.partition("/")
+    if first in set(Class) or not rest:
+        return first
+    return f"{first}/{rest.split('/')[0]}" if "/" in rest else first
+
+
+def chosen_faults(
+    protocol: Protocol, drawn: int, only: Sequence[str] = ()
+) -> dict[str, tuple[str, str]]:
+    """The faults to score, by name: the bank, the mixtures and `drawn` random ones.
+
+    `only` are globs of names; none means all. Values are (family, sentence).
+    """
+    named = (*fault_bank(protocol).values(), *mixtures(protocol).values())
+    names = [fault.name for fault in named] + [f"{PREFIX}{n}" for n in range(1, drawn + 1)]
+    wanted = [n for n in names if not only or any(fnmatchcase(n, glob) for glob in only)]
+    faults = [find_fault(protocol, name) for name in wanted]
+    return {fault.name: (fault.family, fault.doc) for fault in faults}
+
+
+def levels() -> tuple[str, ...]:
+    """The levels that the suite has."""
+    return tuple(LEVELS)
+
+
+def score(
+    protocol: Protocol,
+    faults: dict[str, tuple[str, str]],
+    *,
+    at: Sequence[str] = (),
+    seed: int = 1,
+    jobs: int = 1,
+    most: int = MOST,
+    progress: Callable[[str], None] = lambda name: None,
+) -> Score:
+    """Run the suite against every fault of `faults` (name -> family and sentence).
+
+    `at` are levels (the usual one if none), `seed` the suite's own, `jobs` how many processes.
+    Each that the last level does not catch is searched with at most `most` inputs. `progress` is
+    told the name of each that is done.
+    """
+    chosen = tuple(at) or (Options().level,)
+    results, cost, reference = [], {}, {}
+    for level in chosen:
+        told = _try(protocol, (REFERENCE, level), seed)
+        cost[level], reference[level] = told.sent, told.verdict
+    soak = tuple(n for n in faults if find_fault(protocol, n).needs == "soak")
+    with _workers(protocol, seed, most, jobs) as each:
+        for result in each(_task, [(name, level) for level in chosen for name in faults]):
+            progress(result.name)
+            results.append(result)
+        found = Score(chosen, cost, faults, soak, tuple(results), reference, {})
+        searches = {}
+        for name, search in each(_search_for, found.survivors(chosen[-1])):
+            progress(name)
+            searches[name] = search
+    return msgspec.structs.replace(found, searches=searches)
+
+
+_worker: tuple[Protocol, int, int] | None = None
+
+
+def _begin(protocol: Protocol, seed: int, most: int) -> None:
+    global _worker
+    _worker = (protocol, seed, most)
+
+
+def _task(task: Task) -> Caught:
+    assert _worker is not None
+    return _try(_worker[0], task, _worker[1])
+
+
+def _search_for(name: str) -> tuple[str, Search]:
+    assert _worker is not None
+    return name, search(_worker[0], find_fault(_worker[0], name), _worker[2])
+
+
+@contextmanager
+def _workers(
+    protocol: Protocol, seed: int, most: int, jobs: int
+) -> Iterator[Callable[[Callable[[A], B], Sequence[A]], Iterable[B]]]:
+    """A `map` over the processes, or in this one if there is to be only one."""
+    if jobs == 1:
+        _begin(protocol, seed, most)
+        yield map
+        return
+    # spawned, not forked: the same on every system, and safe beside threads
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, _begin, (protocol, seed, most)) as pool:
+        yield pool.map
+
+
+class _Spares:
+    """Skips what can say no more: the rest of a group that has failed, all once two have.
+
+    Whether one group alone catches a fault is then known. `wanted` are clauses of which a case that
+    fails must name one: until it has, the groups that have not failed go on.
+    """
+
+    def __init__(self, wanted: set[str]) -> None:
+        self._wanted = wanted
+        self._read = 0
+        self._failed: set[str] = set()
+        self._named = False
+
+    def __call__(self, ident: str, results: Sequence[CaseResult]) -> bool:
+        for result in results[self._read :]:
+            if result.verdict is Verdict.FAIL:
+                self._failed.add(group_of(result.id))
+                self._named = self._named or result.clause in self._wanted
+        self._read = len(results)
+        return (len(self._failed) > 1 and self._named) or (
+            self._named and group_of(ident) in self._failed
+        )
+
+
+class _Counter:
+    """A tap that counts the bytes that go to the device."""
+
+    count = 0
+
+    def sent(self, data: bytes, t: int) -> None:
+        """Bytes that went to the device."""
+        self.count += len(data)
+
+    def received(self, data: bytes, t: int) -> None:
+        """Bytes that came from it."""
+
+    def looked(self, look: Look) -> None:
+        """A reading of the probe."""
+
+
+def _try(protocol: Protocol, task: Task, seed: int) -> Caught:
+    name, level = task
+    fault = CONFORMING if name == REFERENCE else find_fault(protocol, name)
+    counter = _Counter()
+    broken = {getattr(protocol.clauses, clause) for clause in fault.clauses}
+    report = conform(
+        Simulator(protocol, fault),
+        grammar=protocol,
+        options=Options(seed=seed, level=level),
+        tap=counter,
+        spare=_Spares(broken),
+        logged=False,
+    )
+    failed = [result for result in report.results if result.verdict is Verdict.FAIL]
+    return Caught(
+        name=name,
+        level=level,
+        caught=_is_caught(fault, report.exit),
+        verdict=report.verdict.label,
+        groups=tuple(Counter(group_of(result.id) for result in failed)),
+        own_clause=not failed or bool(broken & {result.clause for result in failed}),
+        sent=counter.count,
+    )
+
+
+def _is_caught(fault: Fault, code: int) -> bool:
+    """Whether the run ended as it must: a dead line and a robot that never moves do not fail."""
+    return code == fault.exit if fault.exit != 1 else code == 1

@@ -1,0 +1,62 @@
+"""Which cases of a suite a run takes: by globs of their ids, and its shard of them. Pure."""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
+
+from conformance.levels import AnyCase
+
+BY_THEMSELVES = (
+    "line/unsolicited",
+    "power-on/lost",
+    "power-on/first-fault",
+)
+"""Cases that nobody sends: a run has them only where they fail."""
+
+_WILD = frozenset("*?[")
+_SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")
+
+
+def matching(globs: Iterable[str]) -> Callable[[str], bool]:
+    """Whether an id fits one of some globs, in which * crosses /. Quick for thousands of ids."""
+    words = tuple(globs)
+    exact = frozenset(words)
+    wild = tuple(word for word in words if _WILD.intersection(word))
+    return lambda ident: ident in exact or any(fnmatchcase(ident, glob) for glob in wild)
+
+
+def shard_named(text: str) -> tuple[int, int]:
+    """The shard that `I/N` names: I from 1 to N. Raises ValueError, in one sentence."""
+    found = _SHARD.fullmatch(text)
+    index, count = (int(number) for number in found.groups()) if found else (0, 0)
+    if not 1 <= index <= count:
+        raise ValueError(
+            f"{text!r} is no shard; write I/N, the I-th of N shares, I from 1 to N, such as 1/4"
+        )
+    return index, count
+
+
+def share(
+    cases: Sequence[AnyCase], shard: tuple[int, int], seconds: Callable[[AnyCase], float]
+) -> tuple[AnyCase, ...]:
+    """The cases of shard (I, N), in their order; each case is in exactly one of the N shards.
+
+    `seconds` estimates how long a case takes: the longest cases are dealt out first, each to the
+    shard that has least to do, so that all take about as long. Raises ValueError for an I that is
+    not from 1 to N.
+    """
+    index, count = shard
+    if not 1 <= index <= count:
+        raise ValueError(f"there is no shard {index} of {count}; the first is 1, the last {count}")
+    dear = sorted(enumerate(seconds(case) for case in cases), key=lambda pair: (-pair[1], pair[0]))
+    loads = [(0.0, number) for number in range(1, count + 1)]
+    mine = []
+    for at, cost in dear:
+        load, number = loads[0]
+        heapq.heapreplace(loads, (load + cost, number))
+        if number == index:
+            mine.append(at)
+    return tuple(cases[at] for at in sorted(mine))

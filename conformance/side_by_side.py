@@ -1,0 +1,87 @@
+"""Lays the cases of several reports side by side: one row a case, one column a report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from conformance.report import Report
+from conformance.verdicts import CaseResult, Verdict
+
+
+class Row(NamedTuple):
+    """One case: its id, and its result in each report, None where a report has no such case."""
+
+    id: str
+    results: tuple[CaseResult | None, ...]
+
+    @property
+    def any(self) -> CaseResult:
+        """The first result: what is said of the case itself is the same in all."""
+        return next(result for result in self.results if result)
+
+    @property
+    def group(self) -> str:
+        """What the case's id begins with."""
+        return self.id.split("/")[0]
+
+    @property
+    def differs(self) -> bool:
+        """Whether the reports that have it do not agree about it."""
+        return len({result.verdict for result in self.results if result}) > 1
+
+
+def rows(reports: Sequence[Report]) -> list[Row]:
+    """Every case of any report, in the order of the first report that has it.
+
+    A case that only later reports have stands after the one that it follows there.
+    """
+    order: list[tuple[str, int]] = []
+    found: list[dict[tuple[str, int], CaseResult]] = []
+    for report in reports:
+        seen: Counter[str] = Counter()
+        results: dict[tuple[str, int], CaseResult] = {}
+        for result in report.results:
+            # An id stands once in a report; where a file says otherwise nothing is lost.
+            results[result.id, seen[result.id]] = result
+            seen[result.id] += 1
+        found.append(results)
+        order = _merged(order, list(results))
+    return [Row(key[0], tuple(results.get(key) for results in found)) for key in order]
+
+
+def _merged(order: list[tuple[str, int]], more: list[tuple[str, int]]) -> list[tuple[str, int]]:
+    known = set(order)
+    after: dict[tuple[str, int] | None, list[tuple[str, int]]] = {}
+    last: tuple[str, int] | None = None
+    for key in more:
+        if key in known:
+            last = key
+        else:
+            after.setdefault(last, []).append(key)
+    merged = list(after.get(None, ()))
+    for key in order:
+        merged += [key, *after.get(key, ())]
+    return merged
+
+
+def tally(results: Sequence[CaseResult | None]) -> dict[Verdict, int]:
+    """How many of the results have each verdict, the worst first; missing ones do not count."""
+    counts = Counter(result.verdict for result in results if result)
+    return {verdict: counts[verdict] for verdict in reversed(Verdict) if counts[verdict]}
+
+
+def names(reports: Sequence[Report]) -> list[str]:
+    """What tells the reports apart: the device, the fault that was set, a number where needed."""
+    plain = [
+        report.device + (f" --fault {report.link['fault']}" if report.link.get("fault") else "")
+        for report in reports
+    ]
+    counts = Counter(plain)
+    seen: Counter[str] = Counter()
+    told = []
+    for name in plain:
+        seen[name] += 1
+        told.append(f"{name} ({seen[name]})" if counts[name] > 1 else name)
+    return told

@@ -1,0 +1,181 @@
+"""Walks that cover the model: each next frame is the one that meets the most that was not met yet.
+
+What counts as met is a tuple of what came before (the last two kinds, motion, speed, steering, LED)
+and the frame's kind. Part of the frames is drawn at random, so that a tour is also a seeded random
+walk. The data rotate through all their values by themselves (`inputs`).
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from conformance.inputs import Inputs
+from conformance.setup import frames_to
+from conformance.steps import Class, Step, whole
+from conformance.walks import Burst, Walk
+from spec.motion import Motion, State
+from spec.protocol import Protocol
+
+_LENGTH = 40  # bursts of a walk
+CUT = Class.TRUNCATED
+_RANDOM = 0.35  # of the frames are drawn without regard to what was met
+
+
+@dataclass
+class _Where:
+    """Where a walk is: the model's state, and the last two kinds of frames."""
+
+    state: State
+    last: str = ""
+    before: str = ""
+
+
+class Tours:
+    """An endless supply of walks through the model. One object remembers what was met."""
+
+    def __init__(self, protocol: Protocol, seed: int) -> None:
+        self._protocol = protocol
+        self._draw = random.Random(f"tours {seed}")
+        self._inputs = Inputs(protocol, seed)
+        self._met: set[tuple[object, ...]] = set()
+        limits = protocol.limits
+        self._fast = limits.get("speed", (0, 0))[1]
+        self._leds = limits.get("led", (0, 0))
+        self._steers = limits.get("steering", (0, 0))
+
+    def waited(self, name: str, number: int, bursts: int = _LENGTH, cuts: int = 1) -> Walk:
+        """A walk of frames that are each waited for; `cuts` of them are cut short."""
+        setup, where = self._begin()
+        places = set(self._draw.sample(range(bursts), min(cuts, bursts)))
+        made = []
+        for index in range(bursts):
+            if index in places:
+                made.append(Burst((self._cut(where),)))
+            else:
+                made.append(Burst((self._next(where),)))
+        return self._walk(f"sequence/{name}/{number:03}", setup, made)
+
+    def left_alone(self, name: str, number: int, dwells: Sequence[int]) -> Walk:
+        """A walk of frames, after each of which the robot is left alone for a while (ms)."""
+        setup, where = self._begin()
+        made = []
+        for dwell in dwells:
+            made.append(Burst((self._alone(where),), dwell=dwell))
+        return self._walk(f"sequence/{name}/{number:03}", setup, made)
+
+    def _alone(self, where: _Where) -> Step:
+        """The next frame, for what it does after a pause and before one."""
+        kinds = (*self._inputs.kinds, CUT)
+        motion = where.state.visible_motion
+        new = [k for k in kinds if (8, k, motion) not in self._met]
+        if not new and motion is Motion.STOPPED and self._inputs.movers:
+            new = list(self._inputs.movers)
+        kind = self._draw.choice(new or kinds)
+        self._met.add((8, kind, motion))
+        return self._go(where, self._inputs.next(kind), kind)
+
+    def _cut(self, where: _Where) -> Step:
+        """A frame that is cut short; a motion has come before it, so that its stop shows."""
+        return self._go(where, self._inputs.next(CUT), CUT)
+
+    def pipelined(self, name: str, number: int, bursts: int, sizes: tuple[int, int]) -> Walk:
+        """A walk of bursts of that many frames, each sent in one go."""
+        setup, where = self._begin()
+        made = []
+        cut, alone, long = self._draw.sample(range(bursts), 3)
+        for index in range(bursts):
+            steps = [self._next(where) for _ in range(self._draw.randint(*sizes))]
+            if index == cut:
+                steps[-1] = self._cut(where)
+            dwell = 25 if index == alone else 130 if index == long and number % 2 else 0
+            made.append(Burst(tuple(steps), dwell=dwell))
+        return self._walk(f"pipelined/{name}/{number:03}", setup, made)
+
+    def split(self, name: str, number: int, bursts: int) -> Walk:
+        """A walk of frames that come in pieces, with pauses well below the time-out."""
+        setup, where = self._begin()
+        made: list[Burst] = []
+        while len(made) < bursts:
+            steps = tuple(self._next(where) for _ in range(self._draw.choice((1, 1, 2, 3))))
+            size = sum(len(step.frame) for step in steps)
+            if size < 2:
+                made.append(Burst(steps))
+                continue
+            # Four pauses at most: also a time-out over the whole frame is not reached by them.
+            most = min(4, size - 1)
+            every = range(1, most + 1)
+            some = sorted(self._draw.sample(range(1, size), self._draw.randint(1, min(2, most))))
+            where_to = (1,) if self._draw.random() < 0.4 else tuple(some)
+            made.append(Burst(steps, tuple(every) if self._draw.random() < 0.2 else where_to))
+        return self._walk(f"split/{name}/{number:03}", setup, made)
+
+    def _walk(self, ident: str, setup: tuple[Step, ...], bursts: list[Burst]) -> Walk:
+        clauses = self._protocol.clauses
+        requirement = "each frame does and answers what it says, whatever came before it"
+        return Walk(ident, clauses.instructions, requirement, setup, tuple(bursts))
+
+    def _begin(self) -> tuple[tuple[Step, ...], _Where]:
+        """A set-up that leaves nothing open, and drives."""
+        protocol = self._protocol
+        motions = [s.effect.motion for s in protocol.instructions if s.name in self._inputs.movers]
+        state = State(
+            motion=self._draw.choice([m for m in motions if m] or [Motion.STOPPED]),
+            speed=self._draw.randint(self._fast // 2, self._fast),
+            steering=0,
+            led=self._draw.randint(*self._leds),
+        )
+        steps = tuple(_as_step(protocol, frame) for frame in frames_to(protocol, state))
+        return steps, _Where(state)
+
+    def _next(self, where: _Where) -> Step:
+        kind = self._kind(where)
+        return self._go(where, self._inputs.next(kind), kind)
+
+    def _go(self, where: _Where, step: Step, kind: str) -> Step:
+        effect = step.deed.effect or self._protocol.on_fault
+        self._met.update(self._tuples(where, kind))
+        where.state = effect.apply(where.state, dict(step.deed.values))
+        where.before, where.last = where.last, kind
+        return step
+
+    def _kind(self, where: _Where) -> str:
+        inputs, draw = self._inputs, self._draw
+        if not where.state.moving and draw.random() < 0.5:
+            # Standing still hides most faults.
+            speeds = [k for k in inputs.settings if self._sets_speed(k)]
+            if not where.state.speed and speeds:
+                return draw.choice(speeds)
+            if inputs.movers:
+                return draw.choice(inputs.movers)
+        if draw.random() < _RANDOM:
+            return draw.choice(inputs.kinds)
+        best, most = inputs.kinds[0], -1.0
+        for kind in inputs.kinds:
+            gain = draw.random() + sum(t not in self._met for t in self._tuples(where, kind))
+            if gain > most:
+                best, most = kind, gain
+        return best
+
+    def _sets_speed(self, kind: str) -> bool:
+        return self._protocol.by_name[kind].effect.sets("speed")
+
+    def _tuples(self, where: _Where, kind: str) -> tuple[tuple[object, ...], ...]:
+        state = where.state
+        motion, moving = state.motion, state.moving
+        side = (state.steering > 0) - (state.steering < 0)
+        return (
+            (0, kind, motion, moving),
+            (1, kind, where.last),
+            (2, kind, where.last, motion),
+            (3, kind, side, motion),
+            (4, kind, state.led),
+            (5, kind, where.last, where.before),
+            (6, kind, state.led, motion),
+            (7, kind, 2 * state.speed > self._fast, side),
+        )
+
+
+def _as_step(protocol: Protocol, frame: bytes) -> Step:
+    return whole(protocol, frame[0], frame[1:])

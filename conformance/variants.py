@@ -1,0 +1,327 @@
+"""Devices that read the document in another legal way, and mixtures that never settle on one.
+
+A variant is never called faulty; a device that shows two choices of one point is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+from conformance import readings_taken as take
+from conformance.fault import MS, Event, Fault, React
+from conformance.faults.codes import under_other_ids
+from conformance.faults.words import (
+    Condition,
+    answers_with,
+    faulty,
+    is_truncated,
+    keeps,
+    late,
+    pipelined,
+    sets,
+    stops_after,
+    then,
+    when,
+)
+from conformance.readings_taken import Chooses, always, code_of, only
+from spec.fields import Outcome
+from spec.protocol import Protocol
+
+FAMILY = "variant"
+Make = Callable[[Chooses], Fault]
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One other choice of one reading.
+
+    `name` is the reading's id, `=` and the choice. `allow` names the option (`--allow`) without
+    which the choice fails, "" where it is legal as it is. `mixes` says whether it is a choice that
+    a device must make the same way each time; a measured time is not. `make` gives the device that
+    takes the choice where it is told to.
+    """
+
+    name: str
+    doc: str
+    make: Make
+    allow: str = ""
+    mixes: bool = False
+
+    @property
+    def reading(self) -> str:
+        """The reading's id."""
+        return self.name.split("=")[0]
+
+    @property
+    def fault(self) -> Fault:
+        """What makes a simulator of it: the choice each time."""
+        return self.taking(always, self.name, self.doc)
+
+    def taking(self, chooses: Chooses, name: str, doc: str) -> Fault:
+        """The device that takes the choice where `chooses` says so."""
+        return replace(self.make(chooses), name=name, doc=doc)
+
+
+@cache
+def variants(protocol: Protocol) -> dict[str, Variant]:
+    """Every legal variant, by name, in the order of the readings."""
+    found = (*_answers(protocol), *_times(protocol), *_delivery(protocol), *_states(protocol))
+    return {variant.name: variant for variant in found}
+
+
+def find_variant(protocol: Protocol, name: str) -> Fault:
+    """The variant, or the mixture, of that name. Raises ValueError, in one sentence."""
+    known = variants(protocol)
+    if name in known:
+        return known[name].fault
+    if name.startswith(MIXTURE):
+        from conformance.mixtures import find_mixture
+
+        return find_mixture(protocol, name)
+    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()][:3]
+    hint = f", perhaps {', '.join(near)}" if near else ""
+    raise ValueError(f"there is no variant {name!r}{hint}; see simulate --list-variants")
+
+
+MIXTURE = "mixture:"
+
+
+def _device(react: React | None = None, **more: object) -> Fault:
+    return Fault("", FAMILY, "", exit=0, react=react, **more)  # type: ignore[arg-type]
+
+
+def _reacting(condition: Condition, change: React) -> Make:
+    return lambda chooses: _device(only(condition, change, chooses))
+
+
+def _fixed(react: React | None = None, **more: object) -> Make:
+    return lambda chooses: _device(react, **more)
+
+
+def _answers(protocol: Protocol) -> Iterator[Variant]:
+    """What is answered."""
+    many, few, bad = (
+        code_of(protocol, o) for o in (Outcome.TOO_MANY, Outcome.TOO_FEW, Outcome.BAD_DATA)
+    )
+    for name, code in (("too-many", many), ("too-few", few)):
+        yield Variant(
+            f"R-unused-length={name}",
+            f"answers {protocol.codes[code].name} to an unused ID with data announced",
+            _reacting(take.announces_data_for_nobody, answers_with(code)),
+            mixes=True,
+        )
+    yield Variant(
+        "R-competing-errors=bad-data",
+        "judges the data before the length where both are wrong",
+        _reacting(take.too_many_and_bad, answers_with(bad)),
+        mixes=True,
+    )
+    yield Variant(
+        "R-led-upper-bits=ignored",
+        "takes the bits that mean something and ignores the others",
+        _reacting(take.out_of_bits, take.low_bits),
+        allow="led-upper=ignore",
+    )
+    lit = next((s for s in protocol.instructions if any(part.bits for part in s.fields)), None)
+    if lit and protocol.unused_ids:
+        example = protocol.unused_ids[0]
+        yield Variant(
+            f"R-led-id={example}",
+            f"takes ID {example} for {lit.name}, as the example does, and not {lit.id}",
+            _fixed(under_other_ids(lit, (example,), kept=False)),
+            allow=f"led-id={example}",
+        )
+        yield Variant(
+            "R-version=1.0",
+            f"knows no {lit.name}: its ID is unused, as before v1.1",
+            _fixed(under_other_ids(lit, (), kept=False)),
+            allow="version=1.0",
+        )
+    yield Variant(
+        "R-truncated-known=silent",
+        "stops at a frame that is cut short and does not answer it",
+        _reacting(is_truncated, answers_with()),
+        mixes=True,
+    )
+    yield Variant(
+        "R-truncated-unused=too-few",
+        f"answers {protocol.codes[few].name} to an unused ID that is cut short",
+        _reacting(take.cut_short_and_unused, answers_with(few)),
+        mixes=True,
+    )
+    yield Variant(
+        "R-truncated-long=too-many",
+        f"answers {protocol.codes[many].name} to a frame that is cut short and announced too many",
+        _reacting(take.cut_short_and_too_long, answers_with(many)),
+        mixes=True,
+    )
+    yield Variant(
+        "R-answer-point=header",
+        "answers a frame that is wrong at its header at once, and takes its data without a word",
+        lambda chooses: _device(hear=take.at_the_header(_pause(protocol), chooses)),
+        mixes=True,
+    )
+
+
+def _times(protocol: Protocol) -> Iterator[Variant]:
+    """When things happen: measured, not chosen."""
+    for pause in (3, 6, 500, 1500):
+        yield Variant(
+            f"R-truncation-timeout={pause}-ms",
+            f"ends a frame after a pause of {pause} ms",
+            _fixed(timeout=pause * MS),
+        )
+    yield Variant(
+        "R-truncation-timeout=whole-frame",
+        "counts the time-out from the header on, over the whole frame",
+        _fixed(whole_frame=True),
+    )
+    for delay in (60, 150):
+        yield Variant(
+            f"R-answer-deadline={delay}-ms", f"answers after {delay} ms", _fixed(late(delay))
+        )
+    yield Variant(
+        "R-answer-deadline=150-ms-after-faults",
+        "answers faults after 150 ms",
+        _fixed(take.slow_after_faults(150)),
+    )
+    yield Variant(
+        "R-answer-deadline=one-at-a-time",
+        "takes 60 ms for each instruction, and begins the next when it has answered",
+        _fixed(take.one_at_a_time(60)),
+    )
+    yield Variant(
+        "R-stop-point=header",
+        "stops at the header of a faulty frame and answers after its data",
+        _fixed(begins=take.stops_at_the_header),
+    )
+    yield Variant(
+        "R-stop-latency=50-ms",
+        "stops 50 ms after the answer to a fault",
+        _fixed(when(faulty, stops_after(50))),
+    )
+    yield Variant(
+        "R-watchdog=stops",
+        "stops by itself when no frame has come for 1 s",
+        _fixed(take.watchdog(1000)),
+    )
+
+
+def _delivery(protocol: Protocol) -> Iterator[Variant]:
+    """What becomes of the bytes around a fault."""
+
+    def known(event: Event) -> bool:
+        return event.judgement.instruction is not None
+
+    def unused(event: Event) -> bool:
+        return event.judgement.instruction is None
+
+    pause = _pause(protocol)
+    for name, what, condition in (
+        ("R-drain-known=flushed", "a faulty known frame", known),
+        ("R-drain-unused=flushed", "an unused ID", unused),
+        ("R-drain-known=flushed-after-any", "any faulty frame", lambda event: True),
+    ):
+
+        def make(chooses: Chooses, condition: Condition = condition) -> Fault:
+            react, hear = take.flushing(pause, condition, chooses)
+            return _device(react, hear=hear)
+
+        yield Variant(
+            name, f"throws away what follows {what} until the line is idle", make, mixes=True
+        )
+    yield Variant(
+        "R-drain-unused=run",
+        "answers an unused ID at its header, whatever data it announces, and runs what follows",
+        _fixed(
+            lengths=bytes(n if i in protocol.by_id else 0 for i, n in protocol.headers),
+        ),
+        allow="unused-length=header-only",
+    )
+    yield Variant(
+        "R-pipelining=lost-after-a-fault",
+        "loses what was sent ahead behind a fault",
+        _fixed(take.lost_behind_a_fault),
+    )
+    yield Variant(
+        "R-pipelining=no",
+        "loses whatever is sent before the answer before has gone",
+        _fixed(when(pipelined, lambda d, e, r: replace(r, answers=(), state=e.before))),
+        allow="pipelining=no",
+    )
+    yield Variant(
+        "R-unsolicited=banner",
+        "introduces itself at power-on, before the first instruction",
+        _fixed(banner=b"ROBOT\r\n"),
+    )
+
+
+def _states(protocol: Protocol) -> Iterator[Variant]:
+    """What the robot remembers."""
+    rows: tuple[tuple[str, str, Condition, React], ...] = (
+        ("R-fault-state=speed-zeroed", "a fault zeroes the speed", faulty, sets(speed=0)),
+        ("R-fault-state=steering-kept", "a fault keeps the steering", faulty, keeps("steering")),
+        ("R-fault-state=both", "a fault zeroes the speed and keeps the steering", faulty, then(
+            sets(speed=0), keeps("steering")
+        )),
+        ("R-stop-steering=kept", "a stop keeps the steering", take.stops, keeps("steering")),
+        (
+            "R-stop-steering=kept-by-faults-too",
+            "a stop keeps the steering, and so does a fault",
+            take.stops_or_fails,
+            keeps("steering"),
+        ),
+        ("R-stop-speed=zeroed", "a stop zeroes the speed", take.stops, sets(speed=0)),
+        (
+            "R-stop-speed=zeroed-by-faults-too",
+            "a stop zeroes the speed, and so does a fault",
+            take.stops_or_fails,
+            sets(speed=0),
+        ),
+        (
+            "R-drive-steering=straight",
+            "a motion instruction sets the steering straight",
+            take.drives,
+            sets(steering=0),
+        ),
+        (
+            "R-steer-rotating=curve",
+            "steering makes a rotation a curve",
+            take.steers_while_rotating,
+            take.straight_into_a_curve,
+        ),
+        (
+            "R-led-state=off",
+            "a stop and a fault switch the light off",
+            take.stops_or_fails,
+            sets(led=0),
+        ),
+    )  # fmt: skip
+    for name, doc, condition, change in rows:
+        yield Variant(name, doc, _reacting(condition, change), mixes=True)
+    yield Variant(
+        "R-speed-moving=next-motion",
+        "a speed that comes while it moves takes effect at the next motion instruction",
+        lambda chooses: _device(take.speed_at_next_motion(chooses)),
+        mixes=True,
+    )
+    low, high = protocol.limits.get("speed", (0, 0))
+    yield Variant(
+        "R-power-on=another-speed",
+        "is found with a speed, a light and a steering that nobody has set",
+        _fixed(
+            power_on=replace(
+                protocol.power_on,
+                speed=(low + high) // 3,
+                led=protocol.limits.get("led", (0, 0))[1],
+                steering=protocol.limits.get("steering", (0, 0))[1] // 12,
+            )
+        ),
+    )
+
+
+def _pause(protocol: Protocol) -> int:
+    """The usual time-out in ms: when a line counts as idle."""
+    return int(protocol.timing.truncation_timeout)

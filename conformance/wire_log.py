@@ -1,0 +1,134 @@
+"""Collects what went over the wire in each case: what was asked of the link, and its replies.
+
+A case's log begins when the case does and ends when it is final, so that set-up and homing are in
+it. A device that floods does not fill the memory: the middle of a long log is left out, and the log
+says how much that was.
+
+Every case keeps its log, those that passed too: they are the evidence. But half of all entries are
+the answers to homing, one byte each, so in a case that passed the answers that came one after
+another with nothing between them are one entry, with the time of the first. Together with one line
+for each entry this makes the JSON of the built-in simulator's run 8 MB instead of 14 (3 without any
+log); it packs to 0.3 MB.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import groupby
+
+import msgspec
+
+from captures.schemas import Look
+from conformance.asks import Ask, Heard, Seen, Send
+from conformance.drive import Link
+from conformance.judging import look_words
+from conformance.verdicts import CaseResult, Verdict, WireEvent
+from spec.codec import spaced
+
+HEAD = TAIL = 250
+"""Entries that are kept from the begin and from the end of a case's log."""
+WIDEST = 64
+"""Bytes that are kept of one write or read."""
+
+
+class _Log:
+    """The log of one case, its middle left out where it is too long. Times are the link's (ns)."""
+
+    def __init__(self) -> None:
+        self._head: list[WireEvent] = []
+        self._tail: deque[WireEvent] = deque(maxlen=TAIL)
+        self._late = 0
+
+    def add(self, event: WireEvent) -> None:
+        if len(self._head) < HEAD:
+            self._head.append(event)
+        else:
+            self._tail.append(event)
+            self._late += 1
+
+    def events(self) -> tuple[WireEvent, ...]:
+        """The entries, their times counted from the first one."""
+        events = [*self._head, *self._tail]
+        left_out = self._late - len(self._tail)
+        if left_out:
+            words = f"{left_out} entries are left out here"
+            events.insert(HEAD, WireEvent(self._head[-1].t, "clipped", look=words))
+        start = events[0].t if events else 0
+        return tuple(WireEvent(max(e.t - start, 0), e.kind, e.hex, e.look) for e in events)
+
+
+class WireLog:
+    """Keeps each case's log, of what a link is asked to do and what comes of it."""
+
+    def __init__(self) -> None:
+        self._open: _Log | None = None
+        self._logs: dict[str, _Log | tuple[WireEvent, ...]] = {}
+
+    def over(self, link: Link) -> Link:
+        """The same link, logged."""
+        return _Logged(link, self)
+
+    def sent(self, data: bytes, t: int) -> None:
+        """Bytes that had gone to the device at `t` (ns)."""
+        self._bytes("sent", data, t)
+
+    def heard(self, heard: Heard) -> None:
+        """Bytes that came from it; those that came together are one entry."""
+        for t, entries in groupby(heard.answers, key=lambda entry: entry[0]):
+            self._bytes("received", bytes(code for _, code in entries), t)
+
+    def looked(self, look: Look) -> None:
+        """A reading of the probe."""
+        if self._open:
+            self._open.add(WireEvent(look.t, "look", look=look_words(look)))
+
+    def begin(self, ident: str) -> None:
+        """A case begins: what follows belongs to it. One that is tried again begins anew."""
+        self._open = self._logs[ident] = _Log()
+
+    def attached(self, result: CaseResult) -> CaseResult:
+        """The result with its log: the case is final. One that never began has an empty log."""
+        log = self._logs.get(result.id, ())
+        if isinstance(log, _Log):
+            log = self._logs[result.id] = log.events()  # what comes later is nobody's
+        if result.verdict is Verdict.PASS:
+            log = joined(log)
+        return msgspec.structs.replace(result, log=log)
+
+    def _bytes(self, kind: str, data: bytes, t: int) -> None:
+        if not self._open:
+            return
+        self._open.add(WireEvent(t, kind, spaced(data[:WIDEST])))
+        if len(data) > WIDEST:
+            words = f"{len(data) - WIDEST} bytes more are left out here"
+            self._open.add(WireEvent(t, "clipped", look=words))
+
+
+class _Logged:
+    def __init__(self, link: Link, log: WireLog) -> None:
+        self._link = link
+        self._log = log
+
+    def do(self, ask: Ask) -> int | Heard | Seen:
+        """Do one ask and log it. Raises Ended when it could not be done."""
+        reply = self._link.do(ask)
+        if isinstance(reply, Heard):
+            self._log.heard(reply)
+        elif isinstance(reply, Seen):
+            self._log.looked(reply.look)
+        elif isinstance(ask, Send):
+            self._log.sent(ask.data, reply)
+        return reply
+
+
+def joined(log: tuple[WireEvent, ...]) -> tuple[WireEvent, ...]:
+    """The log with answers that have nothing between them in one entry, at the first one's time."""
+    events: list[WireEvent] = []
+    for is_answer, run in groupby(log, key=lambda event: event.kind == "received"):
+        if is_answer:
+            first, *others = run
+            words = " ".join([first.hex, *(event.hex for event in others)])
+            events.append(WireEvent(first.t, first.kind, words))
+        else:
+            events += run
+    return tuple(events)

@@ -1,0 +1,144 @@
+"""Is a grammar's text nothing but declarations? Then it may be run although a stranger wrote it.
+
+A grammar is Python. One that the user names is run as it is; one that comes out of a file somebody
+else may have made is run only if it holds what the kit's own grammar is written with: imports of
+the grammar's words, constants, and calls of those words. Nothing in it can reach anything else.
+"""
+
+from __future__ import annotations
+
+import ast
+
+WORDS = {
+    "__future__": {"annotations"},
+    "construct": {
+        *("BitStruct", "BitsInteger", "Nibble", "Struct", "Switch", "this"),
+        *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
+        *(f"Int{bits}{kind}" for bits in (16, 24, 32) for kind in ("ub", "ul", "sb", "sl")),
+    },
+    "spec.fields": {
+        *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
+        *("Ranged", "Sets", "Timing"),
+    },
+    "spec.motion": {"Motion"},
+}
+"""What a grammar may import: the words by their module."""
+
+LONGEST = 1 << 20  # characters of a grammar's text
+_LARGEST = 1 << 32  # of a number
+_WIDEST = 64  # of a number that construct takes: it sets memory aside for widths
+
+
+class NotDeclared(Exception):
+    """A grammar's text that does more than declare; the message says what, and in which line."""
+
+
+def require_declarations(source: str) -> None:
+    """Raise NotDeclared unless the text holds declarations only."""
+    if len(source) > LONGEST:
+        raise NotDeclared(f"it is {len(source)} characters long, allowed are {LONGEST}")
+    try:
+        _Vetting().statements(ast.parse(source))
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise NotDeclared(f"it cannot be parsed: {type(error).__name__}") from error
+
+
+class _Vetting:
+    def __init__(self) -> None:
+        self._words: dict[str, str] = {}  # imported name -> module
+        self._values: dict[str, ast.expr] = {}  # assigned name -> what it stands for
+
+    def statements(self, tree: ast.Module) -> None:
+        for node in tree.body:
+            match node:
+                case ast.Expr(ast.Constant(str())):
+                    pass
+                case ast.ImportFrom(module, names, 0) if module in WORDS:
+                    for name in names:
+                        if name.asname or name.name not in WORDS[module]:
+                            raise _refused(node, f"it imports {name.name} from {module}")
+                        self._words[name.name] = module
+                case ast.Assign([ast.Name(name)], value) if self._free(name):
+                    self._check(value)
+                    self._values[name] = value
+                case _:
+                    raise _refused(node, f"there is a {type(node).__name__}")
+
+    def _free(self, name: str) -> bool:
+        """Whether a name may be assigned: once, and no word and nothing of Python's own."""
+        return not (name in self._words or name in self._values or name.startswith("__"))
+
+    def _check(self, node: ast.expr) -> None:
+        match node:
+            case ast.Constant(value):
+                _check_constant(node, value)
+            case ast.UnaryOp(ast.USub(), ast.Constant(int() | float() as value)):
+                _check_constant(node, value)
+            case ast.Name(name) if name in self._words or name in self._values:
+                pass
+            case ast.Attribute():
+                self._check_attribute(node)
+            case ast.Tuple(items) | ast.List(items):
+                self._check_all(items)
+            case ast.Dict(keys, values) if None not in keys:
+                self._check_all([key for key in keys if key is not None])
+                self._check_all(values)
+            case ast.Call(ast.Name(name), arguments, keywords) if name in self._words:
+                given = [*arguments, *(word.value for word in keywords if word.arg)]
+                if len(given) < len(arguments) + len(keywords):
+                    raise _refused(node, "there is a **")
+                self._check_all(given)
+                if self._words[name] == "construct":
+                    self._check_widths(node, given)
+            case ast.BinOp(ast.Constant(str()), ast.Div(), right):
+                self._check(right)
+            case ast.BinOp(left, ast.Mult(), ast.Constant(str())) if self._declares(left):
+                self._check(left)
+            case _:
+                raise _refused(node, f"there is a {type(node).__name__}")
+
+    def _check_all(self, nodes: list[ast.expr]) -> None:
+        for node in nodes:
+            self._check(node)
+
+    def _check_attribute(self, node: ast.Attribute) -> None:
+        """`Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; nothing that is Python's own."""
+        inner: ast.expr = node
+        while isinstance(inner, ast.Attribute):
+            if inner.attr.startswith("_"):
+                raise _refused(node, f"there is a .{inner.attr}")
+            inner = inner.value
+        if not isinstance(inner, ast.Name) or inner.id not in self._words:
+            raise _refused(node, "there is an attribute of something else")
+        simple = inner is node.value
+        if inner.id != "this" and not (inner.id in ("Motion", "Outcome") and simple):
+            raise _refused(node, f"there is an attribute of {inner.id}")
+
+    def _declares(self, node: ast.expr) -> bool:
+        """Whether this is a declaration: a text times a number could fill the memory."""
+        if isinstance(node, ast.Name) and node.id in self._words:
+            return True
+        return isinstance(self._meant(node), ast.Call | ast.BinOp)
+
+    def _meant(self, node: ast.expr) -> ast.expr:
+        """What an assigned name stands for; everything else stands for itself."""
+        while isinstance(node, ast.Name) and node.id in self._values:
+            node = self._values[node.id]
+        return node
+
+    def _check_widths(self, node: ast.expr, given: list[ast.expr]) -> None:
+        for part in map(self._meant, given):
+            number = part.value if isinstance(part, ast.Constant) else 0
+            if isinstance(number, int | float) and number > _WIDEST:
+                raise _refused(node, f"a width of {number} is above {_WIDEST}")
+
+
+def _check_constant(node: ast.expr, value: object) -> None:
+    if isinstance(value, int | float) and abs(value) > _LARGEST:
+        raise _refused(node, "there is a number above 2 to the 32nd")
+    if not isinstance(value, str | int | float | None):
+        raise _refused(node, f"there is a constant of type {type(value).__name__}")
+
+
+def _refused(node: ast.AST, what: str) -> NotDeclared:
+    return NotDeclared(f"{what} in line {getattr(node, 'lineno', 0)}")

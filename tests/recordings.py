@@ -1,0 +1,127 @@
+"""What the tests of the evidence share: runs recorded in virtual time, and recordings forged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.reader import make_reader
+
+from analyzer.recording import session_metadata
+from analyzer.session import Session
+from captures import topics
+from captures.reader import Message, open_capture
+from captures.schemas import Chunk
+from captures.writer import CaptureWriter
+from conformance.api import Options, run_on
+from conformance.asks import Ask, Heard, Seen
+from conformance.circumstances import Circumstances
+from conformance.drive import VirtualLink
+from conformance.recording import RunRecorder
+from conformance.report import Report
+from conformance.run import Ended, Eyes
+from conformance.simulator import Simulator
+from conformance.verdicts import CaseResult
+from spec.protocol import Protocol
+from tests.robots import BYTE_TIME, MS
+
+WALL = 1_790_000_000_000_000_000
+
+
+class Marks:
+    """A watcher that passes the marks on, as the command does."""
+
+    def __init__(self, recorder: RunRecorder) -> None:
+        self._recorder = recorder
+
+    def begin(self, ident: str) -> None:
+        self._recorder.begin(ident)
+
+    def end(self, result: CaseResult) -> None:
+        self._recorder.end(result)
+
+
+class BreakingLink:
+    """A link over a device in virtual time that cannot do the ask of a number, with this."""
+
+    def __init__(self, link: VirtualLink, broken: dict[int, Ended]) -> None:
+        self._link = link
+        self._broken = broken
+        self._asks = 0
+
+    def do(self, ask: Ask) -> int | Heard | Seen:
+        self._asks += 1
+        if self._asks in self._broken:
+            raise self._broken[self._asks]
+        return self._link.do(ask)
+
+
+def recorded(
+    path: Path,
+    protocol: Protocol,
+    *only: str,
+    device: Any = None,
+    options: Options | None = None,
+    interrupted: Callable[[], bool | str] = lambda: False,
+    broken: dict[int, Ended] | None = None,
+    eyes: Eyes | None = None,
+) -> Report:
+    """Record a run in virtual time into a new file; gives what came out of it."""
+    device = device or Simulator(protocol)
+    timeout = 50 * MS
+    about = session_metadata(
+        protocol, ports={}, line="115200 8N1", timeout=timeout, skew=0, heard=("host", "device")
+    )
+    session = Session(protocol, timeout=timeout, skew=0)
+    with RunRecorder(str(path), session, WALL, about) as recorder:
+        return run_on(
+            BreakingLink(VirtualLink(device, BYTE_TIME, recorder), broken or {}),
+            Circumstances(
+                virtual=True,
+                eyes=eyes or Eyes(hasattr(device, "look")),
+                power=hasattr(device, "power_cycle"),
+                device="sim",
+                link={"kind": "virtual", "probe": "sim"},
+            ),
+            grammar=protocol,
+            options=options or Options(only=only),
+            watcher=Marks(recorder),
+            interrupted=interrupted,
+            tap=recorder,
+        )
+
+
+def attachments_of(path: Path) -> dict[str, bytes]:
+    """What is attached, as the official reader reads it."""
+    with path.open("rb") as file:
+        return {a.name: a.data for a in make_reader(file).iter_attachments()}
+
+
+def forged(
+    path: Path,
+    to: Path,
+    change: Callable[[Message], Message | None] = lambda message: message,
+    **attached: bytes,
+) -> Path:
+    """The same recording written anew, hash and all, with messages or attachments changed."""
+    capture = open_capture(path)
+    kinds = {topic.name: topic.value for topic in topics.TOPICS}
+    metadata = {k: v for k, v in capture.metadata.items() if k != topics.START_KEY}
+    others = attachments_of(path) | {n.replace("_", "."): data for n, data in attached.items()}
+    with CaptureWriter(to, start_wall=capture.start, metadata=metadata, version="0.1.0") as out:
+        for name, data in others.items():
+            if data:
+                out.attach(name, "", data, 0)
+        for was in capture.messages():
+            message = change(was)
+            if message is None:
+                continue
+            if isinstance(message.value, bytes):
+                side = "host" if message.topic == topics.HOST_RAW else "device"
+                out.chunk(Chunk(message.t, side, message.value))  # type: ignore[arg-type]
+            else:
+                value = msgspec.convert(message.value, kinds[message.topic])
+                out.write(value, message.t)
+    return to

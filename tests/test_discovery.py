@@ -1,0 +1,335 @@
+"""The first look at a device's own choices: what each probe shows of it, and what it is then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from conformance.api import Options, conform
+from conformance.choices import POINTS, Choices, parse_allowed
+from conformance.discovery import reading_cases
+from conformance.drive import drive
+from conformance.fault import React
+from conformance.mixtures import find_mixture
+from conformance.run import Eyes, Limits, Profile, Run
+from conformance.runner import Runner
+from conformance.simulator import Event, Fault, Reaction, Simulator, answers
+from conformance.variants import variants
+from conformance.verdicts import CaseResult, Verdict
+from spec.protocol import Protocol
+from tests.robots import ALL_SEEING, MS, CountingLink, run_over
+from tests.vectors import READING_IDS
+
+PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
+INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
+# Probes that are made only where an option is given.
+ASKED = {"reading/version", "reading/led-id", "reading/led-upper-bits"}
+
+# What each variant shows otherwise than the kit, by hand: (point, word). What is not named here is
+# shown as the kit reads it. A measured time is no choice.
+LOST = "lost-after-fault"
+LOSES_ALL = {
+    "R-drain-known": "flushed",
+    "R-drain-unused": "flushed",
+    "R-pipelining unused-id": LOST,
+    "R-pipelining too-few": LOST,
+    "R-pipelining bad-data": LOST,
+}
+SHOWS: dict[str, dict[str, str]] = {
+    "R-unused-length=too-many": {
+        "R-unused-length": "too-many",
+        "R-truncated-unused": "too-many",
+    },
+    "R-unused-length=too-few": {"R-unused-length": "too-few", "R-truncated-unused": "too-few"},
+    "R-competing-errors=bad-data": {"R-competing-errors": "data"},
+    "R-truncated-known=silent": {
+        "R-truncated-known": "silent",
+        "R-truncated-long": "silent",
+        "R-truncated-unused": "silent",
+    },
+    "R-truncated-unused=too-few": {"R-truncated-unused": "too-few"},
+    "R-truncated-long=too-many": {"R-truncated-long": "too-many"},
+    # It judges a frame by its header, also one that is then cut short.
+    "R-answer-point=header": {"R-answer-point": "at-header", "R-truncated-long": "too-many"},
+    "R-truncation-timeout=whole-frame": {"R-truncation-timeout": "whole-frame"},
+    "R-watchdog=stops": {"R-watchdog": "stops"},
+    "R-drain-known=flushed": {
+        "R-drain-known": "flushed",
+        "R-pipelining too-few": LOST,
+        "R-pipelining bad-data": LOST,
+    },
+    "R-drain-unused=flushed": {"R-drain-unused": "flushed", "R-pipelining unused-id": LOST},
+    "R-drain-known=flushed-after-any": LOSES_ALL,
+    "R-pipelining=lost-after-a-fault": LOSES_ALL,
+    "R-fault-state=speed-zeroed": {"R-fault-state speed": "zeroed"},
+    "R-fault-state=steering-kept": {"R-fault-state steering": "kept"},
+    "R-fault-state=both": {"R-fault-state speed": "zeroed", "R-fault-state steering": "kept"},
+    "R-stop-steering=kept": {"R-stop-steering": "kept"},
+    "R-stop-steering=kept-by-faults-too": {
+        "R-stop-steering": "kept",
+        "R-fault-state steering": "kept",
+    },
+    "R-stop-speed=zeroed": {"R-stop-speed": "zeroed"},
+    "R-stop-speed=zeroed-by-faults-too": {
+        "R-stop-speed": "zeroed",
+        "R-fault-state speed": "zeroed",
+    },
+    "R-drive-steering=straight": {"R-drive-steering": "straight"},
+    "R-steer-rotating=curve": {"R-steer-rotating": "curve"},
+    "R-led-state=off": {"R-led-state stop": "off", "R-led-state fault": "off"},
+    "R-speed-moving=next-motion": {"R-speed-moving": "next-motion"},
+    "R-led-upper-bits=ignored": {"R-led-upper-bits": "ignored"},
+    "R-led-id=9": {"R-led-id": "example"},
+    "R-version=1.0": {"R-version": "older"},
+    "R-drain-unused=run": {"R-drain-unused": "run"},
+}
+
+
+def probed(
+    protocol: Protocol,
+    fault: Fault | None,
+    *allow: str,
+    eyes: Eyes = ALL_SEEING,
+    link: type[CountingLink] = CountingLink,
+) -> Run:
+    """The books of a run that only looks at the device's own choices."""
+    choices = Choices(allowed=parse_allowed(protocol, allow))
+    run = Run(
+        protocol,
+        Limits(idle=2500 * MS),
+        eyes,
+        begin=lambda ident: None,
+        report=lambda result: None,
+        profile=Profile(choices=choices),
+    )
+    drive(Runner(run, []).run(), link(Simulator(protocol, fault)), lambda: False)
+    return run
+
+
+def readings(run: Run) -> dict[str, CaseResult]:
+    found = {r.id: r for r in run.results if r.id.startswith("reading/")}
+    assert len(found) == sum(r.id.startswith("reading/") for r in run.results)
+    return found
+
+
+def others(run: Run) -> dict[str, str]:
+    """What the device showed otherwise than the kit."""
+    shown = {point: word for point, (word, _) in run.profile.choices.shown.items()}
+    return {point: word for point, word in shown.items() if word != POINTS[point].default}
+
+
+# -- what each probe shows ------------------------------------------------------------------------
+
+
+def test_the_reference_shows_the_default_of_every_point(protocol: Protocol) -> None:
+    run = probed(protocol, None)
+    asked_for = {"R-version", "R-led-id", "R-led-upper-bits"}
+
+    assert set(run.profile.choices.shown) == set(POINTS) - asked_for
+    assert others(run) == {}
+    found = readings(run)
+    assert set(found) == {case.id for case in reading_cases(protocol)} - ASKED
+    assert {result.verdict for result in found.values()} == {PASS}
+
+
+@pytest.mark.parametrize("name", [None, *sorted(SHOWS)])
+def test_each_variant_shows_its_own_choices_and_no_other(
+    protocol: Protocol, name: str | None
+) -> None:
+    variant = variants(protocol)[name] if name else None
+    allow = [variant.allow] if variant and variant.allow else []
+
+    run = probed(protocol, variant.fault if variant else None, *allow)
+
+    wanted = SHOWS[name] if name else {}
+    assert others(run) == wanted
+    for result in readings(run).values():
+        assert result.verdict <= NON_STRICT, (result.id, result.reason)
+    # Each other choice gives its probe the verdict that the readings give it.
+    for point, word in wanted.items():
+        _, where = run.profile.choices.shown[point]
+        choice = POINTS[point].choice(word)
+        assert choice is not None
+        assert readings(run)[where].verdict >= choice.verdict > PASS
+
+
+def test_a_variant_that_is_a_measured_time_shows_no_choice(protocol: Protocol) -> None:
+    rest = set(variants(protocol)) - set(SHOWS)
+    times = ("R-truncation-timeout", "R-answer-deadline", "R-stop-", "R-unsolicited", "R-power-on")
+
+    assert all(name.startswith((*times, "R-pipelining=no")) for name in rest)
+    for name in sorted(rest - {"R-pipelining=no"}):
+        run = probed(protocol, variants(protocol)[name].fault)
+        assert others(run) == {}, name
+        assert max(r.verdict for r in readings(run).values()) <= INFORMATIONAL, name
+
+
+def test_a_watchdogs_time_is_measured(protocol: Protocol) -> None:
+    run = probed(protocol, variants(protocol)["R-watchdog=stops"].fault)
+
+    assert run.profile.watchdog is not None
+    assert 1900 * MS < run.profile.watchdog < 2200 * MS
+
+
+def test_a_choice_that_needs_an_option_is_probed_only_with_it(protocol: Protocol) -> None:
+    for name in ("R-led-upper-bits=ignored", "R-led-id=9", "R-version=1.0"):
+        variant = variants(protocol)[name]
+        assert not set(readings(probed(protocol, variant.fault))) & ASKED
+        assert len(set(readings(probed(protocol, variant.fault, variant.allow))) & ASKED) == 1
+
+
+def test_data_of_an_unused_id_that_are_run_fail_without_the_option(protocol: Protocol) -> None:
+    variant = variants(protocol)["R-drain-unused=run"]
+
+    assert readings(probed(protocol, variant.fault))["reading/drain-unused"].verdict is FAIL
+    allowed = readings(probed(protocol, variant.fault, variant.allow))
+    assert allowed["reading/drain-unused"].verdict is NON_STRICT
+
+
+def test_with_pipelining_no_nothing_is_sent_ahead(protocol: Protocol) -> None:
+    variant = variants(protocol)["R-pipelining=no"]
+
+    found = readings(probed(protocol, variant.fault, variant.allow))
+
+    assert max(result.verdict for result in found.values()) is PASS
+    assert not {i for i in found if i.startswith(("reading/pipelining", "reading/drain"))}
+
+
+def test_each_probe_names_its_reading(protocol: Protocol) -> None:
+    for case in reading_cases(protocol):
+        assert case.reading in READING_IDS, case.id
+    for point in POINTS.values():
+        assert point.reading in READING_IDS
+
+
+def test_who_cannot_look_probes_the_answers_alone(protocol: Protocol) -> None:
+    found = readings(probed(protocol, None, eyes=Eyes(open=False)))
+    blind = {ident for ident, r in found.items() if r.verdict is INCONCLUSIVE}
+
+    assert {found[i].axes["state"].actual for i in blind} == {""}
+    assert blind == {ident for ident, r in found.items() if "state" in r.axes}
+    assert len(found) - len(blind) > 8
+
+
+# -- devices that keep to nothing -----------------------------------------------------------------
+
+
+def every_second(change: React, matches: Callable[[Event], bool]) -> Fault:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        if not matches(event):
+            return reaction
+        device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
+        return change(device, event, reaction) if turn else reaction
+
+    return Fault("x", "test", "", react=react)
+
+
+def stops(event: Event) -> bool:
+    return event.judgement.frame == b"\0" and event.before.moving
+
+
+def zeroed(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    return replace(reaction, state=replace(reaction.state, speed=0))
+
+
+def too_many(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    return answers(reaction, 3)
+
+
+def test_a_device_that_shows_two_choices_of_a_state_fails(protocol: Protocol) -> None:
+    found = readings(probed(protocol, every_second(zeroed, stops)))
+
+    assert found["reading/after-stop"].verdict is FAIL
+    assert "more than one choice" in found["reading/after-stop"].reason
+    assert [i for i, r in found.items() if r.verdict is FAIL] == ["reading/after-stop"]
+
+
+def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) -> None:
+    # Only where it stands alone: the probe that sends it in a burst has a point of its own.
+    def alone(event: Event) -> bool:
+        return event.judgement.frame == bytes.fromhex("92 00 00")
+
+    found = readings(probed(protocol, every_second(too_many, alone)))
+
+    assert found["reading/unused-length"].verdict is FAIL
+
+
+@pytest.mark.parametrize("point", ["R-stop-speed=zeroed", "R-unused-length=too-many"])
+def test_a_mixture_of_choices_fails_in_the_probes_or_in_the_suite(
+    protocol: Protocol, point: str
+) -> None:
+    device = Simulator(protocol, find_mixture(protocol, f"mixture:{point}:by-frame"))
+
+    assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "ident", "words"),
+    [
+        (lambda e, r: answers(r, 2), "unused-length", "answered 02 BAD_DATA"),
+        (lambda e, r: answers(r), "unused-length", "answered no answer"),
+        (lambda e, r: answers(r, 1, 1), "unused-length", "answered 01 BAD_HEADER, 01"),
+    ],
+)
+def test_an_answer_that_is_no_choice_of_the_point_fails(
+    protocol: Protocol, change: Any, ident: str, words: str
+) -> None:
+    fault = Fault("x", "test", "", react=lambda d, e, r: (
+        change(e, r) if e.judgement.frame == bytes.fromhex("92 00 00") else r
+    ))  # fmt: skip
+
+    result = readings(probed(protocol, fault))[f"reading/{ident}"]
+
+    assert result.verdict is FAIL
+    assert words in result.reason
+
+
+@pytest.mark.parametrize(
+    ("facets", "word"),
+    [({"speed": 7}, "speed is 7"), ({"steering": 7}, "steering is 7"), ({"led": 3}, "LED is 3")],
+)
+def test_a_state_that_is_no_choice_of_the_point_fails(
+    protocol: Protocol, facets: dict[str, int], word: str
+) -> None:
+    fault = Fault("x", "test", "", react=lambda d, e, r: (
+        replace(r, state=replace(r.state, **facets)) if stops(e) else r
+    ))  # fmt: skip
+
+    found = readings(probed(protocol, fault))
+
+    assert found["reading/after-stop"].verdict is FAIL
+    assert word in found["reading/after-stop"].reason
+
+
+@pytest.mark.parametrize("time", [1, 2])
+def test_a_probe_that_showed_another_thing_once_is_inconclusive(
+    protocol: Protocol, time: int
+) -> None:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        times = device.memory["times"] = device.memory.get("times", 0) + stops(event)
+        # The motions that are seen first are stopped too, and so is what is set up.
+        return zeroed(device, event, reaction) if stops(event) and times == at else reaction
+
+    at = 0
+    clean = Simulator(protocol, Fault("x", "test", "", react=react))
+    run_over(CountingLink(clean), protocol, [], discover=True)
+    assert clean.memory["times"] > 10
+
+    verdicts = {}
+    for at in range(1, clean.memory["times"] + 1):
+        run = run_over(
+            CountingLink(Simulator(protocol, Fault("x", "test", "", react=react))),
+            protocol,
+            [],
+            discover=True,
+        ).books
+        verdicts[at] = readings(run)["reading/after-stop"]
+    flaky = [r for r in verdicts.values() if r.verdict is not PASS]
+
+    # Each of the two times that it was made.
+    assert len(flaky) == 2
+    assert flaky[time - 1].verdict is INCONCLUSIVE
+    assert "flaky: shown once in 4 tries" in flaky[time - 1].reason

@@ -1,0 +1,94 @@
+"""Walks made by hand, and single walks walked: what the tests of walks and of replays share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from conformance.asks import Script
+from conformance.drive import drive
+from conformance.homing import home, see_motions
+from conformance.run import Eyes, Limits, Profile, Run
+from conformance.simulator import Event, Fault, React, Reaction
+from conformance.steps import Step, cut, whole
+from conformance.verdicts import CaseResult
+from conformance.walking import Mismatch, walk
+from conformance.walks import Burst, Walk
+from spec.protocol import Protocol
+from tests.robots import ALL_SEEING, MS, CountingLink
+
+CLAUSE, REQUIREMENT = "the walk's own clause", "the walk's own requirement"
+SAFETY, INSTRUCTIONS, RESPONSES = "section 2", "section 3, table 1", "section 4, table 2"
+
+
+def step(protocol: Protocol, hexed: str) -> Step:
+    """A frame in hex as a step; one that is shorter than it announces is cut."""
+    frame = bytes.fromhex(hexed)
+    identity, length = protocol.headers[frame[0]]
+    if len(frame) - 1 < length:
+        return cut(protocol, identity, length, frame[1:])
+    return whole(protocol, frame[0], frame[1:])
+
+
+def burst(protocol: Protocol, *frames: str, **more: Any) -> Burst:
+    return Burst(tuple(step(protocol, frame) for frame in frames), **more)
+
+
+def hand_made(protocol: Protocol, *bursts: Burst | str, setup: tuple[str, ...] = ()) -> Walk:
+    """A walk of bursts; a frame in hex is a burst of its own."""
+    made = tuple(b if isinstance(b, Burst) else burst(protocol, b) for b in bursts)
+    before = tuple(step(protocol, frame) for frame in setup)
+    return Walk("sequence/hand-made", CLAUSE, REQUIREMENT, before, made)
+
+
+def at_frame(hexed: str, change: React) -> Fault:
+    """A device that reacts otherwise to one frame, and behaves well else."""
+    frame = bytes.fromhex(hexed)
+
+    def react(device: Any, event: Event, reaction: Reaction) -> Reaction:
+        return change(device, event, reaction) if event.judgement.frame == frame else reaction
+
+    return Fault("x", "test", "", react=react)
+
+
+@dataclass
+class Walked:
+    """What came of walking once: the books, what went wrong, and the case's result."""
+
+    run: Run
+    mismatch: Mismatch | None
+    result: CaseResult
+    link: CountingLink
+
+
+def walk_once(
+    device: Any,
+    protocol: Protocol,
+    case: Walk,
+    *,
+    eyes: Eyes = ALL_SEEING,
+    limits: Limits | None = None,
+    profile: Profile | None = None,
+    link: type[CountingLink] = CountingLink,
+) -> Walked:
+    """Home, walk, and home again, which makes the result final."""
+    line = link(device)
+    run = Run(
+        protocol,
+        limits or Limits(),
+        eyes,
+        begin=lambda ident: None,
+        report=lambda result: None,
+        profile=profile or Profile(truncation_timeout=50 * MS),
+    )
+
+    def script() -> Script[Mismatch | None]:
+        yield from home(run)
+        yield from see_motions(run)
+        found = yield from walk(run, case)
+        yield from home(run)
+        return found
+
+    mismatch = drive(script(), line, lambda: False)
+    (result,) = [r for r in run.results if r.id == case.id]
+    return Walked(run, mismatch, result, line)
