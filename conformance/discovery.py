@@ -25,8 +25,8 @@ _AGREE, _TRIES = 2, 6
 
 
 def reading_cases(protocol: Protocol) -> tuple[Case, ...]:
-    """The probes as cases, in the order in which they are made."""
-    return tuple(_case(protocol, probe) for probe in _probes(protocol))
+    """The probes that every run makes, as cases; those that an option asks for come with it."""
+    return tuple(_case(protocol, probe) for probe in _probes(protocol) if not probe.option)
 
 
 def _probes(protocol: Protocol) -> Iterator[Probe]:

@@ -13,8 +13,12 @@ BY_THEMSELVES = (
     "line/unsolicited",
     "power-on/lost",
     "power-on/first-fault",
+    "leave/stopped",
+    "reading/version",
+    "reading/led-id",
+    "reading/led-upper-bits",
 )
-"""Cases that nobody sends: a run has them only where they fail."""
+"""Cases that a run has only where they fail, or where an option asks for them."""
 
 _WILD = frozenset("*?[")
 _SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")

@@ -21,6 +21,7 @@ from tests.robots import PATIENCE, ROOT, simulate
 pytest_plugins = ["pytester"]
 
 PLUGIN = ("-p", "conformance.pytest_plugin")
+PROBES = 18  # reading/*: what every run asks of a device first
 FEW = ("--robot-only", "valid/LED/*", "--robot-only", "bad-data/LED/9")
 Result = pytest.RunResult
 
@@ -52,7 +53,7 @@ def text(result: Result) -> str:
 def test_each_case_is_a_test_that_passes(run: pytest.Pytester) -> None:
     result = on_sim(run, *FEW, "-v")
 
-    result.assert_outcomes(passed=8 + 1 + 5)
+    result.assert_outcomes(passed=8 + 1 + 5 + PROBES)
     result.stdout.fnmatch_lines(
         [
             "robot: sim, robot-car 1.1, seed 1",
@@ -92,7 +93,7 @@ def test_a_failure_shows_expected_actual_and_the_command_and_no_traceback(
 ) -> None:
     result = on_sim(run, *FEW, "--robot-fault", "led-order-reversed")
 
-    result.assert_outcomes(passed=9, failed=5)
+    result.assert_outcomes(passed=9 + PROBES, failed=5)
     result.stdout.fnmatch_lines(
         [
             "valid/LED/1 (section 3, table 1): LED: *",
@@ -131,7 +132,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
 
     result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
 
-    result.assert_outcomes(passed=14)
+    result.assert_outcomes(passed=32)
     (case,) = [
         c for c in ET.parse(run.path / "j.xml").iter("testcase") if c.get("name") == ("valid/LED/3")
     ]
@@ -165,7 +166,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
 
     result = on_sim(run, *FEW)
 
-    result.assert_outcomes(passed=14, failed=1)
+    result.assert_outcomes(passed=32, failed=1)
     result.stdout.fnmatch_lines(["FAILED conformance::line/unsolicited - *"])
 
 
@@ -201,7 +202,7 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
         "bench.Bench.end = end\n"
     )
 
-    on_sim(run, "-k", "valid/LED/3 or valid/LED/6").assert_outcomes(passed=2, deselected=3220)
+    on_sim(run, "-k", "valid/LED/3 or valid/LED/6").assert_outcomes(passed=2, deselected=1861)
 
     ran = (run.path / "ran").read_text().split()
     assert [ident for ident in ran if ident.startswith("valid")] == ["valid/LED/3", "valid/LED/6"]
@@ -227,7 +228,7 @@ def test_files_that_are_named_leave_the_cases_out(run: pytest.Pytester) -> None:
 def test_the_first_failure_ends_the_run(run: pytest.Pytester) -> None:
     result = on_sim(run, "-x", "--robot-fault", "led-order-reversed")
 
-    result.assert_outcomes(passed=6, failed=1)
+    result.assert_outcomes(passed=6 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["*stopping after 1 failures*"])
 
 
@@ -235,7 +236,7 @@ def test_collecting_sends_nothing(run: pytest.Pytester) -> None:
     result = pytested(run, "--robot-port", "/dev/no-such-port", "--co", "-q", *FEW)
 
     assert result.ret == 0
-    result.stdout.fnmatch_lines(["conformance::valid/LED/7", "14 tests collected*"])
+    result.stdout.fnmatch_lines(["conformance::valid/LED/7", "32 tests collected*"])
 
 
 def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> None:
@@ -244,7 +245,7 @@ def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> N
 
     result = on_sim(run, *FEW, "-v", "-p", "pytest_randomly")
 
-    result.assert_outcomes(passed=15)
+    result.assert_outcomes(passed=33)
     told = re.findall(r"^(conformance|test_\S+?)::(\S+) PASSED", text(result), re.M)
     ids = [name for _, name in told]
     assert ids[:2] == ["power-on/at-rest", "power-on/Speed"]
@@ -324,7 +325,7 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine=MINE)
 
     on_sim(run, "test_mine.py").assert_outcomes(passed=5, failed=1)
-    on_sim(run, *FEW).assert_outcomes(passed=19, failed=1)
+    on_sim(run, *FEW).assert_outcomes(passed=37, failed=1)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:
@@ -355,7 +356,7 @@ def test_another_grammar_gives_other_tests_and_instructions(
 
     result = on_sim(run, "--robot-grammar", "horn.py", "--robot-only", "valid/Horn/*")
 
-    result.assert_outcomes(passed=4 + 5 + 1)
+    result.assert_outcomes(passed=4 + 5 + 1 + PROBES)
 
 
 # -- a real port ----------------------------------------------------------------------------------
@@ -441,4 +442,4 @@ def test_an_installed_kit_is_found_through_its_entry_point(
 
     result = run.runpytest_subprocess("--robot-port", "sim", *FEW, "-p", "no:randomly")
 
-    result.assert_outcomes(passed=15)
+    result.assert_outcomes(passed=33)
