@@ -28,13 +28,10 @@ from conformance.api import (
 )
 from conformance.client import Client
 from conformance.drive import Link, VirtualLink
-from conformance.opening import truncation_timeout
 from conformance.port_link import PortLink
 from conformance.probes import Probe, ProbeError, open_probe
 from conformance.report import Report
-from conformance.selection import matching
 from conformance.simulator import Fault, Simulator
-from conformance.timeout import needs_timeout
 from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 
@@ -64,12 +61,7 @@ class Bench:
         self.virtual = target == SIM
         self.report: Report | None = None
         cases = select_cases(protocol, options)
-        opening = always(protocol)
-        if options.only and not needs_timeout(cases):
-            # A long wait, for nothing unless it is asked for.
-            wanted, slow = matching(options.only), truncation_timeout(protocol)
-            opening = tuple(case for case in opening if case != slow or wanted(case.id))
-        self.order = {case.id: at for at, case in enumerate((*opening, *cases))}
+        self.order = {case.id: at for at, case in enumerate((*always(protocol), *cases))}
         self._cases = cases
         self._settings = settings
         self._probe_name = probe or "none"

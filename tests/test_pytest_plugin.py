@@ -21,7 +21,7 @@ from tests.robots import PATIENCE, ROOT, simulate
 pytest_plugins = ["pytester"]
 
 PLUGIN = ("-p", "conformance.pytest_plugin")
-PROBES = 18  # reading/*: what every run asks of a device first
+PROBES = 19  # the time-out and reading/*: what every run asks of a device first
 FEW = ("--robot-only", "valid/LED/*", "--robot-only", "bad-data/LED/9")
 Result = pytest.RunResult
 
@@ -132,7 +132,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
 
     result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
 
-    result.assert_outcomes(passed=32)
+    result.assert_outcomes(passed=33)
     (case,) = [
         c for c in ET.parse(run.path / "j.xml").iter("testcase") if c.get("name") == ("valid/LED/3")
     ]
@@ -144,7 +144,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
 def test_a_line_that_cannot_be_used_is_one_error_and_nothing_passes(run: pytest.Pytester) -> None:
     result = on_sim(run, *FEW, "--robot-fault", "echo")
 
-    result.assert_outcomes(errors=1, skipped=13)
+    result.assert_outcomes(errors=1, skipped=13 + PROBES)
     result.stdout.fnmatch_lines(["not judged: the line is an echo*"])
     assert result.ret == 1
     assert "Traceback" not in text(result)
@@ -166,7 +166,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
 
     result = on_sim(run, *FEW)
 
-    result.assert_outcomes(passed=32, failed=1)
+    result.assert_outcomes(passed=33, failed=1)
     result.stdout.fnmatch_lines(["FAILED conformance::line/unsolicited - *"])
 
 
@@ -206,7 +206,7 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
 
     ran = (run.path / "ran").read_text().split()
     assert [ident for ident in ran if ident.startswith("valid")] == ["valid/LED/3", "valid/LED/6"]
-    assert len(ran) <= 2 + 6
+    assert len(ran) <= 2 + 6 + PROBES
 
 
 def test_a_case_that_opens_each_run_is_told_of_though_it_was_not_selected(
@@ -228,7 +228,7 @@ def test_files_that_are_named_leave_the_cases_out(run: pytest.Pytester) -> None:
 def test_the_first_failure_ends_the_run(run: pytest.Pytester) -> None:
     result = on_sim(run, "-x", "--robot-fault", "led-order-reversed")
 
-    result.assert_outcomes(passed=6 + PROBES, failed=1)
+    result.assert_outcomes(passed=5 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["*stopping after 1 failures*"])
 
 
@@ -236,7 +236,7 @@ def test_collecting_sends_nothing(run: pytest.Pytester) -> None:
     result = pytested(run, "--robot-port", "/dev/no-such-port", "--co", "-q", *FEW)
 
     assert result.ret == 0
-    result.stdout.fnmatch_lines(["conformance::valid/LED/7", "32 tests collected*"])
+    result.stdout.fnmatch_lines(["conformance::valid/LED/7", "33 tests collected*"])
 
 
 def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> None:
@@ -245,7 +245,7 @@ def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> N
 
     result = on_sim(run, *FEW, "-v", "-p", "pytest_randomly")
 
-    result.assert_outcomes(passed=33)
+    result.assert_outcomes(passed=34)
     told = re.findall(r"^(conformance|test_\S+?)::(\S+) PASSED", text(result), re.M)
     ids = [name for _, name in told]
     assert ids[:2] == ["power-on/at-rest", "power-on/Speed"]
@@ -325,7 +325,7 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine=MINE)
 
     on_sim(run, "test_mine.py").assert_outcomes(passed=5, failed=1)
-    on_sim(run, *FEW).assert_outcomes(passed=37, failed=1)
+    on_sim(run, *FEW).assert_outcomes(passed=38, failed=1)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:
@@ -442,4 +442,4 @@ def test_an_installed_kit_is_found_through_its_entry_point(
 
     result = run.runpytest_subprocess("--robot-port", "sim", *FEW, "-p", "no:randomly")
 
-    result.assert_outcomes(passed=33)
+    result.assert_outcomes(passed=34)
