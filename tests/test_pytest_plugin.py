@@ -377,7 +377,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
         text(refused),
     )
     # Without a power switch one of the opening cases is skipped.
-    result.assert_outcomes(passed=8 + 1 + 4 + 5, skipped=1, failed=1)
+    result.assert_outcomes(passed=8 + 1 + 4 + 5 + PROBES, skipped=1, failed=1)
     assert moving is False
 
 
