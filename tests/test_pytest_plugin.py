@@ -174,8 +174,8 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
 
 CHOICES = [
     (("conformance::valid/LED/5",), "valid/LED/5", 1),
-    (("-m", "conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5),
-    (("conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5),
+    (("-m", "conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5 + PROBES),
+    (("conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5 + PROBES),
 ]
 
 
