@@ -332,6 +332,7 @@ def test_a_probe_that_showed_another_thing_once_is_inconclusive(
     flaky = [r for r in verdicts.values() if r.verdict is not PASS]
 
     # Each of the two times that it was made.
-    assert len(flaky) == 2
+    # The first frames may show it too, and are then held against the probe.
+    assert len(flaky) in (2, 3)
     assert flaky[time - 1].verdict is INCONCLUSIVE
     assert "flaky: shown once in 4 tries" in flaky[time - 1].reason

@@ -31,7 +31,7 @@ ONLY = (
 )
 # Cases that the runner itself stands for.
 BEFORE = ("power-on", "link", "timing", "reading", "leave", "line")
-ASKS = 520  # a little more than a whole run asks
+ASKS = 600  # a little more than a whole run asks
 PROBING = 450  # what the probes of the device's own choices ask besides
 
 
