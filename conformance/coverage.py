@@ -123,9 +123,3 @@ def covered(protocol: Protocol, cases: Iterable[AnyCase]) -> dict[str, tuple[int
         met.update(facts(protocol, case))
     done = Counter(name for name, _ in met)
     return {name: (done[name], of[name]) for name in of if of[name]}
-
-
-def run_of(cases: Iterable[AnyCase], done: Iterable[str]) -> list[AnyCase]:
-    """Those of the cases whose ids are among `done`."""
-    ids = set(done)
-    return [case for case in cases if case.id in ids]

@@ -12,7 +12,6 @@ from itertools import cycle
 
 from conformance.steps import Class, Step, bad, cut, unused, valid, wrong_length
 from spec.codec import all_data, bad_data
-from spec.fields import Outcome
 from spec.motion import Motion
 from spec.protocol import InstructionSpec, Protocol
 
@@ -102,9 +101,3 @@ def fill(protocol: Protocol, length: int, turn: int) -> bytes:
 
 def _moves(spec: InstructionSpec) -> bool:
     return spec.effect.motion not in (None, Motion.STOPPED) and not spec.length
-
-
-def outcome_of(protocol: Protocol, step: Step) -> Outcome:
-    """What the step is an example of, by its expected answer."""
-    codes = step.accepted[0].codes
-    return protocol.codes[codes[0]].outcome

@@ -72,11 +72,6 @@ def announces_data_for_nobody(event: Event) -> bool:
     return event.judgement.outcome is Outcome.UNKNOWN_ID and event.judgement.length > 0
 
 
-def cut_short_and_known(event: Event) -> bool:
-    """A known instruction that was cut short."""
-    return is_truncated(event) and event.judgement.instruction is not None
-
-
 def cut_short_and_unused(event: Event) -> bool:
     """An unused ID that was cut short."""
     return is_truncated(event) and event.judgement.instruction is None

@@ -104,13 +104,7 @@ def _try(run: Run, case: Case | Walk) -> Script[_Try]:
     else:
         yield from try_case(run, case)
     yield from home(run)
-    results, run.trying = run.trying, None
-    assert results is not None
-    mine = [result for result in results if result.id == case.id]
-    for other in results:
-        if other.id != case.id:
-            run.publish(other)
-    return _Try(mine[-1], mismatch)
+    return _Try(run.tried(case.id), mismatch)
 
 
 def _again(run: Run, case: Case | Walk, first: _Try) -> Script[tuple[bool, int]]:

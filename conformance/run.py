@@ -226,6 +226,14 @@ class Run:
         self.results.append(result)
         self._report(result)
 
+    def tried(self, ident: str) -> CaseResult:
+        """The result of a try of that case, which is over; what else came of it is final."""
+        results, self.trying = self.trying or [], None
+        for result in results:
+            if result.id != ident:
+                self.publish(result)
+        return [result for result in results if result.id == ident][-1]
+
     def drop_tries(self) -> None:
         """The run ends while a case is tried again: it failed once, and that is not confirmed."""
         self.trying = None

@@ -82,13 +82,7 @@ def _measure(run: Run, case: Case) -> Script[_Measured]:
     run.trying = []
     timeout = yield from _once(run, case)
     yield from home(run)
-    results, run.trying = run.trying, None
-    assert results is not None
-    mine = [result for result in results if result.id == case.id]
-    for other in results:
-        if other.id != case.id:
-            run.publish(other)
-    return _Measured(mine[-1], timeout)
+    return _Measured(run.tried(case.id), timeout)
 
 
 def _once(run: Run, case: Case) -> Script[int | None]:

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 
 from conformance.steps import Step
 
-SPLIT = -1
-"""A pause of this length is as long as a link can be without cutting a frame; see `walking`."""
-
 
 @dataclass(frozen=True, slots=True)
 class Burst:

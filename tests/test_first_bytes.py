@@ -57,12 +57,14 @@ def test_bytes_before_the_first_instruction_are_informational(protocol: Protocol
     assert verdicts(device, protocol)["power-on/at-rest"] is Verdict.INFORMATIONAL
 
 
+@pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("at", [1, 30, 60, 100, 150, 400])
-def test_a_byte_that_comes_before_the_first_case_and_belongs_to_none_is_never_a_pass(
-    protocol: Protocol, at: int
+def test_bytes_that_come_before_the_first_case_and_belong_to_none_are_never_a_pass(
+    protocol: Protocol, at: int, count: int
 ) -> None:
     device = Simulator(protocol)
-    device.answer(0x21, at * MS)
+    for number in range(count):
+        device.answer(0x21, (at + 60 * number) * MS)
 
     found = verdicts(WithoutPowerSwitch(device), protocol)
 
@@ -75,7 +77,7 @@ def test_bytes_that_come_again_and_again_and_belong_to_no_case_fail(
     protocol: Protocol, at: int
 ) -> None:
     device = Simulator(protocol)
-    for number in range(3):
+    for number in range(10):
         device.answer(0x21, (at + 60 * number) * MS)
 
     assert Verdict.FAIL in verdicts(WithoutPowerSwitch(device), protocol).values()
