@@ -75,9 +75,13 @@ def calibrate(run: Run) -> Script[None]:
     """How long an answer takes on this line, and how much that varies: stops, one by one."""
     stop, times = bytes([run.protocol.filler]), []
     for _ in range(_CALIBRATION):
+        stray = yield from listen(None, 0)
+        if stray.answers:
+            run.charge(stray.answers, "came although nothing was asked")
         sent = yield from send(stop)
         heard = yield from run.answers(1)
         run.profile.measured(heard, sent)
+        run.between.lost(not heard.answers)
         times += [t - sent for t, _ in heard.answers[:1]]
     if times:
         times.sort()

@@ -48,6 +48,8 @@ def home(run: Run) -> Script[None]:
         if len(got) >= count:
             run.close()
             return
+        if run.at_boundary:
+            run.between.lost(count - len(got))
         # Owed data or flushed until idle: both are over after a pause.
         more = yield from listen(None, pause)
         if len(got) + len(more.answers) >= count:
@@ -64,9 +66,9 @@ def home(run: Run) -> Script[None]:
         if in_time == 2:
             run.close()
             return
-    after = f" after {run.open_id}" if run.open_id else ""
+    after = f"after {run.open_id}" if run.open_id else "before the first case"
     run.charge((), "the device stopped answering")
-    raise GaveUp(f"the device stopped answering{after}")
+    raise GaveUp(f"the device stopped answering {after}")
 
 
 def _as_they_come(run: Run, due: int, patience: int) -> Script[tuple[tuple[int, int], ...]]:
@@ -143,6 +145,7 @@ def set_up(run: Run, state: State) -> Script[str]:
     run.belief = replace(run.belief, rests=frozenset())
     if answered == len(frames):
         return ""
+    run.between.lost(len(frames) - answered)
     return f"{answered} answers to {len(frames)} instructions of the set-up"
 
 

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from conformance.asks import Heard, Script, listen
-from conformance.cases import Case, special
-from conformance.choices import POINTS, Choices
+from conformance.between import Between
+from conformance.cases import Case
+from conformance.choices import LOSING, POINTS, Choices
 from conformance.chosen import on_the_wire
 from conformance.judging import MS, NOT_OBSERVABLE, answer_words, matching
 from conformance.model import Model
@@ -110,7 +111,6 @@ class Profile:
 
 
 _NEVER = 5  # answers that never came, until a missing one is no longer waited for so long
-_STRAYS = 3  # answers that are nobody's, until they are the device's and not the line's
 
 
 @dataclass
@@ -125,7 +125,8 @@ class Run:
     """The books of one run. `begin` and `report` are called as cases begin and become final.
 
     `power` says whether the robot can be switched off and on, `profile` what is known of it.
-    `belief` is what it must be like now, `before` what it was before the case's stimulus.
+    `belief` is what it must be like now, `before` what it was before the case's stimulus;
+    `between` keeps what belongs to no case.
     """
 
     def __init__(
@@ -152,13 +153,12 @@ class Run:
         self.begin = begin
         self.results: list[CaseResult] = []
         self.moves: set[Motion] | None = None
+        self.between = Between(protocol, self.end)
         self._report = report
         self._open: _Open | None = None
         self._wasted = 0
         self.missing = False
         self._never_came = 0
-        self._stray = False
-        self._strays: list[tuple[tuple[tuple[int, int], ...], str]] = []
         self.trying: list[CaseResult] | None = None
         self.suspect: CaseResult | None = None
         self.flaky = self.reproduced = self.shrunk = self.missed_stops = 0
@@ -280,36 +280,28 @@ class Run:
                 self.axes["answer"] = Axis(Verdict.FAIL, expected, words, reason, reading)
             self.worsen("answer", Verdict.FAIL, words, reason)
             return
-        came = tuple(late)
-        self._strays.append((came, reason))
-        # One that came by itself may be the line's: a byte doubled. A flood or a silence is not.
-        if len(self._strays) >= _STRAYS or not 0 < len(came) < _STRAYS:
-            self._end_strays(Verdict.FAIL)
-
-    def close_strays(self) -> None:
-        """What came by itself once or twice in a run and was nobody's: no failure, and no pass."""
-        if self._strays:
-            self._end_strays(Verdict.INCONCLUSIVE)
-
-    def _end_strays(self, verdict: Verdict) -> None:
-        if self._stray:
-            return
-        self._stray = True
-        came = tuple(answer for answers, _ in self._strays for answer in answers)
-        reason = self._strays[-1][1]
-        if verdict is not Verdict.FAIL:
-            times = "once" if len(self._strays) == 1 else f"{len(self._strays)} times"
-            reason = f"flaky, only {times} in the run: {reason}"
-        words = answer_words(self.protocol, tuple(code for _, code in came))
-        axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
-        clause, requirement = self.protocol.clauses.responses, "answers only when it is asked"
-        case = special(self.protocol, "line/unsolicited", clause, requirement, b"")
-        self.end(case, {"answer": axis}, came, came[0][0] if came else 0)
+        if late := tuple(late):
+            self.between.came(late, reason)
+        else:
+            self.between.silent(reason)
 
     @property
     def in_step(self) -> bool:
         """Whether the open case got the answers that were due: the line is between two frames."""
         return self._open is not None and self.axes["answer"].verdict < Verdict.INCONCLUSIVE
+
+    @property
+    def at_boundary(self) -> bool:
+        """Whether the line is between two frames, so that each stop is answered.
+
+        Not known of a device that loses what follows a fault, or waits for data for ever.
+        """
+        profile = self.profile
+        if profile.flushes or any(profile.choices.is_other(point) for point in LOSING):
+            return False
+        if self._open is None:
+            return profile.round_trip is not None  # the line was homed before that was measured
+        return bool(profile.truncation_answered) and self.in_step
 
     @property
     def open_id(self) -> str:

@@ -11,6 +11,7 @@ from conformance.levels import AnyCase
 
 BY_THEMSELVES = (
     "line/unsolicited",
+    "line/lost",
     "power-on/lost",
     "power-on/first-fault",
     "leave/stopped",

@@ -525,7 +525,7 @@ def choice(
     )
 
 
-OPENING = ("power-on", "link", "timing", "reading")
+OPENING = ("power-on", "link", "timing", "reading", "line")
 UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
 CHOICES = [
     choice("the reference itself", "*/Right/0", PASS, "answer"),

@@ -313,6 +313,8 @@ def test_the_reproducer_is_short_and_shows_the_failure_on_a_fresh_device(
     report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
 
     given = [r for r in report.results if r.reproduce][:SHORTENED]
+    # What contradicts a reading that was shown elsewhere takes both places to show.
+    given = [r for r in given if not any("keeps to one" in a.reason for a in r.axes.values())]
     assert given
     for result in given:
         items = result.reproduce.split()
