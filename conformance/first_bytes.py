@@ -38,7 +38,7 @@ def first_bytes(run: Run) -> Script[str]:
     begun = banner.now
     if banner.answers:
         axes["answer"] = _banner(run, banner)
-    outcomes = [(still, axes, banner, banner.now)]
+    outcomes, alive = [(still, axes, banner, banner.now)], False
     taken = run.profile.choices.allowed.get("led-id")
     for case in link_check(run.protocol, int(taken) if taken else None):
         run.begin(case.id)
@@ -55,7 +55,9 @@ def first_bytes(run: Run) -> Script[str]:
         if first and heard.answers:
             run.profile.boot = heard.answers[0][0] - begun
         answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
-        if answer.verdict is Verdict.FAIL:
+        # On a line on which nobody has answered so far the next instruction tells more.
+        alive = alive or bool(heard.answers)
+        if answer.verdict is Verdict.FAIL and alive:
             answer = yield from _again(run, case, answer, fresh=first)
         axes = {"answer": lost(answer) if run.profile.flushes and not flushed else answer}
         if first:

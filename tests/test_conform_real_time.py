@@ -81,6 +81,9 @@ FAULTS = [
     ("xon-xoff", ["valid/Speed/1[0-9]"], 1),
 ]
 
+# An answer that comes after its exchange falls to one neighbour or to the other, by microseconds.
+EITHER = {"late-second-answer": ("reading/", "line/"), "answers-at-header": ("line/",)}
+
 
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
 def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
@@ -93,9 +96,14 @@ def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
         )
         state = robot.state()
 
-    found = judged(result.stdout)
-    assert result.returncode == found[0] == code, result.stderr
-    assert found == judged_in_virtual_time(protocol, fault, only)
+    ended, found = judged(result.stdout)
+    assert result.returncode == ended == code, result.stderr
+    virtual, expected = judged_in_virtual_time(protocol, fault, only)
+    assert virtual == code
+    either = EITHER.get(fault, ())
+    assert {ident: found[ident] for ident in found if not ident.startswith(either)} == {
+        ident: expected[ident] for ident in expected if not ident.startswith(either)
+    }
     assert state["moving"] is False
 
 

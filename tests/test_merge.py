@@ -330,7 +330,9 @@ def test_shards_of_a_real_port_merge(protocol: Protocol, tmp_path: Path) -> None
 
     report = msgspec.json.decode(result.stdout)
     assert result.returncode == report["exit"] == 0, result.stderr
-    assert report["counts"]["pass"] == 8 + 10 + 4
+    chosen = [c for c in report["cases"] if c["id"].startswith(("valid/LED/", "unused-id/9/"))]
+    assert [case["verdict"] for case in chosen] == ["pass"] * (8 + 10)
+    assert report["counts"]["pass"] > len(chosen)  # the cases that every shard begins with
     assert report["device"].count("socket://") == 2
 
 
