@@ -45,11 +45,14 @@ class Between:
         self._lost = 0
         self._silence(Verdict.FAIL, reason)
 
-    def close(self) -> None:
-        """The run is over."""
+    def close(self, *, keeps_all: bool) -> None:
+        """The run is over; `keeps_all` if the device takes each instruction, whatever came before.
+
+        One that does not may have lost what was sent behind a fault.
+        """
         if self._strays:
             self._end_strays(Verdict.INCONCLUSIVE)
-        if self._lost:
+        if self._lost and keeps_all:
             times = "once" if self._lost == 1 else f"{self._lost} times"
             reason = f"flaky: no answer came {times} where no case was judged"
             self._silence(Verdict.INCONCLUSIVE, reason)

@@ -40,19 +40,22 @@ def home(run: Run) -> Script[None]:
         run.waste(run.patience)
     # A slow device that answered as it should is at a boundary: one stop is as good as many.
     slow = run.profile.slowest > _SLOW and run.in_step
+    between_frames = run.in_step or not run.open_id
+    lost = 0
     for count in (1, due, due) if slow else (due, due):
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience)
         if len(got) > count:
             yield from _too_many(run, got[: len(got) - count])
         if len(got) >= count:
+            run.between.lost(lost)
             run.close()
             return
-        if run.at_boundary:
-            run.between.lost(count - len(got))
+        lost += (count - len(got)) * between_frames
         # Owed data or flushed until idle: both are over after a pause.
         more = yield from listen(None, pause)
         if len(got) + len(more.answers) >= count:
+            run.between.lost(lost)
             run.close()
             return
     # A device that loses what it is sent ahead still takes one instruction at a time. The first
@@ -64,6 +67,7 @@ def home(run: Run) -> Script[None]:
         tries += 1
         in_time = in_time + 1 if heard.answers else 0
         if in_time == 2:
+            run.between.lost(lost)
             run.close()
             return
     after = f"after {run.open_id}" if run.open_id else "before the first case"

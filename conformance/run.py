@@ -291,17 +291,16 @@ class Run:
         return self._open is not None and self.axes["answer"].verdict < Verdict.INCONCLUSIVE
 
     @property
-    def at_boundary(self) -> bool:
-        """Whether the line is between two frames, so that each stop is answered.
+    def keeps_all(self) -> bool:
+        """Whether this device takes each instruction whole, whatever came before it.
 
-        Not known of a device that loses what follows a fault, or waits for data for ever.
+        Not known of one that loses what follows a fault, answers before the end, or waits for ever.
         """
-        profile = self.profile
-        if profile.flushes or any(profile.choices.is_other(point) for point in LOSING):
+        choices = self.profile.choices
+        if "pipelining" in choices.allowed or self.profile.flushes:
             return False
-        if self._open is None:
-            return profile.round_trip is not None  # the line was homed before that was measured
-        return bool(profile.truncation_answered) and self.in_step
+        loses = any(choices.is_other(point) for point in (*LOSING, "R-answer-point"))
+        return not loses and self.profile.truncation_answered is not False
 
     @property
     def open_id(self) -> str:

@@ -70,7 +70,7 @@ class Runner:
                 axis = Axis(Verdict.ERROR, "", "not judged", str(ended))
                 self.books.end(self._left.pop(0), {"answer": axis})
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
-        self.books.between.close()
+        self.books.between.close(keeps_all=self.books.keeps_all)
         if self.ended is None or self.ended.line_works:
             stopped = yield from leave(self.books)
             self.ended = self.ended or stopped
