@@ -71,7 +71,7 @@ def _usage(error: click.ClickException) -> str:
         return f"{text} here: it goes before the subcommand, bilprov --grammar FILE.py ..."
     if isinstance(error, _NO_SUCH) and error.possibilities:
         return f"{text}, did you mean {error.possibilities[0]}?"
-    if isinstance(error, click.UsageError) and error.ctx:
+    if isinstance(error, click.UsageError) and error.ctx and "; see " not in text:
         return f"{text}; see {error.ctx.command_path} --help"
     return text
 

@@ -22,13 +22,15 @@ from conformance.estimate import before_the_cases, seconds
 from conformance.journal import Journal, journalled
 from conformance.judging import MS
 from conformance.levels import LEVELS, AnyCase, level_cases
+from conformance.limits import Eyes
 from conformance.meter import Meter
 from conformance.opening import opening_cases, truncation_timeout
 from conformance.port_link import PortLink
 from conformance.probes import Probe
+from conformance.profile import Profile
 from conformance.profile_file import profile_from
 from conformance.report import Report, make_report
-from conformance.run import Eyes, Profile, Run
+from conformance.run import Run
 from conformance.runner import Runner, Spare
 from conformance.selection import BY_THEMSELVES, matching, share
 from conformance.simulator import Simulator

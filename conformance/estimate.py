@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from conformance.judging import MS
 from conformance.levels import AnyCase
-from conformance.run import Limits
+from conformance.limits import Limits
 from conformance.steps import Class
 from conformance.walks import Walk
 from spec.protocol import Protocol

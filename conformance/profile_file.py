@@ -14,7 +14,7 @@ import rich_click as click
 
 from conformance.choices import POINTS, Choices, parse_allowed
 from conformance.judging import MS
-from conformance.run import Profile
+from conformance.profile import Profile
 from spec.protocol import Protocol
 
 _TIMES = {

@@ -11,8 +11,8 @@ import pytest
 
 from captures.errors import shown
 from conformance.bench import Bench
-from conformance.report import make_report, reproduce
-from conformance.run import Profile
+from conformance.profile import Profile
+from conformance.report import evidence, make_report, reproduce
 from conformance.verdicts import CaseResult, Verdict
 
 NAME = "conformance"
@@ -87,18 +87,8 @@ class CaseItem(pytest.Item):
             options=asdict(bench.options),
             seed=bench.options.seed,
         )
-        rows = [("sent", " | ".join(result.sent) or "nothing")]
-        for name, axis in result.axes.items():
-            if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
-                continue
-            reading = f" [{axis.reading}]" if axis.reading else ""
-            rows += [
-                (name, axis.reason + reading),
-                ("expected", axis.expected),
-                ("actual", axis.actual),
-            ]
-        lines = [f"{label:10}{shown(words)}" for label, words in rows if words]
-        lines.append(f"{'reproduce':10}{reproduce(nothing, result)}")
+        rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
+        lines = [f"{label:10}{shown(words)}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
 
 

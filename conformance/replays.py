@@ -19,8 +19,8 @@ from conformance.homing import home
 from conformance.run import Run
 from conformance.trial import try_case
 from conformance.verdicts import Axis, CaseResult, Verdict
-from conformance.walking import Mismatch, walk
-from conformance.walks import Burst, Walk
+from conformance.walking import walk
+from conformance.walks import Burst, Mismatch, Walk
 from spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2

@@ -15,7 +15,7 @@ from conformance.coverage import covered
 from conformance.expected import Comparison
 from conformance.judging import MS
 from conformance.levels import AnyCase
-from conformance.run import Profile
+from conformance.profile import Profile
 from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from conformance.walks import Walk
 from spec.protocol import Protocol
@@ -257,6 +257,18 @@ def _axis(axis: Axis) -> dict[str, str | None]:
         "reason": axis.reason,
         "reading": axis.reading or None,
     }
+
+
+def evidence(result: CaseResult) -> list[tuple[str, str]]:
+    """Labels and words: what was sent, and what was expected and seen on each axis not well."""
+    rows = [("sent", " | ".join(result.sent) or "nothing")]
+    for name, axis in result.axes.items():
+        if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
+            continue
+        reading = f" [{axis.reading}]" if axis.reading else ""
+        said = [(name, axis.reason + reading), ("expected", axis.expected), ("got", axis.actual)]
+        rows += [(label, words) for label, words in said if words]
+    return rows
 
 
 def reproduce(report: Report, result: CaseResult) -> str:

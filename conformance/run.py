@@ -7,15 +7,17 @@ charged to it; then it is final and reported.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from conformance.asks import Heard, Script, listen
 from conformance.between import Between
 from conformance.cases import Case
-from conformance.choices import LOSING, POINTS, Choices
+from conformance.choices import LOSING, POINTS
 from conformance.chosen import on_the_wire
 from conformance.judging import MS, NOT_OBSERVABLE, answer_words, matching
+from conformance.limits import Eyes, Limits
 from conformance.model import Model
+from conformance.profile import Profile
 from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
 from conformance.walks import Walk
 from spec.codec import spaced
@@ -38,76 +40,6 @@ class Ended(Exception):
 
 class GaveUp(Exception):
     """The device makes the rest of the run pointless: the sentence says why."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """How long the runner waits, in ns.
-
-    `deadline` for an answer, `longest` until a missing one is given up, `silence` after an answer
-    before the next step, `hold` while a thorough case watches the stop, `grace` how much later than
-    the answer a stop may be seen although it was in time (the link's own jitter), `settle` for what
-    may still be under way, `boot` for the first answer, `idle` how
-    long nobody talks to a robot that drives, `never` before a truncated frame counts as
-    never answered. `waste` is how long in all to wait for answers that do not come, `whole`
-    how long all cases may take on a slow device; None for ever.
-    """
-
-    deadline: int = 100 * MS
-    longest: int = 1000 * MS
-    silence: int = 20 * MS
-    hold: int = 250 * MS
-    grace: int = 0
-    settle: int = MS
-    boot: int = 10_000 * MS
-    never: int = 2500 * MS
-    idle: int = 1200 * MS
-    waste: int | None = None
-    whole: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Eyes:
-    """What can be seen: nothing (`open` false), everything, or what few looks show (`sparse`).
-
-    `why` says why something is not observable.
-    """
-
-    open: bool
-    sparse: bool = False
-    why: str = "no probe; see --probe"
-
-
-@dataclass
-class Profile:
-    """What was measured on the device; times in ns, None where it was not.
-
-    `flushes` is true for a device that throws away what follows a fault until the line is idle,
-    `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
-    was seen to stop, `watchdog` after what silence it stopped by itself, `boot` what the first
-    answer took; `round_trip` and `jitter` are the line's and the device's together. `choices` are
-    what it has shown where the document is silent.
-    """
-
-    truncation_timeout: int | None = None
-    truncation_answered: bool | None = None
-    latencies: list[int] = field(default_factory=list)
-    slowest: int = 0
-    flushes: bool = False
-    whole_frame: bool = False
-    watchdog: int | None = None
-    round_trip: int | None = None
-    jitter: int | None = None
-    boot: int | None = None
-    stop_latency: int = 0
-    choices: Choices = field(default_factory=Choices)
-
-    def measured(self, heard: Heard, sent: int) -> None:
-        """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
-        for t, _ in heard.answers[:1]:
-            if t >= sent:  # else it came by itself
-                self.latencies.append(t - sent)
-                self.slowest = max(self.slowest, t - sent)
 
 
 _NEVER = 5  # answers that never came, until a missing one is no longer waited for so long

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from conformance.choices import default_of
-from conformance.report import Report, reproduce
+from conformance.report import Report, evidence, reproduce
 from conformance.verdicts import CaseResult, Verdict
 
 STYLES = {
@@ -161,19 +161,9 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
         (f"  {result.clause}", "dim"),
     )
     console.print(head)
-    rows = [("", result.requirement), ("sent", " | ".join(result.sent) or "nothing")]
-    for name, axis in result.axes.items():
-        if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
-            continue
-        reading = f" [{axis.reading}]" if axis.reading else ""
-        rows += [
-            (name, axis.reason + reading),
-            ("expected", axis.expected),
-            ("got", axis.actual),
-        ]
+    rows = [("", result.requirement), *evidence(result)]
     if result.reproduce:
         rows.append(("again", reproduce(report, result)))
     for label, words in rows:
-        if words:
-            line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
-            console.print(line)
+        line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
+        console.print(line)

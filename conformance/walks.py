@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from conformance.steps import Step
+from conformance.verdicts import Axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,6 @@ class Walk:
     """A case of many frames.
 
     `setup` brings the robot to a known state, one instruction at a time, before the first burst.
-    `repeats` says how often a walk that failed is tried again at most.
     """
 
     id: str
@@ -74,3 +74,17 @@ class Walk:
         """Every step in order."""
         for burst in self.bursts:
             yield from burst.steps
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """Where a walk went wrong: the step, the axis that says how, and the clause that it breaks.
+
+    `burst` is the burst's index, below 0 in the set-up.
+    """
+
+    step: Step
+    name: str
+    axis: Axis
+    clause: str
+    burst: int = 0

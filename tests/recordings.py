@@ -19,9 +19,10 @@ from conformance.api import Options, run_on
 from conformance.asks import Ask, Heard, Seen
 from conformance.circumstances import Circumstances
 from conformance.drive import VirtualLink
+from conformance.limits import Eyes
 from conformance.recording import RunRecorder
 from conformance.report import Report
-from conformance.run import Ended, Eyes
+from conformance.run import Ended
 from conformance.simulator import Simulator
 from conformance.verdicts import CaseResult
 from spec.protocol import Protocol

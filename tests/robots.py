@@ -23,7 +23,8 @@ from conformance.api import Unwatched
 from conformance.asks import Ask, Heard, See, Seen
 from conformance.cases import Case, all_cases
 from conformance.drive import VirtualLink, drive
-from conformance.run import Eyes, Limits, Run
+from conformance.limits import Eyes, Limits
+from conformance.run import Run
 from conformance.runner import Runner
 from conformance.simulator import Simulator
 from conformance.verdicts import CaseResult, Verdict

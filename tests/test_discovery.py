@@ -13,8 +13,10 @@ from conformance.choices import POINTS, Choices, parse_allowed
 from conformance.discovery import reading_cases
 from conformance.drive import drive
 from conformance.fault import React
+from conformance.limits import Eyes, Limits
 from conformance.mixtures import find_mixture
-from conformance.run import Eyes, Limits, Profile, Run
+from conformance.profile import Profile
+from conformance.run import Run
 from conformance.runner import Runner
 from conformance.simulator import Event, Fault, Reaction, Simulator, answers
 from conformance.variants import variants

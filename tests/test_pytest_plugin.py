@@ -100,7 +100,7 @@ def test_a_failure_shows_expected_actual_and_the_command_and_no_traceback(
             "sent*81 01",
             "state*led is 4, expected is 1",
             "expected*led 1*",
-            "actual*led 4*",
+            "got*led 4*",
             "reproduce*bilprov conform sim --seed 1 --only valid/LED/1 --fault led-order-reversed",
         ]
     )

@@ -16,9 +16,10 @@ from captures.errors import CaptureError
 from captures.reader import Message, open_capture
 from conformance.api import Options
 from conformance.faults import fault_bank
+from conformance.limits import Eyes
 from conformance.recheck import recheck
 from conformance.report import as_json
-from conformance.run import Ended, Eyes
+from conformance.run import Ended
 from conformance.simulator import Simulator
 from spec.protocol import GrammarError, Protocol, load
 from tests.recordings import attachments_of, forged, recorded

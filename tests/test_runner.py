@@ -17,7 +17,8 @@ from conformance.asks import Ask, Heard, Listen, See, Seen, Send
 from conformance.cases import Case
 from conformance.drive import drive
 from conformance.faults import fault_bank
-from conformance.run import Ended, Eyes, Limits, Run
+from conformance.limits import Eyes, Limits
+from conformance.run import Ended, Run
 from conformance.runner import Runner
 from conformance.simulator import Fault, Simulator, answers
 from conformance.verdicts import CaseResult, Verdict, exit_code

@@ -11,7 +11,8 @@ import pytest
 from captures.schemas import Look
 from conformance.asks import Ask, Heard, Listen, Seen, Send
 from conformance.levels import level_cases
-from conformance.run import Eyes, Limits, Profile
+from conformance.limits import Eyes, Limits
+from conformance.profile import Profile
 from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.variants import find_variant
 from conformance.verdicts import Verdict

@@ -8,12 +8,14 @@ from typing import Any
 from conformance.asks import Script
 from conformance.drive import drive
 from conformance.homing import home, see_motions
-from conformance.run import Eyes, Limits, Profile, Run
+from conformance.limits import Eyes, Limits
+from conformance.profile import Profile
+from conformance.run import Run
 from conformance.simulator import Event, Fault, React, Reaction
 from conformance.steps import Step, cut, whole
 from conformance.verdicts import CaseResult
-from conformance.walking import Mismatch, walk
-from conformance.walks import Burst, Walk
+from conformance.walking import walk
+from conformance.walks import Burst, Mismatch, Walk
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink
 

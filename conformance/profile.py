@@ -1,0 +1,40 @@
+"""What is known of the device: its times, and its choices where the document is silent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from conformance.asks import Heard
+from conformance.choices import Choices
+
+
+@dataclass
+class Profile:
+    """What was measured on the device; times in ns, None where it was not.
+
+    `flushes` is true for a device that throws away what follows a fault until the line is idle,
+    `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
+    was seen to stop, `watchdog` after what silence it stopped by itself, `boot` what the first
+    answer took; `round_trip` and `jitter` are the line's and the device's together. `choices` are
+    what it has shown where the document is silent.
+    """
+
+    truncation_timeout: int | None = None
+    truncation_answered: bool | None = None
+    latencies: list[int] = field(default_factory=list)
+    slowest: int = 0
+    flushes: bool = False
+    whole_frame: bool = False
+    watchdog: int | None = None
+    round_trip: int | None = None
+    jitter: int | None = None
+    boot: int | None = None
+    stop_latency: int = 0
+    choices: Choices = field(default_factory=Choices)
+
+    def measured(self, heard: Heard, sent: int) -> None:
+        """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
+        for t, _ in heard.answers[:1]:
+            if t >= sent:  # else it came by itself
+                self.latencies.append(t - sent)
+                self.slowest = max(self.slowest, t - sent)
