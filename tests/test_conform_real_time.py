@@ -83,6 +83,7 @@ FAULTS = [
 
 # An answer that comes after its exchange falls to one neighbour or to the other, by microseconds.
 EITHER = {"late-second-answer": ("reading/", "line/"), "answers-at-header": ("line/",)}
+TIMED = ("reading/answer-point", "reading/truncation-timeout")
 
 
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
@@ -100,7 +101,9 @@ def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
     assert result.returncode == ended == code, result.stderr
     virtual, expected = judged_in_virtual_time(protocol, fault, only)
     assert virtual == code
-    either = EITHER.get(fault, ())
+    # On a machine that is busy the link may be too coarse for a timing case, which then says so.
+    coarse = tuple(ident for ident in TIMED if found.get(ident) == "informational")
+    either = (*EITHER.get(fault, ()), *coarse)
     assert {ident: found[ident] for ident in found if not ident.startswith(either)} == {
         ident: expected[ident] for ident in expected if not ident.startswith(either)
     }
