@@ -48,6 +48,15 @@ class Port:
         self._require_open()
         return self._fd
 
+    @property
+    def byte_time(self) -> int:
+        """How long a byte that was taken is on its way, in ns: a UART sends one after the other.
+
+        What a pty or a socket takes has arrived.
+        """
+        there = "://" in self.name or os.path.realpath(self.name).startswith("/dev/pts/")
+        return 0 if there else self.settings.byte_time
+
     def read(self) -> bytes:
         """Return everything that is there now, at most 64 KiB, without waiting; b"" is nothing now.
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import contextlib
 import signal
 import socket
+import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -78,3 +81,46 @@ class Stopper:
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.stop()
+
+
+@contextmanager
+def undisturbed(*, again: bool) -> Iterator[None]:
+    """Ctrl-C and the like are heard only afterwards, if `again`: the robot is stopped first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[int] = []
+    before: dict[int, Any] = {}
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not None:  # else it cannot be put back from here
+            before[number] = signal.signal(number, lambda got, frame: heard.append(got))
+    try:
+        yield
+    finally:
+        for known, handler in before.items():
+            signal.signal(known, handler)
+    if heard and again:
+        signal.raise_signal(heard[0])
+
+
+@contextmanager
+def ending_in_order() -> Iterator[None]:
+    """SIGTERM and SIGHUP, where nobody heeds them, end the block by SystemExit instead of at once.
+
+    So what the block has to leave behind is done, as it is after Ctrl-C. Without effect outside of
+    the main thread.
+    """
+    old: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                old[number] = signal.signal(number, _exit)
+    try:
+        yield
+    finally:
+        while old:
+            signal.signal(*old.popitem())
+
+
+def _exit(number: int, frame: FrameType | None) -> None:
+    sys.exit(128 + number)

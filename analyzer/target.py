@@ -9,16 +9,16 @@ from types import TracebackType
 from typing import Self
 
 from analyzer.comparison import Run
+from analyzer.homing import home, home_once
 from analyzer.link_errors import LinkError
 from analyzer.pairing import MILLISECOND
 from analyzer.ports import Port, wait_readable
 from analyzer.records import Record
 from analyzer.session import Session
 from analyzer.stopping import Stopper
+from analyzer.wire import PortWire
 from captures.schemas import Chunk
 from spec.protocol import Protocol
-
-_TRIES = 5  # an opened Arduino resets, and boots for some seconds
 
 
 class Target:
@@ -40,16 +40,15 @@ class Target:
         self._shown = shown
         self._protocol = protocol
         self._port = port
+        self._wire = PortWire(port)
         self._stopper = stopper
         self._session = Session(protocol, timeout=timeout, skew=0)
         self._start = time.monotonic_ns()
 
     def begin(self) -> None:
         """Bring the device to a stop between frames. Raises LinkError if it never answers."""
-        for _ in range(_TRIES):
-            if self._home() or self._stopper.stopped:
-                break
-        else:
+        answered = home(self._protocol, self._wire, lambda: self._stopper.stopped)
+        if not answered and not self._stopper.stopped:
             raise LinkError(
                 f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
             )
@@ -103,23 +102,9 @@ class Target:
         trace: TracebackType | None,
     ) -> None:
         with contextlib.suppress(LinkError):  # the port has gone: nothing can be said to it
-            self._home()
-        self._port.close()
-
-    def _home(self) -> bool:
-        """Fill up whatever frame the device may be in, with stops; tell whether it answered."""
-        self._port.drain_input()
-        self._port.write(bytes([self._protocol.filler]) * self._protocol.longest_frame)
-        answered = False
-        give_up = time.monotonic() + self._protocol.timing.answer_longest / 1000
-        quiet = self._protocol.timing.answer_deadline / 1000
-        while time.monotonic() < give_up:
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
-            wait_readable([self._port], quiet if answered else give_up - time.monotonic())
-            if not self._port.read():
-                break
-            answered = True
-        return answered
+            home_once(self._protocol, self._wire)
+        self._port.close()
 
     def _now(self) -> int:
         return time.monotonic_ns() - self._start

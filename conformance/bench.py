@@ -6,7 +6,6 @@ becomes final. Every way out of it homes the robot.
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,7 +16,7 @@ from typing import Any
 from analyzer.line_settings import LineSettings
 from analyzer.port import Port
 from analyzer.ports import open_port
-from analyzer.stopping import Stopper
+from analyzer.stopping import Stopper, undisturbed
 from conformance.api import (
     Options,
     always,
@@ -143,7 +142,7 @@ class Bench:
 
     def stop(self) -> None:
         """End a run that still goes; the robot is homed, and a second Ctrl-C does not hinder it."""
-        with _undisturbed(again=False):
+        with undisturbed(again=False):
             if not self._over:
                 self._stopper.stop()
             self.finish()
@@ -216,7 +215,7 @@ class Bench:
         try:
             yield client
         finally:
-            with _undisturbed(again=True):
+            with undisturbed(again=True):
                 client.home()
 
     def close(self) -> None:
@@ -224,23 +223,3 @@ class Bench:
         self.stop()
         self._stack.close()
         self._stopper.close()
-
-
-@contextmanager
-def _undisturbed(*, again: bool) -> Iterator[None]:
-    """Ctrl-C and the like are heard only afterwards, if `again`: the robot is stopped first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    heard: list[int] = []
-    before: dict[int, Any] = {}
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not None:  # else it cannot be put back from here
-            before[number] = signal.signal(number, lambda got, frame: heard.append(got))
-    try:
-        yield
-    finally:
-        for known, handler in before.items():
-            signal.signal(known, handler)
-    if heard and again:
-        signal.raise_signal(heard[0])

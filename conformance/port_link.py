@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import time
 from collections.abc import Callable
@@ -44,9 +43,7 @@ class PortLink:
         self._start = clock()
         self._heard: list[tuple[int, int]] = []
         self._sent = 0
-        # What a pty or a socket takes has arrived; a UART sends it byte by byte.
-        there = "://" in port.name or os.path.realpath(port.name).startswith("/dev/pts/")
-        self._byte_time = 0 if there else port.settings.byte_time
+        self._byte_time = port.byte_time
 
     def now(self) -> int:
         """The time in ns since the link was made."""

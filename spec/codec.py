@@ -6,10 +6,9 @@ is the kit's own reading of the document, so nothing here knows what some device
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-
-from construct import ConstructError
 
 from spec.fields import Outcome
 from spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
@@ -165,16 +164,18 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None
                 f"{spec.name} {part.name}={part.high}"
             )
         value = given.pop(part.name)
+        try:
+            value = operator.index(value)
+        except TypeError:
+            raise ValueError(
+                f"{spec.name}.{part.name} is {value!r}, allowed are whole numbers from {part.low} "
+                f"to {part.high}"
+            ) from None
         if not part.low <= value <= part.high:
             raise ValueError(
                 f"{spec.name}.{part.name} is {value}, allowed are {part.low} to {part.high}"
             )
-        try:
-            data += part.build(value)
-        except ConstructError as error:
-            raise ValueError(
-                f"{spec.name}.{part.name} is {value}, allowed are whole numbers"
-            ) from error
+        data += part.build(value)
     if given:
         takes = ", ".join(part.name for part in spec.fields) or "no fields"
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")

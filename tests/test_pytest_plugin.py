@@ -328,6 +328,33 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
     on_sim(run, *FEW).assert_outcomes(passed=38, failed=1)
 
 
+METHODS = """\
+import pytest
+
+def test_it_drives(robot):
+    robot.speed(80)
+    assert robot.forward().name == "OK"
+    assert robot.look().moving
+
+def test_a_value_out_of_range(robot):
+    with pytest.raises(ValueError, match="LED.rgb is 8, allowed are 0 to 7"):
+        robot.led(8)
+
+def test_a_refusal_fails_a_test(robot):
+    robot.led(rgb=5)
+"""
+
+
+def test_the_fixture_has_the_instructions_as_methods_too(run: pytest.Pytester) -> None:
+    run.makepyfile(test_mine=METHODS)
+
+    on_sim(run, "test_mine.py").assert_outcomes(passed=3)
+    refused = on_sim(run, "test_mine.py", "--robot-fault", "always-1")
+
+    refused.assert_outcomes(passed=1, failed=2)
+    refused.stdout.fnmatch_lines(["*Refused: LED rgb=5 (R B) (81 05) was answered BAD_HEADER*"])
+
+
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine=MINE + "\ndef test_plain(): pass\n")
 

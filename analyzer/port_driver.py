@@ -1,0 +1,111 @@
+"""A robot on a port of this machine: opened, homed, driven, and homed again on every way out."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from os import PathLike
+from types import TracebackType
+from typing import Self
+
+from analyzer.driver import Driver
+from analyzer.grammar_file import load_protocol
+from analyzer.homing import home_once
+from analyzer.line_settings import LineSettings
+from analyzer.link_errors import LinkError
+from analyzer.ports import open_port
+from analyzer.robot_errors import NoAnswer, RobotError
+from analyzer.stopping import ending_in_order, undisturbed
+from analyzer.wire import PortWire
+from spec.protocol import Protocol
+
+
+class PortDriver(Driver):
+    """One robot on a port; a context manager that homes it on every way out.
+
+    `url` is a path or any pyserial URL. `grammar` is a grammar file or a Protocol, the kit's own
+    unless given; `timeout` how long (ms) an answer may take; `baud` (bits/s), `parity` (N E O M S)
+    and `stopbits` (1 1.5 2) are the grammar's unless given.
+
+    Opening sends stops until the robot answers, and nothing else: nothing moves that did not move
+    before, and nobody is asked whether it may, since a program that is started is its own consent.
+    Raises LinkError for a port that cannot be opened, NoAnswer where nobody answers, GrammarError
+    and ValueError for wrong use.
+
+    Within `with`, Ctrl-C, and SIGTERM and SIGHUP unless the program heeds them itself, leave by
+    homing too, and a second one waits for it. What was raised in the block stays what is raised;
+    where the robot could not be homed, a note on it says so.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        grammar: str | PathLike[str] | Protocol | None = None,
+        timeout: float | None = None,
+        baud: int | None = None,
+        parity: str | None = None,
+        stopbits: float | None = None,
+    ) -> None:
+        if not isinstance(grammar, Protocol):
+            grammar = load_protocol(None if grammar is None else str(grammar))
+        if timeout is not None and not 0 < timeout < math.inf:
+            raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
+        line = grammar.line
+        settings = LineSettings(
+            line.baud if baud is None else baud,
+            line.parity if parity is None else parity,
+            line.stopbits if stopbits is None else stopbits,
+        )
+        self._port = open_port(url, settings)
+        self._open = True
+        self._signals = ExitStack()
+        try:
+            super().__init__(grammar, PortWire(self._port), timeout)
+            self.home()
+        except BaseException:
+            self._port.close()
+            raise
+
+    def close(self) -> None:
+        """Home the robot and give the port up; more than once is as good as once.
+
+        Raises NoAnswer where it does not answer and LinkError where the line is lost: then it may
+        still move.
+        """
+        if not self._open:
+            return
+        with undisturbed(again=True):
+            self._open = False
+            try:
+                if not home_once(self.protocol, self._wire):
+                    raise self._nobody()
+            finally:
+                self._port.close()
+
+    def __enter__(self) -> Self:
+        self._signals.enter_context(ending_in_order())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._signals:
+            try:
+                self.close()
+            except (RobotError, LinkError) as left:
+                if error is None:
+                    raise
+                error.add_note(f"the robot was not brought to a stop at the end: {left}")
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self._port.name} {self.protocol.name}>"
+
+    def _nobody(self) -> NoAnswer:
+        return NoAnswer(
+            f"nobody answers at {self._port.name}; is the robot on, and is it the right port?",
+            super()._nobody().frame,
+        )
