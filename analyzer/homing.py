@@ -9,6 +9,7 @@ from analyzer.wire import Wire
 from spec.protocol import Protocol
 
 _TRIES = 5  # an opened Arduino resets, and boots for some seconds
+_SLOWER = 4  # how much later than the first answer one of the others may come
 _SETTLE = 2 * MILLISECOND  # how close behind the last answer one too many comes
 
 
@@ -29,7 +30,7 @@ def home_once(protocol: Protocol, wire: Wire) -> bool:
     """Fill up whatever frame the robot may be in, with stops; tell whether it answered.
 
     Stops that a robot takes as data it is owed have no answer of their own: after a pause in which
-    nothing comes, it is owed none any more. A robot that is slow is given twice its time.
+    nothing comes, it is owed none any more. A slow robot is given more, by its first answer.
     """
     timing = protocol.timing
     count = protocol.longest_frame
@@ -40,7 +41,7 @@ def home_once(protocol: Protocol, wire: Wire) -> bool:
     pause = round(max(timing.answer_deadline, timing.truncation_timeout) * MILLISECOND)
     while heard < count and (more := wire.listen(1, patience)):
         if not heard:
-            patience = max(pause, 2 * (more[0][0] - sent))
+            patience = max(pause, _SLOWER * (more[0][0] - sent))
         heard += len(more)
     wire.listen(None, _SETTLE)
     return heard > 0

@@ -8,8 +8,8 @@ The cases are collected where no file is named, and with the name `conformance`.
 one run, in its order. A test of one's own takes the fixture:
 
     def test_it_stops(robot):
-        robot.send("Speed", speed=80)
-        robot.send("Forward")
+        robot.speed(80)  # raises where the answer is not OK
+        robot.forward()
         assert robot.send("Stop").name == "OK"
         assert not robot.look().moving
 

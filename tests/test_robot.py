@@ -16,10 +16,13 @@ from typing import Any
 
 import pytest
 
+from analyzer.ports import open_port
 from analyzer.stopping import ending_in_order, undisturbed
 from bilprov import LinkError, NoAnswer, Refused, Robot, RobotError
+from conformance.asks import Ask
 from conformance.client import Client
 from conformance.faults import fault_bank
+from conformance.run import Ended
 from conformance.simulator import CONFORMING, MS, Fault, Simulator
 from spec.protocol import Protocol, load
 from spec.python_names import RESERVED
@@ -31,8 +34,8 @@ STOP, FORWARD = b"\x00", b"\x20"
 class Scripted(Simulator):
     """A conforming robot that notes what it hears, and says what the test makes of its answers."""
 
-    def __init__(self, protocol: Protocol, fault: Fault | None = None, latency: int = 0) -> None:
-        super().__init__(protocol, fault, latency)
+    def __init__(self, protocol: Protocol, fault: Fault | None = None) -> None:
+        super().__init__(protocol, fault)
         self.heard = b""
         self.hearing: Callable[[bytes], object] = lambda data: None
         self.saying: Callable[[bytes], bytes] = lambda data: data
@@ -123,10 +126,33 @@ def test_a_robot_that_was_in_the_middle_of_a_frame_is_understood_at_once(
         assert device.state.speed == 5
 
 
+class Slow(Scripted):
+    """A robot that answers one instruction after the other, each in its time."""
+
+    pace = 120 * MS
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__(protocol)
+        self.owed = bytearray()
+        self.next = 0
+
+    def advance(self, now: int) -> bytes:
+        answers = super().advance(now)
+        if answers and not self.owed:
+            self.next = now + self.pace
+        self.owed += answers
+        if not self.owed or now < self.next:
+            return b""
+        self.next = now + self.pace
+        return bytes([self.owed.pop(0)])
+
+    def deadline(self) -> int | None:
+        return self.next if self.owed else super().deadline()
+
+
 def test_a_robot_that_takes_its_time_is_driven_all_the_same(protocol: Protocol) -> None:
-    device = Scripted(protocol, latency=150 * MS)
-    with served_here(device) as (port, _), Robot(port) as robot:
-        assert robot.speed(5).latency >= 100
+    with served_here(Slow(protocol)) as (port, _), Robot(port) as robot:
+        assert robot.speed(5).latency >= Slow.pace / MS
         assert robot.led(3).name == "OK"
 
 
@@ -267,12 +293,24 @@ def test_an_answer_too_many_is_an_error(protocol: Protocol) -> None:
     assert "OK" in str(raised.value)
 
 
-def test_a_robot_that_never_answers_is_not_opened() -> None:
-    with (
-        simulate("--fault", "dead") as served,
-        pytest.raises(NoAnswer, match=f"nobody answers at {served.port}; is the robot on"),
-    ):
-        Robot(served.port)
+def test_what_a_robot_says_unasked_is_an_error_and_it_is_homed_before_the_next(
+    protocol: Protocol,
+) -> None:
+    with driven(protocol, "late-second-answer") as (robot, device, _):
+        robot.send_bytes(b"\x90")
+        with pytest.raises(RobotError, match=r"^\w+ came without an instruction$"):
+            robot.wait(500)
+        assert robot.led(3).name == "OK"
+        assert device.heard == b"\x90" + protocol.longest_frame * STOP + b"\x81\x03"
+
+
+def test_a_robot_that_never_answers_is_not_opened_and_its_port_is_free_again() -> None:
+    with simulate("--fault", "dead", pty=True) as served:
+        with pytest.raises(NoAnswer) as raised:
+            Robot(served.port)
+        open_port(served.port).close()  # a path is locked while it is open
+
+    assert str(raised.value).startswith(f"nobody answers at {served.port}; is the robot on")
 
 
 @pytest.mark.parametrize("pty", [False, True])
@@ -315,6 +353,20 @@ def test_a_port_that_cannot_be_opened_and_wrong_settings_are_one_sentence() -> N
     for timeout in (0, -1, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="allowed are milliseconds above 0"):
             Robot("/dev/no-such-port", timeout=timeout)
+
+
+class GoneLink:
+    """A link whose port has gone."""
+
+    def do(self, ask: Ask) -> int:
+        raise Ended("the port disappeared", error=True, line_works=False)
+
+
+def test_the_fixtures_robot_tells_of_a_lost_line_in_the_links_own_words(
+    protocol: Protocol,
+) -> None:
+    with pytest.raises(RobotError, match=r"^the port disappeared$"):
+        Client(protocol, GoneLink(), sees=False).home()
 
 
 # -- leaving --------------------------------------------------------------------------------------
