@@ -6,48 +6,13 @@ and power pass through it unharmed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from random import Random
 
+from analyzer.noise import Noise
 from captures.schemas import Look
 from conformance.drive import Device
 
-_BITS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """How likely (0 to 1) a byte on the line is flipped in one bit, dropped, or doubled.
-
-    Raises ValueError for a probability outside 0 to 1, and if together they exceed 1.
-    """
-
-    flipped: float = 0.0
-    dropped: float = 0.0
-    doubled: float = 0.0
-
-    def __post_init__(self) -> None:
-        chances = (self.flipped, self.dropped, self.doubled)
-        if min(chances) < 0 or sum(chances) > 1:
-            raise ValueError(
-                f"the noise is {self.flipped:g} flipped, {self.dropped:g} dropped and "
-                f"{self.doubled:g} doubled; each is 0 to 1, and all of them together at most 1"
-            )
-
-    def over(self, data: bytes, chance: Random) -> bytes:
-        """What arrives of the bytes that were sent."""
-        arrived = bytearray()
-        for byte in data:
-            drawn = chance.random()
-            if drawn < self.flipped:
-                arrived.append(byte ^ 1 << chance.randrange(_BITS))
-            elif drawn < self.flipped + self.dropped:
-                continue
-            elif drawn < self.flipped + self.dropped + self.doubled:
-                arrived += bytes([byte, byte])
-            else:
-                arrived.append(byte)
-        return bytes(arrived)
+__all__ = ["Noise", "NoisyDevice"]
 
 
 class NoisyDevice:

@@ -1,0 +1,130 @@
+"""`bilprov line`: a line between two ends that drops, flips, doubles and delays bytes."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, TypeVar
+
+import rich_click as click
+
+from analyzer.faulty_line import LONGEST, Lane, LineFaults
+from analyzer.grammar_file import load_protocol
+from analyzer.joining import join
+from analyzer.line_ends import End, open_end, require_two_ends
+from analyzer.line_settings import LineSettings
+from analyzer.noise import Noise
+from analyzer.options import line_options, line_settings, note
+from analyzer.stopping import Stopper
+
+_TIME = re.compile(r"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)\s*(ms|s|)", re.ASCII | re.IGNORECASE)
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def nanoseconds(text: str) -> int:
+    """A time as people write it (`5ms`, `0.2s`, or a number of ms) in ns. Raises ValueError."""
+    match = _TIME.fullmatch(text.strip())
+    value = float(match[1]) * (1e9 if match[2].lower() == "s" else 1e6) if match else math.inf
+    if value > LONGEST:
+        raise ValueError(
+            f"{text!r} is no such time; write 5ms, 0.2s or a number of milliseconds, "
+            f"from 0 to {LONGEST // 10**9}s"
+        )
+    return round(value)
+
+
+def _in_ns(ctx: click.Context, param: click.Parameter, value: str) -> int:
+    try:
+        return nanoseconds(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from error
+
+
+def _rate(name: str, text: str, default: float = 0.0) -> Callable[[Command], Command]:
+    kind = click.FloatRange(0, 1)
+    return click.option(name, metavar="RATE", type=kind, default=default, help=text)
+
+
+def _time(name: str, text: str) -> Callable[[Command], Command]:
+    return click.option(name, metavar="TIME", default="0", callback=_in_ns, help=text)
+
+
+@click.command()
+@click.argument("a", metavar="A")
+@click.argument("b", metavar="B")
+@_rate("--drop", "Bytes that vanish.")
+@_rate("--flip", "Bytes with one bit turned over.")
+@_rate("--double", "Bytes that come twice.")
+@_time("--delay", "How long late bytes are held back.")
+@_time("--jitter", "And up to this much longer.")
+@_rate("--late", "Bytes that are late; all of them unless given.", 1.0)
+@click.option("--seed", type=int, default=1, show_default=True, help="Which bytes it hits.")
+@line_options
+@click.pass_obj
+def line(
+    grammar: str | None,
+    a: str,
+    b: str,
+    drop: float,
+    flip: float,
+    double: float,
+    delay: int,
+    jitter: int,
+    late: float,
+    seed: int,
+    baud: int | None,
+    parity: str | None,
+    stopbits: str | None,
+) -> int:
+    """Join A and B by a bad line: bytes go both ways, and some are lost, changed, doubled or late.
+
+    A and B are each a device that is opened (a path or a pyserial URL), pty (a pseudo terminal is
+    made for a program to open), or listen:HOST:PORT (raw TCP is served; port 0: any). What was made
+    is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
+    every byte passes unchanged and at once.
+
+    A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
+    or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
+    give the same faults, in each direction by itself.
+
+    To try a device behind it: bilprov line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty, and then
+    bilprov conform with the path that is printed.
+
+    Ends by Ctrl-C or SIGTERM with 0, by an end that is lost with 2; either way standard error says
+    how many bytes went each way, and what happened to how many of them.
+    """
+    try:
+        require_two_ends(a, b)
+        faults = LineFaults(Noise(flip, drop, double), delay, jitter, late)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    settings = line_settings(load_protocol(grammar), baud, parity, stopbits)
+    there, back = Lane(faults, seed, "A to B"), Lane(faults, seed, "B to A")
+    with Stopper() as stopper, ExitStack() as stack:
+        ends = _opened((a, b), settings, stack)
+        try:
+            join(ends, (there, back), stop=stopper, note=note)
+        finally:
+            note(f"{there.account()}; {back.account()}")
+    return 0
+
+
+def _opened(names: tuple[str, str], settings: LineSettings, stack: ExitStack) -> tuple[End, End]:
+    """Open both ends, and say by which names the ones that were made are opened."""
+
+    def opened(name: str) -> End:
+        try:
+            end = open_end(name, settings)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        stack.callback(end.close)
+        return end
+
+    ends = opened(names[0]), opened(names[1])
+    for end in ends:
+        if end.served:
+            click.echo(end.served)
+    return ends
