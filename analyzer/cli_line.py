@@ -84,7 +84,8 @@ def line(
     A and B are each a device that is opened (a path or a pyserial URL), pty (a pseudo terminal is
     made for a program to open), or listen:HOST:PORT (raw TCP is served; port 0: any). What was made
     is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
-    every byte passes unchanged and at once.
+    every byte passes unchanged and at once. What arrives at a listening end without a client is
+    gone; at a pty it waits for the program that opens it, as in a driver's buffer.
 
     A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
     or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
@@ -105,6 +106,8 @@ def line(
     there, back = Lane(faults, seed, "A to B"), Lane(faults, seed, "B to A")
     with Stopper() as stopper, ExitStack() as stack:
         ends = _opened((a, b), settings, stack)
+        if not any(end.served for end in ends):  # else what was printed says that it is ready
+            note(f"{a} and {b} are joined")
         try:
             join(ends, (there, back), stop=stopper, note=note)
         finally:

@@ -78,7 +78,8 @@ def join(
     """Carry bytes from the first end through the first lane to the second, and back by the second.
 
     Returns once `stop` is readable. `note` gets a sentence when a peer does not read. Raises the
-    LinkError of an end that was lost, after what had come from it has been handed on.
+    LinkError of an end that was lost, after what had come from it has been handed on; of that a pty
+    keeps nothing that its program has not read when it is closed.
     """
     a, b = _Side(ends[0]), _Side(ends[1])
     ways = _Way(a, lanes[0], b), _Way(b, lanes[1], a)

@@ -1,0 +1,439 @@
+"""A bad line: what it does is seeded, in order and in time, and the command does just that."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+from collections.abc import Iterable, Sequence
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from analyzer.faulty_line import LONGEST, Lane, LineFaults
+from analyzer.line_ends import ListeningEnd
+from analyzer.noise import Noise
+from analyzer.outlets import parse_address
+from analyzer.ports import open_port, open_pty
+from tests.robots import command, sentence, simulate
+from tests.wires import PATIENCE, Running, running
+
+ALL = bytes(range(256))
+MS = 1_000_000
+NEVER = 1 << 62
+
+rates = st.floats(0, 1 / 3)
+noises = st.builds(Noise, rates, rates, rates)
+chunked = st.lists(st.binary(max_size=20), max_size=20)
+
+
+def passed(lane: Lane, pieces: Iterable[bytes]) -> bytes:
+    for piece in pieces:
+        lane.put(piece, 0)
+    return lane.take(NEVER)
+
+
+# what happens to a byte
+
+
+@given(noises, st.integers(), chunked)
+def test_the_same_seed_and_bytes_give_the_same_faults_in_whatever_pieces_they_come(
+    noise: Noise, seed: int, pieces: list[bytes]
+) -> None:
+    faults = LineFaults(noise, delay=5 * MS, jitter=3 * MS, late=0.5)
+    whole, split = Lane(faults, seed, "A to B"), Lane(faults, seed, "A to B")
+
+    assert passed(whole, [b"".join(pieces)]) == passed(split, pieces)
+    assert whole.account() == split.account()
+
+
+@given(noises, st.integers(), st.binary(max_size=300), st.integers(0, 50 * MS), st.floats(0, 1))
+def test_times_do_not_change_which_bytes_are_hit(
+    noise: Noise, seed: int, data: bytes, delay: int, late: float
+) -> None:
+    slow = LineFaults(noise, delay, delay, late)
+
+    assert passed(Lane(slow, seed, "x"), [data]) == passed(
+        Lane(LineFaults(noise), seed, "x"), [data]
+    )
+
+
+@given(noises, st.integers(), st.binary(max_size=300))
+def test_the_account_holds(noise: Noise, seed: int, data: bytes) -> None:
+    lane = Lane(LineFaults(noise), seed, "A to B")
+    arrived = passed(lane, [data])
+
+    assert lane.came == len(data)
+    assert len(arrived) == lane.came - lane.dropped + lane.doubled
+    assert lane.account().startswith(f"A to B: {len(data)} bytes, {lane.dropped} dropped, ")
+    if not lane.dropped and not lane.doubled:
+        bits = [(a ^ b).bit_count() for a, b in zip(data, arrived, strict=True)]
+        assert set(bits) <= {0, 1}
+        assert sum(bits) == lane.flipped
+
+
+@given(noises, st.integers(), st.binary(max_size=300))
+def test_the_line_and_the_noisy_device_have_one_model(noise: Noise, seed: int, data: bytes) -> None:
+    arrived = passed(Lane(LineFaults(noise), seed, "A to B"), [data])
+
+    assert arrived == noise.over(data, Random(f"{seed} harm A to B"))
+
+
+def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
+    faults = LineFaults(Noise(0.1, 0.1, 0.1))
+    lanes = [Lane(faults, seed, way) for seed in (1, 2) for way in ("A to B", "B to A")]
+
+    assert len({passed(lane, [ALL]) for lane in lanes}) == 4
+
+
+def test_faults_come_as_often_as_told() -> None:
+    lane = Lane(LineFaults(Noise(0.02, 0.05, 0.1), delay=1, late=0.3), 1, "A to B")
+    passed(lane, [ALL * 80])
+
+    told = {"flipped": 0.02, "dropped": 0.05, "doubled": 0.1, "delayed": 0.3 * 0.95}
+    for harm, rate in told.items():
+        assert getattr(lane, harm) / lane.came == pytest.approx(rate, rel=0.15), harm
+
+
+def test_a_line_without_faults_passes_everything_at_once() -> None:
+    lane = Lane(LineFaults(), 1, "A to B")
+    lane.put(ALL, 7)
+
+    assert lane.deadline == 7
+    assert lane.take(7) == ALL
+    assert lane.deadline is None
+    assert lane.account() == "A to B: 256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
+
+
+# when it arrives
+
+
+@given(
+    st.integers(),
+    st.lists(st.tuples(st.integers(0, 20 * MS), st.binary(min_size=1, max_size=5)), max_size=30),
+    st.integers(0, 9 * MS),
+    st.integers(0, 9 * MS),
+    st.sampled_from([0.0, 0.3, 1.0]),
+)
+def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
+    seed: int, pieces: list[tuple[int, bytes]], delay: int, jitter: int, late: float
+) -> None:
+    lane = Lane(LineFaults(Noise(), delay, jitter, late), seed, "A to B")
+    now, came, arrived = 0, list[int](), list[int]()
+    sent = b"".join(data for _, data in pieces)
+    got = bytearray()
+
+    def advance(until: int) -> None:
+        while lane.deadline is not None and lane.deadline <= until:
+            at = lane.deadline
+            assert lane.take(at - 1) == b""
+            data = lane.take(at)
+            assert data
+            got.extend(data)
+            arrived.extend([at] * len(data))
+
+    for pause, data in pieces:
+        now += pause
+        advance(now)
+        lane.put(data, now)
+        came.extend([now] * len(data))
+    advance(NEVER)
+
+    assert got == sent
+    least = delay if late == 1.0 else 0
+    for before, after in zip(came, arrived, strict=True):
+        assert least <= after - before <= delay + jitter
+    if late == 0.0 or (late == 1.0 and delay):
+        assert lane.delayed == (len(sent) if late else 0)
+
+
+@pytest.mark.parametrize(
+    ("times", "part"),
+    [
+        ({"late": 1.5}, "the chance to be late is 1.5"),
+        ({"late": float("nan")}, "the chance to be late is nan"),
+        ({"delay": -1}, "delay and jitter are"),
+        ({"delay": LONGEST, "jitter": 1}, "together at most 60 s"),
+    ],
+)
+def test_what_is_no_fault_of_a_line_is_refused(times: dict[str, float], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        LineFaults(Noise(), **times)  # type: ignore[arg-type]
+
+
+def test_a_chance_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="each is 0 to 1"):
+        Noise(dropped=float("nan"))
+
+
+# the ends
+
+
+def connected(name: str) -> socket.socket:
+    peer = socket.create_connection(parse_address(name.removeprefix("socket://")), timeout=PATIENCE)
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return peer
+
+
+def test_a_served_end_sends_small_writes_at_once_and_to_nobody_gone() -> None:
+    end = ListeningEnd("127.0.0.1:0")
+    try:
+        assert end.write_some(b"lost") == 4
+        with connected(end.served) as peer:
+            select.select(end.descriptors(), [], [], PATIENCE)
+            assert end.read() == b""
+            _, client = end.descriptors()
+            with socket.socket(fileno=os.dup(client)) as accepted:
+                assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            assert end.write_some(b"heard") == 5
+            assert peer.recv(99) == b"heard"
+    finally:
+        end.close()
+
+
+# the command
+
+
+class Wire:
+    """Our side of an end: a descriptor to write and to read until enough has come."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+
+    def say(self, data: bytes) -> None:
+        while data:
+            select.select([], [self.descriptor], [], PATIENCE)
+            data = data[os.write(self.descriptor, data) :]
+
+    def hear(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            assert select.select([self.descriptor], [], [], PATIENCE)[0], f"only {data!r} came"
+            more = os.read(self.descriptor, 1 << 16)
+            assert more, f"only {data!r} came"
+            data += more
+        return data
+
+
+def served_by(line: Running, count: int = 1) -> list[str]:
+    names = [line.stdout.readline().decode().strip() for _ in range(count)]
+    assert all(names), line.stderr.read().decode()
+    return names
+
+
+def both_ways(a: Wire, b: Wire) -> None:
+    a.say(ALL)
+    assert b.hear(256) == ALL
+    b.say(ALL[::-1])
+    assert a.hear(256) == ALL[::-1]
+
+
+CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("delay", [[], ["--delay", "2ms", "--jitter", "1"]])
+def test_every_byte_passes_between_a_pty_and_a_tcp_client(
+    how: signal.Signals, delay: Sequence[str]
+) -> None:
+    with running("line", *delay, "pty", "listen:127.0.0.1:0") as line:
+        path, address = served_by(line, 2)
+        assert address.startswith("socket://127.0.0.1:")
+        with open_port(path) as port, connected(address) as peer:
+            both_ways(Wire(port.fileno() or -1), Wire(peer.fileno()))
+            code, out, err = line.end(how)
+    told = CLEAN.replace("0 delayed", "256 delayed") if delay else CLEAN
+    assert (code, out) == (0, b"")
+    assert err.decode() == f"A to B: {told}; B to A: {told}\n"
+
+
+def test_every_byte_passes_between_two_devices() -> None:
+    with open_pty() as a, open_pty() as b, running("line", a.name, b.name, "--seed", "2") as line:
+        assert line.stderr.readline().decode() == f"{a.name} and {b.name} are joined\n"
+        both_ways(Wire(a.master), Wire(b.master))
+        code, out, err = line.end()
+    assert (code, out) == (0, b"")
+    assert err.decode() == f"A to B: {CLEAN}; B to A: {CLEAN}\n"
+
+
+def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
+    noise = ["--drop", ".1", "--flip", ".05", "--double", "2e-1", "--delay", "0.003s"]
+    faults = LineFaults(Noise(0.05, 0.1, 0.2), delay=3 * MS, late=0.25)
+    there, back = Lane(faults, 7, "A to B"), Lane(faults, 7, "B to A")
+    expected = passed(there, [ALL * 4]), passed(back, [ALL * 4])
+    for piece in (1024, 7):
+        ends = "pty", "listen:127.0.0.1:0"
+        with running("line", *noise, "--late", ".25", "--seed", "7", *ends) as line:
+            path, address = served_by(line, 2)
+            with open_port(path) as port, connected(address) as peer:
+                a, b = Wire(port.fileno() or -1), Wire(peer.fileno())
+                for at in range(0, 1024, piece):
+                    a.say((ALL * 4)[at : at + piece])
+                    b.say((ALL * 4)[at : at + piece])
+                heard = b.hear(len(expected[0])), a.hear(len(expected[1]))
+                assert heard == expected
+                _, _, err = line.end()
+        assert err.decode() == f"{there.account()}; {back.account()}\n"
+
+
+def test_one_client_at_a_time_and_the_next_takes_over() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port:
+            far = Wire(port.fileno() or -1)
+            with connected(address) as first:
+                both_ways(Wire(first.fileno()), far)
+                with connected(address) as second:
+                    assert second.recv(1) == b""
+                first.sendall(b"1")
+                assert far.hear(1) == b"1"
+            with connected(address) as third:
+                both_ways(Wire(third.fileno()), far)
+
+
+def test_a_client_that_only_ended_its_sending_still_hears() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty", "--delay", "20") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port, connected(address) as client:
+            client.sendall(b"asked")
+            client.shutdown(socket.SHUT_WR)
+            assert Wire(port.fileno() or -1).hear(5) == b"asked"
+            port.write(b"answered")
+            assert Wire(client.fileno()).hear(8) == b"answered"
+
+
+def test_who_does_not_read_holds_up_nobody() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port, connected(address) as client:
+            Wire(client.fileno()).say(bytes(200_000))
+            port.write(b"still here")
+            assert Wire(client.fileno()).hear(10) == b"still here"
+            assert select.select([line.stderr], [], [], PATIENCE)[0]
+            assert b"nobody reads what goes from A to B" in line.stderr.readline()
+            assert line.end()[0] == 0
+
+
+@pytest.mark.parametrize("lost", ["A", "B"])
+def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        name = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        served = "listen:127.0.0.1:0"
+        ends = [name, served] if lost == "A" else [served, name]
+        with running("line", *ends, "--delay", "50ms") as line:
+            (address,) = served_by(line)
+            device, _ = server.accept()
+            with connected(address) as client:
+                both_ways(Wire(client.fileno()), Wire(device.fileno()))
+                device.sendall(b"last words")
+                device.close()
+                assert Wire(client.fileno()).hear(10) == b"last words"
+                code, out, err = line.result()
+    account, why = err.decode().splitlines()
+    assert (code, out) == (2, b"")
+    assert f"{lost} to {'B' if lost == 'A' else 'A'}: 266 bytes, 0 dropped" in account
+    assert "266 delayed" in account
+    assert why == (
+        f"bilprov: {name} was closed by the other side; is the program that serves it running?"
+    )
+
+
+def test_an_unplugged_device_is_two() -> None:
+    pair = open_pty()
+    with running("line", pair.name, "pty") as line:
+        (path,) = served_by(line)
+        with open_port(path) as port:
+            both_ways(Wire(pair.master), Wire(port.fileno() or -1))
+            pair.close()
+            code, _, err = line.result()
+    assert code == 2
+    assert err.decode().splitlines()[-1] == (
+        f"bilprov: {pair.name} disappeared while it was in use; plug it in again and start anew"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
+        ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
+        ("--double often pty pty", "'--double': 'often' is not a valid float"),
+        ("--drop nan pty pty", "each is 0 to 1"),
+        ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
+        ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
+        ("--delay 5parsecs pty pty", "'5parsecs' is no such time; write 5ms, 0.2s or a number"),
+        ("--delay -5 pty pty", "'-5' is no such time"),
+        ("--delay 61s pty pty", "from 0 to 60s"),
+        ("--jitter 9e99 pty pty", "'9e99' is no such time"),
+        ("--jitter nan pty pty", "'nan' is no such time"),
+        ("--delay 40s --jitter 40s pty pty", "together at most 60 s"),
+        ("pty", "missing argument 'B'"),
+        ("pty pty pty", "got unexpected extra argument (pty)"),
+        ("listen:nowhere pty", "the address is 'nowhere', allowed is HOST:PORT"),
+        ("pty listen:", "the address is '', allowed is HOST:PORT"),
+        ("/dev/null /dev/../dev/null", "both ends are /dev/../dev/null; a line joins two"),
+        ("socket://h:1 socket://h:1", "both ends are socket://h:1"),
+        ("/dev/no-such-port pty", "there is no /dev/no-such-port"),
+        ("pty socket://127.0.0.1", "is not a usable address"),
+    ],
+)
+def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
+    result = command("line", *arguments.split())
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert len(result.stderr.splitlines()) == 1
+    assert part in sentence(result)
+
+
+def test_the_help_is_enough_to_use_it() -> None:
+    told = " ".join(command("line", "--help").stdout.decode().split())
+    for part in ("pty", "listen:HOST:PORT", "5ms, 0.2s", "bilprov conform", "SIGTERM"):
+        assert part in told
+    assert "line" in command("--help").stdout.decode()
+
+
+# the suite over the line
+
+
+def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[int, str, str]:
+    """Run the suite over a line with these faults; gives its exit code, its words, the account."""
+    with simulate(*robot) as served, running("line", *faults, served.port, "pty") as line:
+        (path,) = served_by(line)
+        globs = [word for glob in only for word in ("--only", glob)]
+        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
+        result = command("conform", path, *probe, *globs)
+        _, _, account = line.end()
+    told = (result.stdout + result.stderr).decode()
+    return result.returncode, told, account.decode()
+
+
+def test_the_reference_conforms_over_a_clean_line() -> None:
+    code, told, account = conform_over([], [], "valid/*", "bad-data/*")
+    assert code == 0, told
+    assert account.count("0 dropped, 0 flipped, 0 doubled, 0 delayed") == 2
+
+
+def test_the_reference_conforms_over_a_slow_line() -> None:
+    code, told, _ = conform_over([], ["--delay", "5ms"], "valid/*", "bad-data/*")
+    assert code == 0, told
+
+
+def test_a_line_with_strong_drops_never_fails_the_reference() -> None:
+    code, told, account = conform_over([], ["--drop", "5e-3"], "valid/LED/*")
+    assert code in (2, 3), told
+    assert "0 dropped, 0 flipped, 0 doubled, 0 delayed; B to A" not in account
+
+
+def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
+    code, told, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
+    assert code == 2, told
+    assert "nobody answered" in told
+
+
+@pytest.mark.parametrize("fault", ["no-stop-on-bad-data", "ok-to-bad-data"])
+def test_a_bad_line_never_lets_a_faulty_robot_pass(fault: str) -> None:
+    faults = ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"]
+    code, told, _ = conform_over(["--fault", fault], faults, "bad-data/LED/8")
+    assert code in (1, 3), told
