@@ -6,7 +6,9 @@ import os
 import select
 import signal
 import socket
-from collections.abc import Iterable, Sequence
+import termios
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from random import Random
 
 import pytest
@@ -14,10 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer.faulty_line import LONGEST, Lane, LineFaults
+from analyzer.joining import join
 from analyzer.line_ends import ListeningEnd
 from analyzer.noise import Noise
 from analyzer.outlets import parse_address
-from analyzer.ports import open_port, open_pty
+from analyzer.ports import LinkError, open_port, open_pty
+from analyzer.stopping import Stopper
 from tests.robots import command, sentence, simulate
 from tests.wires import PATIENCE, Running, running
 
@@ -231,6 +235,16 @@ def both_ways(a: Wire, b: Wire) -> None:
     assert a.hear(256) == ALL[::-1]
 
 
+@contextmanager
+def opened_as_it_is(path: str) -> Iterator[int]:
+    """The pty as a program finds it that sets nothing: a cooked one would eat 0x03 and 0x11."""
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
 CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 
 
@@ -242,19 +256,26 @@ def test_every_byte_passes_between_a_pty_and_a_tcp_client(
     with running("line", *delay, "pty", "listen:127.0.0.1:0") as line:
         path, address = served_by(line, 2)
         assert address.startswith("socket://127.0.0.1:")
-        with open_port(path) as port, connected(address) as peer:
-            both_ways(Wire(port.fileno() or -1), Wire(peer.fileno()))
+        with opened_as_it_is(path) as port, connected(address) as peer:
+            both_ways(Wire(port), Wire(peer.fileno()))
             code, out, err = line.end(how)
     told = CLEAN.replace("0 delayed", "256 delayed") if delay else CLEAN
     assert (code, out) == (0, b"")
     assert err.decode() == f"A to B: {told}; B to A: {told}\n"
 
 
-def test_every_byte_passes_between_two_devices() -> None:
-    with open_pty() as a, open_pty() as b, running("line", a.name, b.name, "--seed", "2") as line:
-        assert line.stderr.readline().decode() == f"{a.name} and {b.name} are joined\n"
-        both_ways(Wire(a.master), Wire(b.master))
-        code, out, err = line.end()
+def test_every_byte_passes_between_two_devices_that_were_cooked() -> None:
+    descriptors = [*os.openpty(), *os.openpty()]
+    (near, a, far, b), names = descriptors, [os.ttyname(fd) for fd in descriptors[1::2]]
+    try:
+        assert all(termios.tcgetattr(fd)[3] & termios.ICANON for fd in (a, b))
+        with running("line", *names, "--seed", "2") as line:
+            assert line.stderr.readline().decode() == f"{names[0]} and {names[1]} are joined\n"
+            both_ways(Wire(near), Wire(far))
+            code, out, err = line.end()
+    finally:
+        for descriptor in descriptors:
+            os.close(descriptor)
     assert (code, out) == (0, b"")
     assert err.decode() == f"A to B: {CLEAN}; B to A: {CLEAN}\n"
 
@@ -353,6 +374,36 @@ def test_an_unplugged_device_is_two() -> None:
     assert err.decode().splitlines()[-1] == (
         f"bilprov: {pair.name} disappeared while it was in use; plug it in again and start anew"
     )
+
+
+class Deaf(ListeningEnd):
+    """An end that fails when it is written to, while its last words are still to be read."""
+
+    def __init__(self) -> None:
+        super().__init__("127.0.0.1:0")
+        self.left = [b"last words"]
+        self.failed = False
+
+    def read(self) -> bytes:
+        return self.left.pop() if self.failed and self.left else b""
+
+    def write_some(self, data: bytes) -> int:
+        self.failed = True
+        raise LinkError("it takes nothing any more")
+
+
+def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None:
+    deaf, end = Deaf(), ListeningEnd("127.0.0.1:0")
+    lanes = Lane(LineFaults(), 1, "A to B"), Lane(LineFaults(), 1, "B to A")
+    try:
+        with Stopper() as stopper, connected(end.served) as client:
+            client.sendall(b"asked")
+            with pytest.raises(LinkError, match="it takes nothing any more"):
+                join((deaf, end), lanes, stop=stopper, note=pytest.fail)
+            assert Wire(client.fileno()).hear(10) == b"last words"
+    finally:
+        deaf.close()
+        end.close()
 
 
 @pytest.mark.parametrize(
