@@ -9,6 +9,7 @@ from __future__ import annotations
 from conformance.asks import Heard, Script, listen, power_cycle, see, send
 from conformance.cases import Case, special
 from conformance.choices import LOSING
+from conformance.homing import pad
 from conformance.judging import (
     NOT_OBSERVABLE,
     answer_words,
@@ -89,6 +90,32 @@ def calibrate(run: Run) -> Script[None]:
         times.sort()
         run.profile.round_trip = times[len(times) // 2]
         run.profile.jitter = times[-1] - times[0]
+        yield from _ahead(run)
+
+
+def _ahead(run: Run) -> Script[None]:
+    """Whether stops that are sent ahead of their answers are each answered.
+
+    A device that loses them is homed one stop at a time from then on.
+    """
+    if "pipelining" in run.profile.choices.allowed:
+        run.profile.one_by_one = True
+        return
+    due, short = run.protocol.longest_frame, list[int]()
+    for _ in range(_TRIES):
+        yield from send(pad(run))
+        heard = yield from run.all_answers(due)
+        if len(heard.answers) < due:
+            short.append(len(heard.answers))
+    if len(short) < _TRIES:
+        run.between.lost(sum(due - count for count in short))
+        return
+    run.profile.one_by_one = True
+    clause, requirement = run.protocol.clauses.responses, "instructions sent ahead are answered too"
+    case = special(run.protocol, "line/pipelining", clause, requirement, pad(run), "R-pipelining")
+    words = f"{max(short)} answers to {due} stops sent at once"
+    reason = f"loses answers: {words}, in each of {_TRIES} tries"
+    run.end(case, {"answer": Axis(Verdict.FAIL, f"{due} answers", words, reason, "R-pipelining")})
 
 
 def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Script[Axis]:
@@ -175,7 +202,13 @@ def _second_power_on(run: Run) -> Script[None]:
 def _from_power_on(run: Run, case: Case) -> Script[tuple[dict[str, Axis], Heard, int]]:
     """Switch it off and on, and make the case's exchange: its axes, what came, when it had gone."""
     yield from power_cycle()
-    heard, sent = yield from _exchange(run, case, run.limits.boot)
+    if (run.profile.boot or 0) > run.limits.deadline:
+        # It took its time at first. Left alone for twice as long it is awake, if that was why.
+        yield from listen(None, 2 * (run.profile.boot or 0))
+        sent = yield from send(case.stimulus)
+        heard = yield from run.all_answers(2, run.limits.deadline)
+    else:
+        heard, sent = yield from _exchange(run, case, run.limits.boot)
     if _chatter(case, heard):
         yield from listen(None, run.limits.deadline)
         heard, sent = yield from _exchange(run, case, run.limits.boot)

@@ -42,7 +42,8 @@ def home(run: Run) -> Script[None]:
     slow = run.profile.slowest > _SLOW and run.in_step
     between_frames = run.in_step or not run.open_id
     lost = 0
-    for count in (1, due, due) if slow else (due, due):
+    at_once = (1, due, due) if slow else (due, due)
+    for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience)
         if len(got) > count:

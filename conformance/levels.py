@@ -15,6 +15,7 @@ from conformance.steps import Class
 from conformance.sweeps import (
     bad_data_sweep,
     data_sweep,
+    dense,
     faults_alone,
     faults_in_a_row,
     header_sweep,
@@ -121,6 +122,8 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
 
 def _walks(protocol: Protocol, level: Level, seed: int) -> Iterator[Walk]:
     tours = Tours(protocol, seed)
+    if level.sweeps:
+        yield dense(protocol)
     for number in range(level.tours):
         yield tours.waited("tour", number + 1, cuts=level.cuts if number % 2 else 0)
     for number in range(level.alone):

@@ -15,8 +15,9 @@ class Profile:
     `flushes` is true for a device that throws away what follows a fault until the line is idle,
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
     was seen to stop, `watchdog` after what silence it stopped by itself, `boot` what the first
-    answer took; `round_trip` and `jitter` are the line's and the device's together. `choices` are
-    what it has shown where the document is silent.
+    answer took; `one_by_one` is true where instructions that are sent ahead are lost. `round_trip`
+    and `jitter` are the line's and the device's together. `choices` are what it has shown where the
+    document is silent.
     """
 
     truncation_timeout: int | None = None
@@ -30,6 +31,7 @@ class Profile:
     jitter: int | None = None
     boot: int | None = None
     stop_latency: int = 0
+    one_by_one: bool = False
     choices: Choices = field(default_factory=Choices)
 
     def measured(self, heard: Heard, sent: int) -> None:

@@ -12,6 +12,7 @@ from conformance.levels import AnyCase
 BY_THEMSELVES = (
     "line/unsolicited",
     "line/lost",
+    "line/pipelining",
     "power-on/lost",
     "power-on/first-fault",
     "leave/stopped",

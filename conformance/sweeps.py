@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from itertools import cycle, islice
 from typing import TypeVar
 
 from conformance.cases import moving_motions
@@ -18,6 +18,7 @@ from spec.protocol import Protocol
 T = TypeVar("T")
 
 _LENGTH = 64  # bursts of a walk
+_ROW, _ROWS = 150, 4  # instructions sent at once: more than a ring of 128 bytes holds
 
 
 def data_sweep(protocol: Protocol) -> Iterator[Walk]:
@@ -64,6 +65,14 @@ def header_sweep(protocol: Protocol) -> Iterator[Walk]:
             what = "every header with the data it announces gets its answer, and stops if faulty"
             name = f"sequence/headers/{headers[0]:02x}-{turn + 1}"
             yield _walk(protocol, name, what, motion, list(_driven(go, steps, again)))
+
+
+def dense(protocol: Protocol) -> Walk:
+    """Instructions without data in long rows: as many answers as bytes, which fill every buffer."""
+    steps = cycle(valid(protocol, spec, {}) for spec in protocol.instructions if not spec.length)
+    bursts = [Burst(tuple(islice(steps, _ROW))) for _ in range(_ROWS)]
+    what = f"{_ROW} instructions sent at once, each as short as its answer, are all answered"
+    return _walk(protocol, "pipelined/dense", what, Motion.STOPPED, bursts)
 
 
 def faults_in_a_row(protocol: Protocol, seed: int, count: int) -> Walk:
