@@ -1,16 +1,19 @@
-"""The commands that show the protocol: spec show, spec readings, spec errata."""
+"""The commands that show the protocol and write it out: show, readings, errata, emit."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import rich_click as click
 
 from analyzer.format_option import output_format
 from analyzer.show import show, show_json
+from analyzer.whole_file import write_whole
 
 
 @click.group()
 def spec() -> None:
-    """Show the protocol, how its document is read, and where the document is wrong."""
+    """Show the protocol, how its document is read, and where it is wrong; write it for others."""
 
 
 @spec.command("show")
@@ -77,3 +80,34 @@ def spec_errata(grammar: str | None, style: str) -> None:
         show_json(errata_json(findings))
     else:
         show(*drawn_errata(protocol, findings))
+
+
+@spec.group("emit")
+def spec_emit() -> None:
+    """Write the protocol for other programs, made out of the grammar in use."""
+
+
+@spec_emit.command("c")
+@click.option("-o", "--output", metavar="FILE", help="Where to; standard output if left out.")
+@click.pass_obj
+def spec_emit_c(grammar: str | None, output: str | None) -> None:
+    """A C header with the protocol's constants, for firmware and for hosts.
+
+    Example: bilprov spec emit c -o protocol.h
+    """
+    from analyzer.grammar_file import load_protocol
+    from spec.emit.c import c_header
+
+    _deliver(c_header(load_protocol(grammar)), output)
+
+
+def _deliver(text: str, output: str | None) -> None:
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    try:
+        write_whole(Path(output), text.encode())
+    except OSError as error:
+        raise click.UsageError(
+            f"{output} cannot be written ({error.strerror}): name a file in a folder that exists"
+        ) from error

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import rich_click as click
 
+from analyzer.whole_file import write_whole
 from conformance.report import Report, as_json
 from spec.protocol import Protocol
 
@@ -144,24 +143,3 @@ def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Prot
             failed.append(error)
     if failed:
         raise failed[0]
-
-
-def write_whole(file: Path, data: bytes) -> None:
-    """Write a file so that nobody ever meets half of it: beside it first, then in its place.
-
-    A pipe or a terminal is written to as it is. Raises OSError.
-    """
-    file = file.resolve()
-    if file.exists() and not file.is_file():
-        file.write_bytes(data)
-        return
-    part = file.with_name(f".{file.name[:200]}.{os.getpid()}.part")
-    try:
-        part.write_bytes(data)
-        if file.exists():
-            shutil.copymode(file, part)
-        part.replace(file)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise

@@ -14,8 +14,9 @@ import pytest
 import rich_click as click
 from msgspec.structs import replace
 
+from analyzer.whole_file import write_whole
 from conformance.expected import Comparison
-from conformance.outputs import Output, require_writable, write_whole
+from conformance.outputs import Output, require_writable
 from conformance.read_report import read_report
 from conformance.report import Report, as_json, reproduce
 from conformance.side_by_side import names, rows

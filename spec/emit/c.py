@@ -1,0 +1,112 @@
+"""A C header: the protocol's constants, for firmware and for hosts written in C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from spec.fields import Outcome
+from spec.protocol import FieldSpec, InstructionSpec, Protocol
+
+Line = tuple[str, str, str]
+"""A constant: its name, its value and what it is."""
+
+
+def c_header(protocol: Protocol) -> str:
+    """The header's text, C90 and C++: nothing but constants, all with the protocol's prefix."""
+    prefix = _word(protocol.name)
+    parts = [
+        ("The frame", _frame(protocol)),
+        *(
+            (f"{spec.id}: {spec.name}", _instruction(protocol, spec))
+            for spec in protocol.instructions
+        ),
+        ("Answers, one byte each", _answers(protocol)),
+        ("Which answer is due", _outcomes(protocol)),
+        ("Times in ms, and the line", _times(protocol)),
+    ]
+    lines = [
+        f"/* {_plain(protocol.document)}",
+        f" * {protocol.name} {protocol.version}, grammar sha256 {protocol.sha256}",
+        " * Made out of the grammar by `bilprov spec emit c`: change that, not this. */",
+        f"#ifndef {prefix}_PROTOCOL_H",
+        f"#define {prefix}_PROTOCOL_H",
+    ]
+    for title, constants in parts:
+        lines += ["", f"/* {_plain(title)} */"]
+        lines += [_define(prefix, *line) for line in constants]
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+def _frame(protocol: Protocol) -> Iterator[Line]:
+    shift = 8
+    for name, width, prose in protocol.header_bits:
+        shift -= width
+        yield f"{_word(name)}_SHIFT", str(shift), prose
+        yield f"{_word(name)}_MASK", _hex(((1 << width) - 1) << shift), ""
+    yield "MAX_DATA", str(max(protocol.lengths)), "data bytes that a header can announce"
+    yield "MAX_FRAME", str(protocol.longest_frame), "bytes of the longest frame"
+    yield "FILLER", _hex(protocol.filler), "the only byte that is safe to pad with: it stops"
+
+
+def _instruction(protocol: Protocol, spec: InstructionSpec) -> Iterator[Line]:
+    name = _word(spec.name)
+    yield f"{name}_ID", str(spec.id), spec.prose
+    yield f"{name}_LENGTH", str(spec.length), "data bytes"
+    yield name, _hex(protocol.header_bytes[spec.id, spec.length]), "header byte"
+    for field in spec.fields:
+        yield from _field(name, field)
+
+
+def _field(instruction: str, field: FieldSpec) -> Iterator[Line]:
+    name = f"{instruction}_{_word(field.name)}"
+    yield f"{name}_OFFSET", str(field.offset), field.prose
+    if field.size != 1:
+        yield f"{name}_SIZE", str(field.size), "bytes"
+    yield f"{name}_MIN", str(field.low), ""
+    yield f"{name}_MAX", str(field.high), ""
+    for place, bit in enumerate(reversed(field.bits)):
+        yield f"{name}_{_word(bit)}", _hex(1 << place), ""
+
+
+def _answers(protocol: Protocol) -> Iterator[Line]:
+    for response in protocol.responses:
+        yield f"ANSWER_{_word(response.name)}", _hex(response.code), response.prose
+
+
+def _outcomes(protocol: Protocol) -> Iterator[Line]:
+    for outcome in Outcome:
+        if outcome in protocol.answers:
+            yield f"ON_{_word(outcome.name)}", _hex(protocol.answers[outcome].code), ""
+
+
+def _times(protocol: Protocol) -> Iterator[Line]:
+    timing, line = protocol.timing, protocol.line
+    yield (
+        "TRUNCATION_TIMEOUT_MS",
+        f"{timing.truncation_timeout:g}",
+        "a pause inside a frame ends it",
+    )
+    yield "ANSWER_DEADLINE_MS", f"{timing.answer_deadline:g}", ""
+    yield "STOP_LONGEST_MS", f"{timing.stop_longest:g}", "after a faulty instruction"
+    yield "BAUD", str(line.baud), f"parity {line.parity}, {line.stopbits:g} stop bit"
+
+
+def _define(prefix: str, name: str, value: str, prose: str) -> str:
+    said = f" /* {_plain(prose)} */" if prose else ""
+    return f"#define {prefix}_{name} {value}{said}"
+
+
+def _word(name: str) -> str:
+    """A name as part of a C constant: RotateRight is ROTATE_RIGHT."""
+    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    return re.sub(r"[^A-Za-z0-9]+", "_", parted).strip("_").upper()
+
+
+def _hex(value: int) -> str:
+    return f"0x{value:02x}"
+
+
+def _plain(text: str) -> str:
+    """Text that cannot end a comment, nor begin another."""
+    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
