@@ -19,6 +19,7 @@ SENTENCES = (
     ("analyzer.filters", "FilterError"),
     ("captures.errors", "CaptureError"),
     ("conformance.probes", "ProbeError"),
+    ("conformance.boards.emulator", "EmulatorError"),
     ("conformance.expected", "ExpectedError"),
     ("conformance.parts", "MergeError"),
 )

@@ -15,7 +15,9 @@ from analyzer.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
 from analyzer.options import line_options, line_settings, note
 from analyzer.ports import open_port
+from analyzer.whole_file import write_whole
 from conformance.api import Options, always, estimated_seconds, select_cases
+from conformance.boards.named import board_named
 from conformance.choices import parse_allowed
 from conformance.device_option import named_device
 from conformance.expect_option import (
@@ -32,7 +34,6 @@ from conformance.outputs import (
     report_options,
     require_writable,
     wanted,
-    write_whole,
 )
 from conformance.probes import open_probe
 from conformance.profile_file import profile_text, read_profile
@@ -49,7 +50,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 
 
 @click.command()
-@click.argument("target", metavar="PORT|sim")
+@click.argument("target", metavar="PORT|sim|emulator:KIND:FIRMWARE")
 @click.option(
     "--probe",
     help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, modem:LINE, ask, none (a port's unless "
@@ -144,8 +145,9 @@ def conform(
     """Test a device against the document: its answers, its safety stop, its state.
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
-    virtual time. Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3
-    nothing failed but something could not be judged.
+    virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
+    Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
+    something could not be judged.
     """
     protocol = load_protocol(grammar)
     options = Options(
@@ -163,24 +165,27 @@ def conform(
     )
     given = read_profile(protocol, profile_path, allow)
     options = replace(options, profile=given)
-    virtual = target == SIM
     try:
+        board = board_named(target)
         parse_allowed(protocol, allow)
         options = replace(options, shard=shard_named(shard) if shard is not None else None)
         cases = select_cases(protocol, options)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
+    virtual = target == SIM or bool(board and board.virtual)
     if listing:
         chosen = matching(only or "*")
         for case in filter(lambda case: chosen(case.id), (*always(protocol), *cases)):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
-    if virtual and probe not in (None, SIM):
-        raise click.UsageError(f"the target sim brings its own probe; --probe {probe} is for ports")
-    if not virtual and (fault or variant):
+    if (virtual or board) and probe not in (None, SIM):
+        raise click.UsageError(
+            f"the target {target} brings its own probe; --probe {probe} is for ports"
+        )
+    if target != SIM and (fault or variant):
         option = "--fault" if fault else "--variant"
         raise click.UsageError(f"{option} is for the target sim; start `bilprov simulate {option}`")
-    if power is not None and (virtual or not power.startswith("exec:")):
+    if power is not None and (virtual or board or not power.startswith("exec:")):
         raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
     fresh = profile_path if not given else None
     outputs = wanted({"json": json_path, "junit": junit, "markdown": markdown, "html": html})
@@ -188,7 +193,9 @@ def conform(
     known = expected_file(protocol, options, expect_failures, update=update_expected)
     job = Job(protocol, options, record, power and power.removeprefix("exec:"))
     with ExitStack() as stack:
-        if virtual:
+        if board:
+            report = job.on_board(stack, board, target, len(cases))
+        elif virtual:
             device = Simulator(protocol, named_device(protocol, fault, variant))
             report = job.on_simulator(stack, device, len(cases))
         else:

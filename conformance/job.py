@@ -7,11 +7,14 @@ from contextlib import ExitStack
 
 from analyzer.options import line_settings, timeout_in_ns
 from analyzer.port import Port
+from analyzer.ports import open_port
 from analyzer.recording import session_metadata
 from analyzer.session import Session
 from analyzer.stopping import Stopper
 from captures.errors import CaptureError
 from conformance.api import Options, conform, conform_port
+from conformance.boards.named import BoardName
+from conformance.drive import Device
 from conformance.probes import Probe
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
@@ -40,10 +43,31 @@ class Job:
         return self._tap.broken if self._tap else None
 
     def on_simulator(self, stack: ExitStack, device: Simulator, count: int) -> Report:
-        """Run in virtual time."""
+        """Run the built-in simulator, in virtual time."""
+        fault = None if device.fault is CONFORMING else device.fault.name
+        return self._in_virtual_time(stack, device, count, SIM, fault)
+
+    def on_board(self, stack: ExitStack, board: BoardName, name: str, count: int) -> Report:
+        """Run an emulated board: it is its own probe, and nothing moves. Raises EmulatorError."""
+        if board.virtual:
+            from conformance.boards.simavr import SimavrBoard
+
+            device = SimavrBoard(board.firmware)
+            stack.callback(device.close)
+            return self._in_virtual_time(stack, device, count, name)
+        from conformance.boards.qemu import QemuBoard
+
+        running = stack.enter_context(QemuBoard(board.firmware))
+        settings = line_settings(self._protocol, None, None, None)
+        port = stack.enter_context(open_port(running.url, settings))
+        return self.on_port(stack, port, running, board.kind, count)
+
+    def _in_virtual_time(
+        self, stack: ExitStack, device: Device, count: int, name: str, fault: str | None = None
+    ) -> Report:
         stopper = stack.enter_context(Stopper())
         line = line_settings(self._protocol, None, None, None)
-        tap = self._recorder(stack, SIM, str(line))
+        tap = self._recorder(stack, name, str(line))
         return conform(
             device,
             grammar=self._protocol,
@@ -51,7 +75,8 @@ class Job:
             watcher=stack.enter_context(Progress(count, tap)),
             tap=tap,
             interrupted=lambda: stopper.stopped or str(self.broken or ""),
-            fault=None if device.fault is CONFORMING else device.fault.name,
+            name=name,
+            fault=fault,
         )
 
     def on_port(

@@ -7,7 +7,7 @@ itself tested on a snippet that breaks it and on one that does not.
 from __future__ import annotations
 
 import ast
-import re
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -234,12 +234,14 @@ def test_every_room_of_the_house_is_walked_through() -> None:
 
 
 def test_every_package_that_is_installed_is_walked_through() -> None:
-    declared = re.search(
-        r"^packages = \[(.*)\]$", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.M
-    )
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = declared["tool"]["setuptools"]["packages"]
 
-    assert declared is not None
-    assert {name.split(".")[0] for name in re.findall(r'"([\w.]+)"', declared[1])} <= set(LAYERS)
+    assert {name.split(".")[0] for name in packages} == set(LAYERS) - {"bilprov"}
+    folders = {
+        file.parent.relative_to(ROOT) for layer in LAYERS for file in ROOT.glob(f"{layer}/**/*.py")
+    }
+    assert {str(folder).replace("/", ".") for folder in folders} == set(packages)
 
 
 BROKEN = [

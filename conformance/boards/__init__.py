@@ -1,0 +1,1 @@
+"""Boards under emulation: real firmware as a device of the kit."""

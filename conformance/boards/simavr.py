@@ -1,0 +1,79 @@
+"""An Arduino Uno under simavr: in process, in virtual time, the same every time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from captures.schemas import Look
+from conformance.boards import uno
+from conformance.boards.libsimavr import Avr
+
+_NS = 1_000_000_000
+_BUSY, _IDLE = 20_000, 500_000  # ns between two looks at what it sends
+_SOON = 3_000_000  # ns after a byte in which it may answer
+_BOOT = 20_000_000  # ns that it has had its power when the line is first used
+
+
+class SimavrBoard:
+    """A board with its firmware, as a device under test: times are integers in nanoseconds.
+
+    Raises EmulatorError, in one sentence, where simavr is missing or cannot load the file.
+    """
+
+    def __init__(self, firmware: Path) -> None:
+        self._firmware = firmware
+        self._avr: Avr | None = None
+        self.power_cycle(0)
+
+    def power_cycle(self, now: int) -> None:
+        """Off and on at `now`."""
+        self.close()
+        self._sent = bytearray()
+        self._avr = Avr(self._firmware, uno.CHIP, uno.FREQUENCY, self._sent.append)
+        self._now = self._lively = now
+        self._begun = now - _BOOT
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Bytes from the host that arrive at `now`."""
+        self._run(now)
+        for byte in data:
+            self._powered.receive(byte)
+        self._lively = now
+
+    def spoil(self, byte: int, now: int) -> None:
+        """A byte that arrives at `now` with a framing error."""
+        self._run(now)
+        self._powered.receive(byte, spoilt=True)
+
+    def advance(self, now: int) -> bytes:
+        """Let time pass until `now`: what the board sends until then."""
+        self._run(now)
+        sent = bytes(self._sent)
+        if sent:
+            self._sent.clear()
+            self._lively = now
+        return sent
+
+    def deadline(self) -> int:
+        """When to look again: firmware acts whenever it wants to."""
+        return self._now + (_BUSY if self._now < self._lively + _SOON else _IDLE)
+
+    def look(self, now: int) -> Look:
+        """What the pins and the PWM registers say at `now`."""
+        self._run(now)
+        return uno.look(self._powered.memory, now)
+
+    def close(self) -> None:
+        """Give the emulator up."""
+        if self._avr:
+            self._avr.close()
+            self._avr = None
+
+    @property
+    def _powered(self) -> Avr:
+        assert self._avr is not None, "the board was closed"
+        return self._avr
+
+    def _run(self, now: int) -> None:
+        self._now = max(self._now, now)
+        self._powered.run_until((now - self._begun) * uno.FREQUENCY // _NS)

@@ -1,0 +1,74 @@
+"""How the reference robot is wired on an Arduino Uno, and what its pins then do.
+
+The wiring is the firmware's (see firmware/README.md); the protocol is not met here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from captures.schemas import Look
+
+CHIP, FREQUENCY = "atmega328p", 16_000_000
+
+# Registers in the data space of an ATmega328P.
+_PORTS = {"B": 0x25, "C": 0x28, "D": 0x2B}
+_TCCR0A, _TCCR0B = 0x44, 0x45
+_LIGHT = 0b111  # A2 to A0
+
+
+@dataclass(frozen=True, slots=True)
+class _Motor:
+    """A motor driver's pins: forward, backward (port, bit), and its PWM's register and bits."""
+
+    forward: tuple[str, int]
+    backward: tuple[str, int]
+    pwm: tuple[str, int]
+    duty: int
+    connected: int
+
+    def speed(self, memory: Callable[[int], int]) -> int:
+        """-255 to 255, forward positive; 0 where the driver is off, brakes, or has no duty."""
+        forward, backward = (_is_high(memory, *pin) for pin in (self.forward, self.backward))
+        if forward == backward or not _is_output(memory, *self.pwm):
+            return 0
+        if not memory(_TCCR0A) & self.connected:
+            duty = 255 * _is_high(memory, *self.pwm)  # a plain pin
+        else:
+            duty = memory(self.duty) if memory(_TCCR0B) & 0b111 else 0
+        return duty if forward else -duty
+
+
+_LEFT = _Motor(("D", 7), ("B", 0), ("D", 6), duty=0x47, connected=0x80)
+_RIGHT = _Motor(("B", 1), ("B", 2), ("D", 5), duty=0x48, connected=0x20)
+
+
+def look(memory: Callable[[int], int], now: int) -> Look:
+    """What wheels and diode do, read from the pins and the PWM registers; `now` in ns."""
+    left, right = _LEFT.speed(memory), _RIGHT.speed(memory)
+    return Look(
+        t=now,
+        moving=bool(left or right),
+        motion=_motion(left, right),
+        led=memory(_PORTS["C"]) & memory(_PORTS["C"] - 1) & _LIGHT,
+        left=left,
+        right=right,
+    )
+
+
+def _motion(left: int, right: int) -> str:
+    if left * right < 0:
+        return "rotate_right" if left > 0 else "rotate_left"
+    if left or right:
+        return "forward" if left + right > 0 else "backward"
+    return "stopped"
+
+
+def _is_high(memory: Callable[[int], int], port: str, bit: int) -> bool:
+    """Whether the pin is driven high; a pin that is no output drives nothing."""
+    return bool(_is_output(memory, port, bit) and memory(_PORTS[port]) >> bit & 1)
+
+
+def _is_output(memory: Callable[[int], int], port: str, bit: int) -> bool:
+    return bool(memory(_PORTS[port] - 1) >> bit & 1)

@@ -1,0 +1,55 @@
+"""The reference firmware, built for the tests: once for each set of planted bugs and switches."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+FIRMWARE = ROOT / "firmware"
+BUGS = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.MULTILINE)
+
+
+def _has_simavr() -> bool:
+    try:
+        ctypes.CDLL("libsimavr.so.2")
+    except OSError:
+        return False
+    return True
+
+
+def needs(*programs: str, simavr: bool = False, package: str) -> pytest.MarkDecorator:
+    """Skips where a program, or libsimavr, is not installed, with the line that brings it."""
+    missing = [p for p in programs if shutil.which(p) is None]
+    missing += ["libsimavr"] if simavr and not _has_simavr() else []
+    reason = f"no {', '.join(missing)}: apt-get install {package}"
+    return pytest.mark.skipif(bool(missing), reason=reason)
+
+
+AVR = needs("avr-gcc", "make", simavr=True, package="make gcc-avr avr-libc simavr")
+
+
+@cache
+def built(switches: str = "", target: str = "uno") -> Path:
+    """The ELF file, built with these `-D` switches by the firmware's own Makefile."""
+    out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
+    bilprov = f"{sys.executable} -m bilprov"
+    words = ["make", "-s", "-C", str(FIRMWARE), target, f"OUT={out}", f"BILPROV={bilprov}"]
+    done = subprocess.run(
+        [*words, f"BUGS={switches}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    return out / f"{target}.elf"

@@ -1,0 +1,85 @@
+"""Emulated boards as devices of the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from tests.firmware import AVR, built, needs
+from tests.robots import command, sentence
+
+QEMU = needs("avr-gcc", "make", "qemu-system-avr", package="make gcc-avr avr-libc qemu-system-misc")
+
+
+@AVR
+def test_a_board_under_simavr_conforms_asks_nobody_and_brings_its_probe(tmp_path: Path) -> None:
+    target = f"emulator:simavr:{built()}"
+    record = tmp_path / "run.mcap"
+    result = command(
+        *("conform", target, "--level", "smoke", "--json", "-", "--record", str(record))
+    )
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 0, result.stderr
+    assert report["device"] == target
+    assert report["counts"]["pass"] == len(report["cases"])  # the power switch is there too
+    assert command("recheck", str(record)).returncode == 0
+
+
+@AVR
+def test_a_board_with_a_bug_does_not_conform() -> None:
+    target = f"emulator:simavr:{built('-DBUG_STOP_KEEPS_PWM')}"
+
+    assert command("conform", target, "--level", "smoke", "--fail-fast").returncode == 1
+
+
+@QEMU
+def test_a_board_under_qemu_conforms() -> None:
+    target = f"emulator:qemu:{built('-DAWAKE')}"
+    result = command("conform", target, "--level", "smoke", "--json", "-", timeout=110)
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 0, result.stderr
+    assert report["counts"]["pass"] == len(report["cases"]) - 1  # but the second power-on
+
+
+@QEMU
+def test_firmware_that_is_no_robot_is_told_in_one_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "zeros.elf"
+    file.write_bytes(built("-DAWAKE").read_bytes()[:20] + bytes(100))
+
+    result = command("conform", f"emulator:qemu:{file}", "--level", "smoke", timeout=60)
+
+    assert result.returncode == 2
+    assert len(result.stderr.splitlines()) == 1
+    assert b"Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("target", "more", "words"),
+    [
+        ("emulator:foo:x.elf", (), "names no board"),
+        ("emulator:simavr", (), "names no board"),
+        ("emulator:simavr:none.elf", (), "there is no firmware none.elf"),
+        ("emulator:simavr:{text}", (), "is no ELF file"),
+        ("emulator:qemu:{text}", (), "is no ELF file"),
+        ("emulator:simavr:{intel}", (), "not for an AVR"),
+        ("emulator:qemu:{intel}", (), "neither for an AVR nor for an ARM"),
+        ("emulator:simavr:{text}", ("--probe", "none"), "brings its own probe"),
+        ("emulator:simavr:{text}", ("--fault", "dead"), "--fault is for the target sim"),
+        ("emulator:qemu:{text}", ("--power", "exec:true"), "is for ports"),
+    ],
+)
+def test_wrong_use_is_one_sentence(
+    tmp_path: Path, target: str, more: tuple[str, ...], words: str
+) -> None:
+    text, intel = tmp_path / "a.txt", tmp_path / "b.elf"
+    text.write_text("no firmware")
+    intel.write_bytes(b"\x7fELF" + bytes(14) + b"\x3e\x00" + bytes(40))
+
+    result = command("conform", target.format(text=text, intel=intel), *more)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert words in sentence(result)
