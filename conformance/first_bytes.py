@@ -202,11 +202,11 @@ def _second_power_on(run: Run) -> Script[None]:
 def _from_power_on(run: Run, case: Case) -> Script[tuple[dict[str, Axis], Heard, int]]:
     """Switch it off and on, and make the case's exchange: its axes, what came, when it had gone."""
     yield from power_cycle()
-    if (run.profile.boot or 0) > run.limits.deadline:
-        # It took its time at first. Left alone for twice as long it is awake, if that was why.
+    if (run.profile.boot or 0) > run.limits.longest:
+        # It had to be asked again. Left alone for twice as long it is awake, if that was why.
         yield from listen(None, 2 * (run.profile.boot or 0))
         sent = yield from send(case.stimulus)
-        heard = yield from run.all_answers(2, run.limits.deadline)
+        heard = yield from run.all_answers(2)
     else:
         heard, sent = yield from _exchange(run, case, run.limits.boot)
     if _chatter(case, heard):

@@ -269,7 +269,7 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
         (["truncated/*"], 240),
         (["valid/Stop", "valid/S*p"], 1),
         (["recovery/*Right"], 5),
-        (["[!rs]*[!0-9]"], len(OPENING) + 5),  # but readings, recoveries and sequences
+        (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1),  # but readings, recoveries, sequences; and dense
         (["link/*"], 2),
         (["reading/*"], READINGS),
         (["reading/watchdog", "power-on/Speed"], 2),
