@@ -26,6 +26,7 @@ from conformance.limits import Eyes
 from conformance.meter import Meter
 from conformance.opening import opening_cases, truncation_timeout
 from conformance.port_link import PortLink
+from conformance.power import Power
 from conformance.probes import Probe
 from conformance.profile import Profile
 from conformance.profile_file import profile_from
@@ -130,6 +131,7 @@ def conform(
     tap: Tap | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
     name: str = "sim",
+    probe: str = "sim",
     fault: str | None = None,
     spare: Spare | None = None,
     logged: bool = True,
@@ -137,11 +139,11 @@ def conform(
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
     `device` is anything with the four methods of `conformance.drive.Device` (times in ns), the
-    kit's own simulator if None; one without `look` is judged by its answers alone. `name` and
-    `fault` only say in the report what it was. `spare` is asked before each case, with its id and
-    the results so far, whether to skip it. Without `logged` no case keeps its wire log. Raises
-    ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
-    that does not keep to its four methods.
+    kit's own simulator if None; one without `look` is judged by its answers alone. `name`,
+    `probe` and `fault` only say in the report what it was and what saw it. `spare` is asked before
+    each case, with its id and the results so far, whether to skip it. Without `logged` no case
+    keeps its wire log. Raises ValueError when no case is left to run, and DeviceError, in one
+    sentence, for a device object that does not keep to its four methods.
     """
     grammar = grammar or load_protocol()
     options = options or Options()
@@ -154,7 +156,7 @@ def conform(
     about = {
         "kind": "virtual",
         "line": str(settings),
-        "probe": "sim" if eyes.open else "none",
+        "probe": probe if eyes.open else "none",
         "fault": fault,
     }
     return run_on(
@@ -181,13 +183,14 @@ def conform_port(
     interrupted: Callable[[], bool | str],
     watcher: Watcher | None = None,
     tap: Tap | None = None,
-    power: str | None = None,
+    power: Power | None = None,
+    name: str | None = None,
 ) -> Report:
     """Run the cases on an open port in real time; the robot moves.
 
     `stop` is a descriptor that is readable once the user wants to stop, `interrupted` says whether
-    that is so. `power` is a shell command that switches the robot off and on. Raises ValueError
-    when no case is left to run.
+    that is so. `power` switches the robot off and on. `name` says in the report what the device is,
+    the port's own name unless given. Raises ValueError when no case is left to run.
     """
     if probe is None:
         eyes = Eyes(open=False)
@@ -202,7 +205,7 @@ def conform_port(
     try:
         return run_on(
             PortLink(port, probe, stop, tap, power),
-            Circumstances(False, eyes, power is not None, port.name, about),
+            Circumstances(False, eyes, power is not None, name or port.name, about),
             grammar=grammar,
             options=options,
             watcher=watcher,

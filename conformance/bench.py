@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from queue import SimpleQueue
 from typing import Any
@@ -25,9 +25,11 @@ from conformance.api import (
     estimated_seconds,
     select_cases,
 )
+from conformance.boards.named import board_named
 from conformance.client import Client
-from conformance.drive import Link, VirtualLink
+from conformance.drive import Device, Link, VirtualLink
 from conformance.port_link import PortLink
+from conformance.power import Power
 from conformance.probes import Probe, ProbeError, open_probe
 from conformance.report import Report
 from conformance.simulator import Fault, Simulator
@@ -38,7 +40,7 @@ SIM = "sim"
 
 
 class Bench:
-    """A port (or `sim`) with a probe, for one run of the suite and for any number of clients.
+    """A port, `sim` or an emulated board, for one run of the suite and any number of clients.
 
     Nothing is opened before `open`. `close` stops a run that still goes, and homes. `order` has the
     ids of the cases and their places in a run; `surprises` gets the results that are none of them.
@@ -57,18 +59,21 @@ class Bench:
         self.protocol = protocol
         self.target = target
         self.options = options
-        self.virtual = target == SIM
+        self._board = board_named(target)
+        self.virtual = target == SIM or bool(self._board and self._board.virtual)
         self.report: Report | None = None
         cases = select_cases(protocol, options)
         self.order = {case.id: at for at, case in enumerate((*always(protocol), *cases))}
         self._cases = cases
         self._settings = settings
-        self._probe_name = probe or "none"
+        self.own_probe = self._board.kind if self._board else SIM if self.virtual else None
+        self._probe_name = self.own_probe or probe or "none"
         self._fault = fault
         self._stack = ExitStack()
         self._stopper = Stopper()
         self._port: Port | None = None
         self._probe: Probe | None = None
+        self._power: Power | None = None
         self._thread: threading.Thread | None = None
         # Ctrl-C may come at any moment: its get() can be interrupted, which a condition's cannot.
         self._news: SimpleQueue[CaseResult | None] = SimpleQueue()
@@ -81,10 +86,11 @@ class Bench:
     @property
     def device(self) -> dict[str, Any]:
         """What a report says about the link."""
+        about = {"line": str(self._settings), "probe": self._probe_name}
         if self.virtual:
             fault = self._fault.name if self._fault else None
-            return {"kind": "virtual", "line": str(self._settings), "probe": SIM, "fault": fault}
-        return {"kind": "port", "line": str(self._settings), "probe": self._probe_name}
+            return {"kind": "virtual", **about, "fault": fault}
+        return {"kind": "port", **about}
 
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""
@@ -94,9 +100,20 @@ class Bench:
     def open(self, confirm: Callable[[], None]) -> None:
         """Open port and probe, once; then `confirm`, which raises if the robot may not move.
 
-        Raises LinkError and ProbeError, in one sentence.
+        An emulated board moves nothing: nobody is asked. Raises LinkError, ProbeError and
+        EmulatorError, in one sentence.
         """
-        if self.virtual or self._port is not None:
+        if self.virtual:
+            with self._device():  # whether there is one
+                return
+        if self._port is not None:
+            return
+        if self._board:
+            from conformance.boards.qemu import running
+
+            board = running(self._board.firmware, self._settings)
+            self._port, robot = self._stack.enter_context(board)
+            self._probe, self._power = robot, robot.power_cycle
             return
         if self._probe_name == "ask":
             raise ProbeError("--robot-probe ask cannot be used under pytest; run bilprov conform")
@@ -173,14 +190,17 @@ class Bench:
 
     def _conform(self, options: Options) -> Report:
         if self.virtual:
-            return conform(
-                Simulator(self.protocol, self._fault),
-                grammar=self.protocol,
-                options=options,
-                watcher=self,
-                interrupted=lambda: self._stopper.stopped,
-                fault=self._fault.name if self._fault else None,
-            )
+            with self._device() as device:
+                return conform(
+                    device,
+                    grammar=self.protocol,
+                    options=options,
+                    watcher=self,
+                    interrupted=lambda: self._stopper.stopped,
+                    name=self.target,
+                    probe=self._probe_name,
+                    fault=self._fault.name if self._fault else None,
+                )
         assert self._port is not None, "open() comes first"
         return conform_port(
             self._port,
@@ -191,7 +211,20 @@ class Bench:
             stop=self._stopper.fileno(),
             interrupted=lambda: self._stopper.stopped,
             watcher=self,
+            power=self._power,
+            name=self.target,
         )
+
+    @contextmanager
+    def _device(self) -> Iterator[Device]:
+        """What runs in virtual time, at its power-on."""
+        if self._board is None:
+            yield Simulator(self.protocol, self._fault)
+            return
+        from conformance.boards.simavr import SimavrBoard
+
+        with closing(SimavrBoard(self._board.firmware)) as board:
+            yield board
 
     # -- clients ----------------------------------------------------------------------------------
 
@@ -202,21 +235,22 @@ class Bench:
         Raises RobotError where the robot does not let itself be homed.
         """
         self.finish()
-        link: Link
-        if self.virtual:
-            device = Simulator(self.protocol, self._fault)
-            link, sees = VirtualLink(device, self._settings.byte_time), True
-        else:
-            assert self._port is not None, "open() comes first"
-            link = PortLink(self._port, self._probe, self._stopper.fileno())
-            sees = self._probe is not None and not self._probe.sparse
-        client = Client(self.protocol, link, sees=sees)
-        client.home()
-        try:
-            yield client
-        finally:
-            with undisturbed(again=True):
-                client.home()
+        with ExitStack() as stack:
+            link: Link
+            if self.virtual:
+                device = stack.enter_context(self._device())
+                link, sees = VirtualLink(device, self._settings.byte_time), True
+            else:
+                assert self._port is not None, "open() comes first"
+                link = PortLink(self._port, self._probe, self._stopper.fileno())
+                sees = self._probe is not None and not self._probe.sparse
+            client = Client(self.protocol, link, sees=sees)
+            client.home()
+            try:
+                yield client
+            finally:
+                with undisturbed(again=True):
+                    client.home()
 
     def close(self) -> None:
         """Stop a run that still goes and give the port up; more than once is as good as once."""

@@ -35,6 +35,7 @@ from conformance.outputs import (
     require_writable,
     wanted,
 )
+from conformance.power import by_command
 from conformance.probes import open_probe
 from conformance.profile_file import profile_text, read_profile
 from conformance.selection import matching, shard_named
@@ -191,7 +192,8 @@ def conform(
     outputs = wanted({"json": json_path, "junit": junit, "markdown": markdown, "html": html})
     require_writable(outputs)
     known = expected_file(protocol, options, expect_failures, update=update_expected)
-    job = Job(protocol, options, record, power and power.removeprefix("exec:"))
+    switch = by_command(power.removeprefix("exec:")) if power else None
+    job = Job(protocol, options, record, switch)
     with ExitStack() as stack:
         if board:
             report = job.on_board(stack, board, target, len(cases))

@@ -7,7 +7,6 @@ from contextlib import ExitStack
 
 from analyzer.options import line_settings, timeout_in_ns
 from analyzer.port import Port
-from analyzer.ports import open_port
 from analyzer.recording import session_metadata
 from analyzer.session import Session
 from analyzer.stopping import Stopper
@@ -15,6 +14,7 @@ from captures.errors import CaptureError
 from conformance.api import Options, conform, conform_port
 from conformance.boards.named import BoardName
 from conformance.drive import Device
+from conformance.power import Power
 from conformance.probes import Probe
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
@@ -29,7 +29,7 @@ class Job:
     """One run as the command line asks for it, with its progress bar and its recording."""
 
     def __init__(
-        self, protocol: Protocol, options: Options, record: str | None, power: str | None
+        self, protocol: Protocol, options: Options, record: str | None, power: Power | None
     ) -> None:
         self._power = power
         self._protocol = protocol
@@ -45,7 +45,7 @@ class Job:
     def on_simulator(self, stack: ExitStack, device: Simulator, count: int) -> Report:
         """Run the built-in simulator, in virtual time."""
         fault = None if device.fault is CONFORMING else device.fault.name
-        return self._in_virtual_time(stack, device, count, SIM, fault)
+        return self._in_virtual_time(stack, device, count, SIM, SIM, fault)
 
     def on_board(self, stack: ExitStack, board: BoardName, name: str, count: int) -> Report:
         """Run an emulated board: it is its own probe, and nothing moves. Raises EmulatorError."""
@@ -54,16 +54,22 @@ class Job:
 
             device = SimavrBoard(board.firmware)
             stack.callback(device.close)
-            return self._in_virtual_time(stack, device, count, name)
-        from conformance.boards.qemu import QemuBoard
+            return self._in_virtual_time(stack, device, count, name, board.kind)
+        from conformance.boards.qemu import running
 
-        running = stack.enter_context(QemuBoard(board.firmware))
         settings = line_settings(self._protocol, None, None, None)
-        port = stack.enter_context(open_port(running.url, settings))
-        return self.on_port(stack, port, running, board.kind, count)
+        port, robot = stack.enter_context(running(board.firmware, settings))
+        self._power = robot.power_cycle
+        return self.on_port(stack, port, robot, board.kind, count, name)
 
     def _in_virtual_time(
-        self, stack: ExitStack, device: Device, count: int, name: str, fault: str | None = None
+        self,
+        stack: ExitStack,
+        device: Device,
+        count: int,
+        name: str,
+        probe: str,
+        fault: str | None = None,
     ) -> Report:
         stopper = stack.enter_context(Stopper())
         line = line_settings(self._protocol, None, None, None)
@@ -76,6 +82,7 @@ class Job:
             tap=tap,
             interrupted=lambda: stopper.stopped or str(self.broken or ""),
             name=name,
+            probe=probe,
             fault=fault,
         )
 
@@ -86,10 +93,11 @@ class Job:
         probe: Probe | None,
         probe_name: str,
         count: int,
+        name: str | None = None,
     ) -> Report:
         """Run in real time; the robot moves."""
         stopper = stack.enter_context(Stopper())
-        tap = self._recorder(stack, port.name, str(port.settings))
+        tap = self._recorder(stack, name or port.name, str(port.settings))
         return conform_port(
             port,
             probe,
@@ -101,6 +109,7 @@ class Job:
             watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
             tap=tap,
             power=self._power,
+            name=name,
         )
 
     def _recorder(self, stack: ExitStack, device: str, line: str) -> RunRecorder | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Callable
 
@@ -11,17 +10,15 @@ from analyzer.port import Port
 from analyzer.ports import wait_readable
 from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.drive import HELD, Tap
+from conformance.power import Power, PowerError
 from conformance.probes import Probe, ProbeError
 from conformance.run import Ended
-
-_POWER = 60  # s that a power switch may take
-_NOTHING = subprocess.DEVNULL
 
 
 class PortLink:
     """A port and, where there is one, a probe. `stop` is readable once the user wants to stop.
 
-    `power` is a shell command that switches the robot off and on.
+    `power` switches the robot off and on.
     """
 
     def __init__(
@@ -30,7 +27,7 @@ class PortLink:
         probe: Probe | None,
         stop: int,
         tap: Tap | None = None,
-        power: str | None = None,
+        power: Power | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._port = port
@@ -69,10 +66,9 @@ class PortLink:
     def _power_cycle(self) -> int:
         assert self._power is not None
         try:
-            subprocess.run(self._power, shell=True, check=True, timeout=_POWER, stdin=_NOTHING)
-        except (OSError, subprocess.SubprocessError) as error:
-            sentence = f"the power switch {self._power!r} did not work: {error}"
-            raise Ended(sentence, error=True, line_works=True) from error
+            self._power()
+        except PowerError as error:
+            raise Ended(str(error), error=True, line_works=True) from error
         self._read()
         self._heard.clear()
         return self.now()

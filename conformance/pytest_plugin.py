@@ -34,10 +34,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """The options, all of them `--robot-...`."""
     group = parser.getgroup("robot", "conformance of a robot (bilprov)")
     add = group.addoption
-    add("--robot-port", metavar="PORT|sim", help="Test the robot there: a path, a pyserial URL, or "
-        "sim, the simulator in virtual time. One test a case, in a run of its own")  # fmt: skip
+    add("--robot-port", metavar="PORT|sim", help="Test the robot there: a path, a pyserial URL, "
+        "sim, the simulator in virtual time, or emulator:KIND:FIRMWARE, as conform takes it. One "
+        "test a case, in a run of its own")  # fmt: skip
     add("--robot-probe", metavar="PROBE", help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, "
-        "modem:LINE or none; sim brings its own")  # fmt: skip
+        "modem:LINE or none; sim and emulators bring their own")  # fmt: skip
     add("--robot-only", metavar="GLOB", action="append", help="Only these cases; * crosses /")
     add("--robot-level", metavar="LEVEL", help="How much: smoke, standard (unless given) or deep")
     add("--robot-allow", metavar="NAME=VALUE", action="append", help="Accept a choice that fails "

@@ -17,6 +17,7 @@ from analyzer.options import line_settings
 from captures.errors import shown
 from conformance.api import Options
 from conformance.bench import SIM, Bench
+from conformance.boards.emulator import EmulatorError
 from conformance.choices import parse_allowed
 from conformance.faults import fault_bank
 from conformance.levels import LEVELS, STANDARD
@@ -36,8 +37,6 @@ class RobotSession:
         self._config = config
         _require_one_process(config)
         option = config.getoption
-        if option("robot_port") == SIM and option("robot_probe") not in (None, SIM):
-            raise pytest.UsageError("the robot sim has a probe of its own: leave --robot-probe out")
         if option("setuponly") or option("setupplan"):
             raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
@@ -52,9 +51,9 @@ class RobotSession:
             )
         except (GrammarError, ValueError, OSError) as error:
             raise pytest.UsageError(shown(error)) from error
-        if self.bench.virtual and option("robot_probe") not in (None, SIM):
+        if self.bench.own_probe and option("robot_probe") not in (None, SIM):
             raise pytest.UsageError(
-                "--robot-port sim brings its own probe: leave --robot-probe out"
+                f"--robot-port {self.bench.target} brings its own probe: leave --robot-probe out"
             )
         self._wanted = self._asked_for()
         self._left: list[str] = []
@@ -107,7 +106,7 @@ class RobotSession:
         self._heed_signals()
         try:
             self.bench.open(lambda: self._confirm(self._left))
-        except (LinkError, ProbeError, NotConfirmed) as error:
+        except (LinkError, ProbeError, EmulatorError, NotConfirmed) as error:
             raise pytest.UsageError(str(error)) from error
 
     def _confirm(self, ids: Collection[str]) -> None:

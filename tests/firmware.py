@@ -36,6 +36,7 @@ def needs(*programs: str, simavr: bool = False, package: str) -> pytest.MarkDeco
 
 
 AVR = needs("avr-gcc", "make", simavr=True, package="make gcc-avr avr-libc simavr")
+QEMU = needs("avr-gcc", "make", "qemu-system-avr", package="make gcc-avr avr-libc qemu-system-misc")
 
 
 @cache

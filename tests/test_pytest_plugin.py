@@ -16,6 +16,7 @@ from conformance.api import Options, conform
 from conformance.faults import fault_bank
 from conformance.simulator import Simulator
 from spec.protocol import Protocol
+from tests.firmware import AVR, QEMU, built
 from tests.robots import PATIENCE, ROOT, simulate
 
 pytest_plugins = ["pytester"]
@@ -271,6 +272,11 @@ WRONG = [
     (("--robot-level", "deep"), "--robot-level needs --robot-port"),
     (("--robot-allow", "led-id=9"), "--robot-allow needs --robot-port"),
     (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
+    (("--robot-port", "sim", "--robot-probe", "none"), "brings its own probe"),
+    (("--robot-port", "emulator:simavr:none.elf"), "there is no firmware none.elf"),
+    (("--robot-port", f"emulator:simavr:{__file__}"), "is no ELF file"),
+    (("--robot-port", f"emulator:qemu:{__file__}"), "is no ELF file"),
+    (("--robot-port", f"emulator:qemu:{__file__}", "--robot-probe", "ask"), "brings its own"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]
 
@@ -353,6 +359,21 @@ def test_the_fixture_has_the_instructions_as_methods_too(run: pytest.Pytester) -
 
     refused.assert_outcomes(passed=1, failed=2)
     refused.stdout.fnmatch_lines(["*Refused: LED rgb=5 (R B) (81 05) was answered BAD_HEADER*"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "switches"),
+    [pytest.param("simavr", "", marks=AVR), pytest.param("qemu", "-DAWAKE", marks=QEMU)],
+)
+def test_a_board_s_firmware_is_judged_and_driven(
+    run: pytest.Pytester, kind: str, switches: str
+) -> None:
+    run.makepyfile(test_mine=MINE)
+    target = f"emulator:{kind}:{built(switches)}"
+
+    result = pytested(run, "--robot-port", target, *FEW, "test_mine.py", "conformance")
+
+    result.assert_outcomes(passed=38, failed=1)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:

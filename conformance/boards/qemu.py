@@ -6,24 +6,30 @@ The machine is chosen by the file's own type; the robot's state is found in RAM 
 from __future__ import annotations
 
 import contextlib
-import json
-import re
-import select
 import shutil
 import socket
 import struct
 import subprocess
+import threading
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
+from analyzer.line_settings import LineSettings
+from analyzer.port import Port
+from analyzer.ports import open_port
 from captures.schemas import Look
 from conformance.boards.elf import ARM, AVR, architecture
 from conformance.boards.emulator import EmulatorError
+from conformance.boards.qmp import Monitor
+from conformance.power import PowerError
 from conformance.probes import ProbeError
 
-_PATIENCE = 10.0  # s until it must run
+_PATIENCE = 10.0  # s until the firmware must run, and the line must be opened
+_STEP = 0.02  # s between two looks whether it does
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,55 +55,48 @@ _MACHINES = {
 _MAGIC = struct.pack("<I", 0x42494C21)
 _STATE = struct.Struct("<IBBhhhB")
 _MOTIONS = ("stopped", "forward", "backward", "rotate_right", "rotate_left")
-_WORD = re.compile(r"0x([0-9a-f]{2})\b")
+
+
+@contextlib.contextmanager
+def running(firmware: Path, settings: LineSettings) -> Iterator[tuple[Port, QemuBoard]]:
+    """A board that has its power, and its line, opened. Raises EmulatorError and LinkError."""
+    with QemuBoard(firmware) as board, open_port(board.url, settings) as port:
+        board.power_on()
+        yield port, board
 
 
 class QemuBoard:
-    """A board that runs while the context is open: `url` is its line; it is its own probe.
+    """A board while the context is open: `url` is its line, and it is its own probe.
 
-    Raises EmulatorError, in one sentence, where QEMU is missing or does not take the file.
+    It has no power until the line has been opened and `power_on` is called. Raises EmulatorError,
+    in one sentence, where QEMU is missing or does not take the file.
     """
 
     sparse = False
     patience = 1.0
 
     def __init__(self, firmware: Path) -> None:
-        self._machine = _machine_of(firmware)
+        number = architecture(firmware)
+        if number not in _MACHINES:
+            raise EmulatorError(
+                f"{firmware} is neither for an AVR nor for an ARM: QEMU runs these two"
+            )
+        self._machine = _MACHINES[number]
+        program = shutil.which(self._machine.program)
+        if program is None:
+            raise EmulatorError(
+                f"{self._machine.program} is not installed: apt-get install {self._machine.package}"
+            )
+        self._program = program
         self._firmware = firmware
-        self._held = b""
-        self._at: int | None = None
+        self._at = 0
+        self._line: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
-        machine = self._machine
-        program = shutil.which(machine.program)
-        if program is None:
-            raise EmulatorError(
-                f"{machine.program} is not installed: apt-get install {machine.package}"
-            )
-        with socket.create_server(("127.0.0.1", 0)) as line:
-            mine, theirs = socket.socketpair()
-            with theirs:
-                self._monitor = mine
-                self.url = f"socket://127.0.0.1:{line.getsockname()[1]}"
-                words = [program, *machine.options, str(self._firmware), "-display", "none"]
-                words += ["-chardev", f"socket,id=line,fd={line.fileno()},server=on,wait=off"]
-                words += ["-chardev", f"socket,id=monitor,fd={theirs.fileno()}"]
-                words += ["-serial", "chardev:line", "-mon", "chardev=monitor,mode=control"]
-                self._process = subprocess.Popen(
-                    words,
-                    pass_fds=(line.fileno(), theirs.fileno()),
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.PIPE,
-                )
-        try:
-            self._reply()  # its greeting
-            self._command("qmp_capabilities")
-            self._find()
-        except (EmulatorError, ProbeError):
-            self.close()
-            raise
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.settimeout(_PATIENCE)
+        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         return self
 
     def __exit__(
@@ -108,32 +107,76 @@ class QemuBoard:
     ) -> None:
         self.close()
 
+    def power_on(self) -> None:
+        """Start it on the line that was opened, and wait until the firmware runs."""
+        if self._line is None:
+            self._line, _ = self._listener.accept()
+            self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        mine, theirs = socket.socketpair()
+        self._monitor = Monitor(mine)
+        line = self._line.fileno()
+        with theirs:
+            words = [self._program, *self._machine.options, str(self._firmware)]
+            words += ["-display", "none", "-chardev", f"socket,id=line,fd={line}"]
+            words += ["-chardev", f"socket,id=monitor,fd={theirs.fileno()}"]
+            words += ["-serial", "chardev:line", "-mon", "chardev=monitor,mode=control"]
+            self._process = subprocess.Popen(
+                words,
+                pass_fds=(line, theirs.fileno()),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+            )
+        threading.Thread(target=self._watch, args=(self._process,), daemon=True).start()
+        try:
+            self._monitor.greet()
+            self._at = self._found()
+        except EmulatorError as error:
+            self._process.terminate()
+            raise EmulatorError(self._last_words() or str(error)) from error
+
+    def power_cycle(self) -> None:
+        """Off and on: another process on the same line. Raises PowerError."""
+        self._power_off()
+        assert self._line is not None
+        with contextlib.suppress(BlockingIOError):  # what it had not read is lost with its power
+            while self._line.recv(1 << 16, socket.MSG_DONTWAIT):
+                pass
+        try:
+            self.power_on()
+        except EmulatorError as error:
+            raise PowerError(f"the emulator did not start again: {error}") from error
+
     # -- the probe --------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask for the robot's state in RAM."""
-        assert self._at is not None
-        self._send("human-monitor-command", _dump(self._at, _STATE.size))
+        """Ask for the robot's state in RAM. Raises ProbeError."""
+        try:
+            self._monitor.ask_dump(self._at, _STATE.size)
+        except EmulatorError as error:
+            raise ProbeError(str(error)) from error
 
     def fileno(self) -> int:
         """The monitor's socket."""
         return self._monitor.fileno()
 
     def take(self, now: int) -> Look | None:
-        """The look, once the monitor's line is complete."""
-        reply = self._next()
-        if reply is None:
+        """The look, as of `now` (ns), once the monitor's reply is complete. Raises ProbeError."""
+        try:
+            data = self._monitor.take_dump()
+        except EmulatorError as error:
+            raise ProbeError(str(error)) from error
+        if data is None:
             return None
-        data = _bytes_of(str(reply.get("return", "")))
-        if len(data) < _STATE.size or not data.startswith(_MAGIC):
+        if len(data) != _STATE.size or not data.startswith(_MAGIC):
             raise ProbeError("the emulator's RAM no longer holds the robot's state")
-        _, motion, speed, steering, left, right, led = _STATE.unpack(data[: _STATE.size])
-        visible = _MOTIONS[motion] if motion < len(_MOTIONS) else "unknown"
+        _, motion, speed, steering, left, right, led = _STATE.unpack(data)
         moving = bool(left or right)
+        told = _MOTIONS[motion] if motion < len(_MOTIONS) else "unknown"
         return Look(
             t=now,
             moving=moving,
-            motion=visible if moving else "stopped",
+            motion=told if moving else "stopped",
             speed=speed,
             steering=steering,
             led=led,
@@ -142,87 +185,45 @@ class QemuBoard:
         )
 
     def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(5)
-            if self._process.stderr:
-                self._process.stderr.close()
-            self._process = None
-            self._monitor.close()
+        """End it; more than once is as good as once."""
+        self._power_off()
+        if self._line is not None:
+            self._line.close()
+        self._listener.close()
 
-    # -- the monitor ------------------------------------------------------------------------------
+    # -- inside -----------------------------------------------------------------------------------
 
-    def _find(self) -> None:
-        """Look for the magic number until the firmware has written it."""
-        machine = self._machine
-        for _ in range(200):
-            text = self._command("human-monitor-command", **_dump(machine.ram, machine.size))
-            at = _bytes_of(str(text)).find(_MAGIC)
+    def _found(self) -> int:
+        """Where the robot's state lies, once the firmware has written its magic number."""
+        machine, until = self._machine, time.monotonic() + _PATIENCE
+        while time.monotonic() < until:
+            at = self._monitor.dump(machine.ram, machine.size).find(_MAGIC)
             if at >= 0:
-                self._at = machine.ram + at
-                return
-            select.select([], [], [], _PATIENCE / 200)
+                return machine.ram + at
+            time.sleep(_STEP)
         raise EmulatorError(
             f"{self._firmware} runs, but its RAM holds no robot's state (struct robot_state)"
         )
 
-    def _command(self, name: str, **arguments: str) -> Any:
-        self._send(name, arguments)
-        return self._reply().get("return")
+    def _power_off(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            if process.stderr:
+                process.stderr.close()
+            self._monitor.close()
 
-    def _send(self, name: str, arguments: dict[str, str]) -> None:
-        order: dict[str, Any] = {"execute": name}
-        if arguments:
-            order["arguments"] = arguments
-        try:
-            self._monitor.sendall(json.dumps(order).encode() + b"\n")
-        except OSError as error:
-            raise ProbeError(f"the emulator has ended ({error.strerror})") from error
-
-    def _reply(self) -> dict[str, Any]:
-        while True:
-            ready = select.select([self._monitor], [], [], _PATIENCE)[0]
-            if not ready:
-                raise EmulatorError(f"{self._machine.program} does not answer")
-            reply = self._next()
-            if reply is not None:
-                return reply
-
-    def _next(self) -> dict[str, Any] | None:
-        """The next reply, None while its line is not complete; events are passed over."""
-        data = self._monitor.recv(1 << 16)
-        if not data:
-            raise EmulatorError(f"{self._machine.program} ended: {self._last_words()}")
-        self._held += data
-        while b"\n" in self._held:
-            line, _, self._held = self._held.partition(b"\n")
-            reply = json.loads(line)
-            if "event" not in reply:
-                return dict(reply)
-        return None
+    def _watch(self, process: subprocess.Popen[bytes]) -> None:
+        """Cut the line when the emulator ends by itself, which is no robot that is silent."""
+        process.wait()
+        if process is self._process and self._line is not None:
+            with contextlib.suppress(OSError):
+                self._line.shutdown(socket.SHUT_RDWR)
 
     def _last_words(self) -> str:
-        if self._process is None or self._process.stderr is None:
-            return "unknown why"
-        self._process.wait(5)
-        words = self._process.stderr.read().decode(errors="replace").strip()
-        return words.splitlines()[-1] if words else f"exit {self._process.returncode}"
-
-
-def _machine_of(firmware: Path) -> _Machine:
-    number = architecture(firmware)
-    if number not in _MACHINES:
-        raise EmulatorError(f"{firmware} is neither for an AVR nor for an ARM: QEMU runs these two")
-    return _MACHINES[number]
-
-
-def _dump(address: int, count: int) -> dict[str, str]:
-    return {"command-line": f"xp /{count}xb {address:#x}"}
-
-
-def _bytes_of(text: str) -> bytes:
-    """The bytes of a dump: an address and a colon, then bytes, on each line."""
-    found = (_WORD.findall(line.partition(":")[2]) for line in text.splitlines())
-    return bytes(int(word, 16) for words in found for word in words)
+        """What a process that has ended said at last."""
+        assert self._process is not None
+        assert self._process.stderr is not None
+        words = self._process.communicate()[1].decode(errors="replace").strip().splitlines()
+        return f"{self._machine.program} ended: {words[-1]}" if words else ""
