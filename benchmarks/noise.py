@@ -1,20 +1,31 @@
-"""Runs of the suite over a noisy line: no false fail of the reference, no wrong pass of a fault.
+"""Runs of the suite over a bad line: no false fail of a good device, no wrong pass of a bad one.
 
-`python -m benchmarks.noise [--seeds N] [--jobs N] [--only NAME]`: seeded runs at level standard in
-virtual time, with one bad byte in ten thousand. Prints a line per run that went otherwise than it
-may, then a table; ends with 1 if there was one.
+`python -m benchmarks.noise [--seeds N] [--jobs N] [--level NAME] [--board]`: seeded runs at level
+standard in virtual time. The devices are the simulator and faults of its bank, with one bad byte in
+ten thousand; with --board they are the firmware and its planted bugs under simavr, over a line that
+drops 1e-4, flips 1e-5 and holds each byte up for 5 ms. Prints a line per run that went otherwise
+than it may, then a table; ends with 1 if there was one.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import re
+import subprocess
 import sys
+import tempfile
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from analyzer.grammar_file import load_protocol
 from conformance.api import Options, conform
+from conformance.boards.simavr import SimavrBoard
+from conformance.drive import Device
 from conformance.faults import fault_bank
 from conformance.noise import Noise, NoisyDevice
 from conformance.simulator import Simulator
@@ -27,23 +38,35 @@ LINES = {
     "doubled": Noise(doubled=RATE),
     "mixed": Noise(RATE / 3, RATE / 3, RATE / 3),
 }
+FAR = Noise(dropped=1e-4, flipped=1e-5)
+DELAY = 5_000_000  # ns
 FAULTS = 12  # of the bank, evenly spread
+ROOT = Path(__file__).resolve().parent.parent
+FIRMWARE = ROOT / "firmware"
 
 
-def noisy_run(task: tuple[str, str, int], level: str = "standard") -> tuple[int, str]:
-    """Run one device over one noisy line: the exit code, and what failed or ended the run.
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One run to make: what is wrong with the device ("" for nothing), its line, the seed."""
 
-    `task` is the device's fault ("" for the reference), the line's name and the seed.
-    """
-    fault, line, seed = task
-    protocol = load_protocol()
-    device = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
+    fault: str
+    line: str
+    seed: int
+    firmware: Path | None = None  # None for the simulator
+
+    def device(self) -> Device:
+        """The device behind its line."""
+        protocol = load_protocol()
+        if self.firmware:
+            return NoisyDevice(SimavrBoard(self.firmware), FAR, self.seed, DELAY)
+        robot = Simulator(protocol, fault_bank(protocol)[self.fault] if self.fault else None)
+        return NoisyDevice(robot, LINES[self.line], self.seed)
+
+
+def noisy_run(trial: Trial, level: str = "standard") -> tuple[int, str]:
+    """Run one device over its line: the exit code, and what failed or ended the run."""
     try:
-        report = conform(
-            NoisyDevice(device, LINES[line], seed),
-            grammar=protocol,
-            options=Options(level=level, seed=seed),
-        )
+        report = conform(trial.device(), options=Options(level=level, seed=trial.seed))
     except Exception as error:  # a kit that breaks is what is looked for
         return 2, f"{type(error).__name__}: {error}"
     bad = [r for r in report.results if r.verdict is Verdict.FAIL]
@@ -51,15 +74,37 @@ def noisy_run(task: tuple[str, str, int], level: str = "standard") -> tuple[int,
     return report.exit, "; ".join(told) or report.unusable or report.ended_by
 
 
-def tasks(seeds: int) -> list[tuple[str, str, int]]:
+def simulated(seeds: int) -> list[Trial]:
     """The reference over each line, `seeds` times in all; as often the faulty devices."""
     bank = [fault.name for fault in fault_bank(load_protocol()).values() if not fault.needs]
     faults = bank[:: len(bank) // FAULTS][:FAULTS]
     lines = list(LINES)
     return [
-        *(("", lines[seed % len(lines)], seed) for seed in range(seeds)),
-        *((faults[seed % FAULTS], lines[seed % len(lines)], seed) for seed in range(seeds)),
+        *(Trial("", lines[seed % len(lines)], seed) for seed in range(seeds)),
+        *(Trial(faults[seed % FAULTS], lines[seed % len(lines)], seed) for seed in range(seeds)),
     ]
+
+
+def boards(seeds: int, built: Callable[[str], Path], bugs: list[str]) -> list[Trial]:
+    """The clean firmware `seeds` times; as often firmware with a bug, each bug in its turn.
+
+    `built` makes the ELF file of a bug, "" for none.
+    """
+    planted = [bugs[seed % len(bugs)] for seed in range(seeds)]
+    return [
+        Trial(bug, "far", seed, built(bug))
+        for bugs_of in ([""] * seeds, planted)
+        for seed, bug in enumerate(bugs_of)
+    ]
+
+
+def _built(folder: Path, bug: str) -> Path:
+    out = folder / (bug or "clean")
+    if not out.exists():
+        words = ["make", "-s", "-C", str(FIRMWARE), f"OUT={out}", f"BUGS={bug and '-D' + bug}"]
+        words.append(f"BILPROV={sys.executable} -m bilprov")
+        subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    return out / "uno.elf"
 
 
 def _tell(line: str) -> None:
@@ -73,16 +118,26 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=50, metavar="N", help="runs of each kind (50)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (2)")
     parser.add_argument("--level", default="standard", help="the suite's level (standard)")
+    parser.add_argument("--board", action="store_true", help="the firmware, on an emulated board")
     options = parser.parse_args()
-    todo, count, wrong = tasks(options.seeds), Counter[tuple[str, int]](), 0
-    with ProcessPoolExecutor(options.jobs) as pool:
-        run = partial(noisy_run, level=options.level)
-        for task, (code, told) in zip(todo, pool.map(run, todo), strict=True):
-            fault, line, seed = task
-            count["a faulty device" if fault else "the reference", code] += 1
-            if code not in ((1, 3) if fault else (0, 3)):
+    with tempfile.TemporaryDirectory() as folder:
+        todo = simulated(options.seeds)
+        if options.board:
+            bugs = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.M)
+            todo = boards(options.seeds, partial(_built, Path(folder)), bugs)
+        return _run(todo, options.level, options.jobs)
+
+
+def _run(todo: list[Trial], level: str, jobs: int) -> int:
+    count, wrong = Counter[tuple[str, int]](), 0
+    with ProcessPoolExecutor(jobs) as pool:
+        outcomes = pool.map(partial(noisy_run, level=level), todo)
+        for trial, (code, told) in zip(todo, outcomes, strict=True):
+            count["a faulty device" if trial.fault else "the reference", code] += 1
+            if code not in ((1, 3) if trial.fault else (0, 3)):
                 wrong += 1
-                _tell(f"{fault or 'reference'} {line} seed {seed}: exit {code}: {told}")
+                name = trial.fault or "reference"
+                _tell(f"{name} {trial.line} seed {trial.seed}: exit {code}: {told}")
     for (what, code), times in sorted(count.items()):
         _tell(f"{what}: exit {code} in {times} runs")
     return int(wrong > 0)

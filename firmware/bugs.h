@@ -47,6 +47,10 @@
 #ifndef BUG_STATE_KEPT_OVER_WATCHDOG
 #define BUG_STATE_KEPT_OVER_WATCHDOG 0
 #endif
+/* The main loop hangs until the watchdog comes. */
+#ifndef BUG_HANGS_AT_FULL_SPEED
+#define BUG_HANGS_AT_FULL_SPEED 0
+#endif
 
 /* -- the frame -- */
 

@@ -142,6 +142,8 @@ static uint8_t execute(void)
         break;
     case ROBOT_CAR_SPEED:
         robot.speed = frame.data[ROBOT_CAR_SPEED_SPEED_OFFSET];
+        while (BUG_HANGS_AT_FULL_SPEED && robot.speed == ROBOT_CAR_SPEED_SPEED_MAX)
+            ;
         drive();
         break;
     case ROBOT_CAR_FORWARD:

@@ -47,6 +47,10 @@ class Bench:
         assert isinstance(seen, Seen)
         return seen.look
 
+    def direction(self) -> bool:
+        """Whether a direction pin (D7 to D10) is high: what the README's probe is soldered to."""
+        return bool(self.board.memory(0x2B) & 0x80 or self.board.memory(0x25) & 0x07)
+
     def home(self) -> None:
         """Between two frames, stopped."""
         self.send(bytes(16), wait=PAUSE, answers=None)
@@ -131,6 +135,7 @@ def test_its_pins_follow_the_motion_model(
         effect = judgement.instruction.effect if judgement.valid and judgement.instruction else None
         state = (effect or protocol.on_fault).apply(state, dict(judgement.fields))
         assert agrees(bench.look(), state, full), (frame.hex(), state, bench.look())
+        assert bench.direction() == bench.look().moving
 
 
 @pytest.mark.parametrize("frame", ["90", "10", "4200", "81 08", "e3"])
@@ -182,6 +187,22 @@ def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:
     assert again.look().led == 0
     assert again.send(b"\x20") == b"\x00"
     assert again.look().moving is False
+
+
+def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still() -> None:
+    bench = Bench("-DBUG_HANGS_AT_FULL_SPEED")
+    bench.home()
+    for frame in (b"\x81\x07", b"\x11\x80", b"\x20"):
+        assert bench.send(frame) == b"\x00"
+    assert bench.send(b"\x11\xff", wait=100 * MS) == b""
+    assert bench.look().moving
+
+    bench.send(b"", wait=30 * MS)
+
+    assert (bench.look().moving, bench.look().led) == (False, 0)
+    assert bench.send(b"\x20") == b"\x00"
+    assert bench.look().moving is False  # no speed was told since
+    bench.board.close()
 
 
 # -- the suite ------------------------------------------------------------------------------------

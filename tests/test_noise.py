@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from benchmarks.noise import LINES, noisy_run
+from benchmarks.noise import LINES, Trial, noisy_run
 from conformance.api import Options, conform
 from conformance.noise import Noise, NoisyDevice
 from conformance.simulator import Simulator
@@ -54,6 +54,23 @@ def test_both_directions_are_noisy_and_counted(protocol: Protocol):
     assert device.hurt == 1
 
 
+def test_a_delay_holds_each_byte_up_in_both_directions(protocol: Protocol):
+    device = NoisyDevice(Simulator(protocol), Noise(), 1, delay=5_000_000)
+    device.receive(b"\x11", 0)
+    device.receive(b"\x7f", 1_000_000)
+
+    got = []
+    while (due := device.deadline()) is not None and due < 40_000_000:
+        got += [(due, code) for code in device.advance(due)]
+
+    (only,) = got
+    assert only[0] >= 11_000_000  # 5 ms there after the last byte, and 5 ms back
+    assert only[1] == 0
+    device.receive(b"\x20", 20_000_000)
+    assert not device.look(24_999_999).moving
+    assert device.look(25_000_001).moving
+
+
 def test_the_same_seed_is_the_same_run(protocol: Protocol):
     def run(seed: int) -> list[tuple[str, Verdict]]:
         device = NoisyDevice(Simulator(protocol), Noise(flipped=1e-3), seed)
@@ -68,14 +85,14 @@ def test_the_same_seed_is_the_same_run(protocol: Protocol):
 @pytest.mark.parametrize("line", LINES)
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_never_fails_the_reference(line: str, seed: int):
-    code, told = noisy_run(("", line, seed), level="smoke")
+    code, told = noisy_run(Trial("", line, seed), level="smoke")
     assert code in (0, 3), told
 
 
 @pytest.mark.parametrize("line", LINES)
 @pytest.mark.parametrize("fault", ["speed-starts-it", "code-in-ascii", "ok-to-unknown-id"])
 def test_noise_never_lets_a_faulty_device_pass(line: str, fault: str):
-    code, _ = noisy_run((fault, line, 1), level="smoke")
+    code, _ = noisy_run(Trial(fault, line, 1), level="smoke")
     assert code in (1, 3)
 
 

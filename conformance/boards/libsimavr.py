@@ -81,15 +81,18 @@ class _Firmware(Structure):
     ]
 
 
-_Sleep = CFUNCTYPE(None, c_void_p, c_uint64)
+_Timer = CFUNCTYPE(c_uint64, c_void_p, c_uint64, c_void_p)
+_WAKE = _Timer(lambda _avr, _when, _param: 0)
+"""A timer that is not armed again: the emulator does not sleep past it."""
 _Notify = CFUNCTYPE(None, c_void_p, c_uint32, c_void_p)
 
 
-def _awake(_avr: int | None, _cycles: int) -> None:
-    """The emulator's time is not ours: nobody waits while it sleeps."""
+_AWAKE = ctypes.cast(ctypes.CDLL(None).abs, c_void_p)
+"""What it calls to sleep: nobody waits, since the emulator's time is not ours.
 
-
-_AWAKE = _Sleep(_awake)
+It is called a quarter of a million times a second of its time, where a function of Python would
+take longer than all the rest; so this is one of C that does nothing with what it is given.
+"""
 
 
 class Avr:
@@ -120,7 +123,7 @@ class Avr:
         library.avr_load_firmware(self._handle, byref(image))
         if self._avr.frequency != frequency or not chip.startswith(self._avr.mmcu.decode()):
             raise EmulatorError(f"{_LIBRARY} is not laid out as version 1.6 is: try {INSTALL}")
-        self._avr.sleep = ctypes.cast(_AWAKE, c_void_p)
+        self._avr.sleep = _AWAKE
         self._flags(0)
         self._notify = _Notify(lambda _irq, value, _param: on_answer(value & 0xFF))
         library.avr_irq_register_notify(self._serial(_OUTPUT), self._notify, None)
@@ -134,6 +137,8 @@ class Avr:
     def run_until(self, cycle: int) -> None:
         """Run to that cycle, or a few further; firmware that crashed does nothing any more."""
         avr, run, handle = self._avr, self._library.avr_run, self._handle
+        if avr.cycle < cycle:
+            self._library.avr_cycle_timer_register(handle, cycle - avr.cycle, _WAKE, None)
         idle = 0
         while (now := avr.cycle) < cycle and not self.crashed:
             avr.run_cycle_limit = cycle - now
@@ -180,6 +185,7 @@ def _library() -> ctypes.CDLL:
     library.avr_io_getirq.restype = c_void_p
     library.avr_io_getirq.argtypes = [c_void_p, c_uint32, c_int]
     library.avr_irq_register_notify.argtypes = [c_void_p, _Notify, c_void_p]
+    library.avr_cycle_timer_register.argtypes = [c_void_p, c_uint64, _Timer, c_void_p]
     library.avr_raise_irq.argtypes = [c_void_p, c_uint32]
     library.avr_core_watch_read.restype = c_uint8
     library.avr_core_watch_read.argtypes = [c_void_p, c_uint16]

@@ -61,7 +61,11 @@ class SimavrBoard:
     def look(self, now: int) -> Look:
         """What the pins and the PWM registers say at `now`."""
         self._run(now)
-        return uno.look(self._powered.memory, now)
+        return uno.look(self.memory, now)
+
+    def memory(self, address: int) -> int:
+        """The byte at an address of the chip's data space: a register, or RAM."""
+        return self._powered.memory(address)
 
     def close(self) -> None:
         """Give the emulator up."""

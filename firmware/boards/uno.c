@@ -1,7 +1,7 @@
 /* ATmega328P at 16 MHz, as on an Arduino Uno.
  *
  * D0, D1    serial line, by interrupts and rings
- * D6, D5    PWM of the left and the right motor (timer 0, 977 Hz / 2)
+ * D6, D5    PWM of the left and the right motor (timer 0, 977 Hz)
  * D7, D8    direction of the left motor
  * D9, D10   direction of the right motor
  * A2 A1 A0  the diode's R, G and B
@@ -144,7 +144,7 @@ static void board_init(void)
     DDRB |= LEFT_BACKWARD | RIGHT_FORWARD | (BUG_BACKWARD_PIN_NO_OUTPUT ? 0 : RIGHT_BACKWARD);
     DDRC |= LIGHT;
 
-    TCCR0A = _BV(WGM00); /* phase correct: a duty of 0 is off, one of 255 is on */
+    TCCR0A = _BV(WGM01) | _BV(WGM00); /* fast PWM: 255 is on; a wheel at rest is not connected */
     TCCR0B = _BV(CS01) | _BV(CS00);
 
     OCR1A = F_CPU / 64 / 1000 - 1;
