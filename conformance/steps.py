@@ -13,7 +13,7 @@ from enum import StrEnum
 from conformance.choices import POINTS
 from conformance.model import FAULT, Deed
 from conformance.verdicts import Verdict
-from spec.codec import bad_data, build, lying
+from spec.codec import build, lying
 from spec.fields import Outcome
 from spec.protocol import InstructionSpec, Protocol
 
@@ -107,7 +107,7 @@ def wrong_length(protocol: Protocol, spec: InstructionSpec, length: int, data: b
     many = length > spec.length
     outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
     others: tuple[Accepted, ...] = ()
-    if many and data[: spec.length] in set(bad_data(spec)):
+    if many and _out_of_range(spec, data):
         # Data out of range *and* too many: judging the data first is a legal other reading.
         others = _others(protocol, "R-competing-errors", Outcome.BAD_DATA)
     return Step(
@@ -119,6 +119,12 @@ def wrong_length(protocol: Protocol, spec: InstructionSpec, length: int, data: b
         "R-competing-errors" if others else "",
         "R-competing-errors" if others else "R-known-length",
     )
+
+
+def _out_of_range(spec: InstructionSpec, data: bytes) -> bool:
+    """Whether the data that the instruction would take hold a value that it does not."""
+    parts = ((part, data[part.offset : part.offset + part.size]) for part in spec.fields)
+    return any(not part.low <= part.parse(coded) <= part.high for part, coded in parts)
 
 
 def bad(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:

@@ -153,7 +153,7 @@ class Tours:
             return draw.choice(inputs.kinds)
         best, most = inputs.kinds[0], -1.0
         for kind in inputs.kinds:
-            gain = draw.random() + sum(t not in self._met for t in self._tuples(where, kind))
+            gain = draw.random() + len([t for t in self._tuples(where, kind) if t not in self._met])
             if gain > most:
                 best, most = kind, gain
         return best
