@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from conformance.boards import libsimavr
+from conformance.boards.emulator import EmulatorError
+from conformance.boards.simavr import SimavrBoard
 from tests.firmware import AVR, QEMU, built
 from tests.robots import PATIENCE, ROOT, command, sentence
 
@@ -87,6 +92,40 @@ def test_firmware_that_is_no_robot_is_told_in_one_sentence(tmp_path: Path) -> No
     assert b"Traceback" not in result.stderr
 
 
+@AVR
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda elf: elf[:200], "is cut off or damaged"),
+        (lambda elf: elf[:60], "is cut off or damaged"),
+        (lambda elf: elf[:44] + bytes(2) + elf[46:], "puts nothing into the flash"),
+        (lambda elf: elf[:64] + b"\x00\x7f\0\0" + elf[68:], "bytes of flash"),
+    ],
+)
+def test_a_damaged_file_is_one_sentence_and_no_crash(
+    tmp_path: Path, damage: Callable[[bytes], bytes], words: str
+) -> None:
+    file = tmp_path / "damaged.elf"
+    file.write_bytes(damage(built().read_bytes()))
+
+    result = command("conform", f"emulator:simavr:{file}")
+
+    assert result.returncode == 2
+    assert words in sentence(result)
+
+
+@AVR
+def test_another_version_of_the_emulator_is_told_and_not_guessed_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Other(ctypes.Structure):
+        _fields_ = (("new", ctypes.c_uint64), *libsimavr._Avr._fields_)
+
+    monkeypatch.setattr(libsimavr, "_Avr", Other)
+    with pytest.raises(EmulatorError, match="is not laid out as version"):
+        SimavrBoard(built())
+
+
 @pytest.mark.parametrize(
     ("target", "more", "words"),
     [
@@ -107,7 +146,7 @@ def test_wrong_use_is_one_sentence(
 ) -> None:
     text, intel = tmp_path / "a.txt", tmp_path / "b.elf"
     text.write_text("no firmware")
-    intel.write_bytes(b"\x7fELF" + bytes(14) + b"\x3e\x00" + bytes(40))
+    intel.write_bytes(b"\x7fELF\x01\x01" + bytes(12) + b"\x3e\x00" + bytes(40))
 
     result = command("conform", target.format(text=text, intel=intel), *more)
 

@@ -1,21 +1,69 @@
-"""What an ELF file is for: the number of its architecture."""
+"""What an ELF file is for, and what it puts into flash memory."""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 from conformance.boards.emulator import EmulatorError
 
 AVR, ARM = 83, 40
 
+_CLASS_32_LITTLE = b"\x7fELF\x01\x01"
+_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
+_SEGMENT = struct.Struct("<IIIIIIII")
+_LOAD = 1
+_ELSEWHERE = 0x800000
+"""From here on avr-gcc places what is no flash: RAM, EEPROM, fuses."""
+_LARGEST = 1 << 24  # bytes of a file
+
 
 def architecture(firmware: Path) -> int:
     """The file's e_machine. Raises EmulatorError, in one sentence, for a file that is no ELF."""
+    return int(_header(firmware, _read(firmware))[2])
+
+
+def flash(firmware: Path, size: int) -> bytes:
+    """What the file puts into a flash memory of `size` bytes, from address 0 on.
+
+    Raises EmulatorError, in one sentence, for a file that is cut off or damaged, that has nothing
+    for the flash or too much.
+    """
+    data = _read(firmware)
+    _, _, _, _, _, at, _, _, _, each, count, *_ = _header(firmware, data)
+    image = bytearray(b"\xff" * size)
+    end = 0
+    for number in range(count):
+        start = at + number * each
+        if start + _SEGMENT.size > len(data):
+            raise EmulatorError(f"{firmware} is cut off or damaged: build it again")
+        kind, offset, _, address, length, *_ = _SEGMENT.unpack_from(data, start)
+        if kind != _LOAD or address >= _ELSEWHERE:
+            continue
+        if offset + length > len(data):
+            raise EmulatorError(f"{firmware} is cut off or damaged: build it again")
+        if address + length > size:
+            raise EmulatorError(
+                f"{firmware} needs {address + length} bytes of flash, and the board has {size}"
+            )
+        image[address : address + length] = data[offset : offset + length]
+        end = max(end, address + length)
+    if not end:
+        raise EmulatorError(f"{firmware} puts nothing into the flash: give the linked file")
+    return bytes(image[:end])
+
+
+def _read(firmware: Path) -> bytes:
     try:
         with firmware.open("rb") as file:
-            head = file.read(20)
+            return file.read(_LARGEST)
     except OSError as error:
         raise EmulatorError(f"{firmware} cannot be read ({error.strerror})") from error
-    if not head.startswith(b"\x7fELF") or len(head) < 20:
-        raise EmulatorError(f"{firmware} is no ELF file: give the one that the compiler linked")
-    return int.from_bytes(head[18:20], "little")
+
+
+def _header(firmware: Path, data: bytes) -> tuple[int, ...]:
+    if len(data) < _HEADER.size or not data.startswith(_CLASS_32_LITTLE):
+        raise EmulatorError(
+            f"{firmware} is no ELF file of a microcontroller: give the one that the compiler linked"
+        )
+    return _HEADER.unpack_from(data)

@@ -13,7 +13,6 @@ from ctypes import (
     POINTER,
     Structure,
     byref,
-    c_char,
     c_char_p,
     c_int,
     c_uint8,
@@ -24,7 +23,7 @@ from ctypes import (
 )
 from pathlib import Path
 
-from conformance.boards.elf import AVR, architecture
+from conformance.boards.elf import AVR, architecture, flash
 from conformance.boards.emulator import EmulatorError
 
 INSTALL = "apt-get install simavr"
@@ -71,16 +70,6 @@ class _Avr(Structure):
     ]
 
 
-class _Firmware(Structure):
-    """elf_firmware_t, with room behind it."""
-
-    _fields_ = [
-        ("mmcu", c_char * 64),
-        ("frequency", c_uint32),
-        ("rest", c_uint8 * 8192),
-    ]
-
-
 _Timer = CFUNCTYPE(c_uint64, c_void_p, c_uint64, c_void_p)
 _WAKE = _Timer(lambda _avr, _when, _param: 0)
 """A timer that is not armed again: the emulator does not sleep past it."""
@@ -107,11 +96,6 @@ class Avr:
         if architecture(firmware) != AVR:
             raise EmulatorError(f"{firmware} is not for an AVR, which is all that simavr runs")
         library = _library()
-        image = _Firmware()
-        if library.elf_read_firmware(str(firmware).encode(), byref(image)):
-            raise EmulatorError(
-                f"{firmware} is no firmware that simavr can load: it takes an AVR ELF file"
-            )
         self.crashed = False
         self._library = library
         self._handle = library.avr_make_mcu_by_name(chip.encode())
@@ -119,11 +103,13 @@ class Avr:
             raise EmulatorError(f"simavr does not know the chip {chip}")
         library.avr_init(self._handle)
         self._avr = ctypes.cast(self._handle, POINTER(_Avr)).contents
-        image.frequency = frequency
-        library.avr_load_firmware(self._handle, byref(image))
-        if self._avr.frequency != frequency or not chip.startswith(self._avr.mmcu.decode()):
+        if self._avr.sleep != ctypes.cast(library.avr_callback_sleep_raw, c_void_p).value:
             raise EmulatorError(f"{_LIBRARY} is not laid out as version 1.6 is: try {INSTALL}")
+        self._avr.frequency = frequency
         self._avr.sleep = _AWAKE
+        # Its own reader of ELF files crashes on damaged ones.
+        code = flash(firmware, self._avr.flashend + 1)
+        library.avr_loadcode(self._handle, code, len(code), 0)
         self._flags(0)
         self._notify = _Notify(lambda _irq, value, _param: on_answer(value & 0xFF))
         library.avr_irq_register_notify(self._serial(_OUTPUT), self._notify, None)
@@ -178,10 +164,18 @@ def _library() -> ctypes.CDLL:
         library = ctypes.CDLL(_LIBRARY)
     except OSError as error:
         raise EmulatorError(f"simavr is not installed: {INSTALL}") from error
+    try:
+        return _typed(library)
+    except AttributeError as error:
+        raise EmulatorError(f"{_LIBRARY} has not what version 1.6 has: try {INSTALL}") from error
+
+
+def _typed(library: ctypes.CDLL) -> ctypes.CDLL:
+    """Say what its functions take and return. Raises AttributeError for one that it has not."""
     library.avr_make_mcu_by_name.restype = c_void_p
     for name in ("avr_init", "avr_run", "avr_terminate"):
         getattr(library, name).argtypes = [c_void_p]
-    library.avr_load_firmware.argtypes = [c_void_p, c_void_p]
+    library.avr_loadcode.argtypes = [c_void_p, c_char_p, c_uint32, c_uint32]
     library.avr_io_getirq.restype = c_void_p
     library.avr_io_getirq.argtypes = [c_void_p, c_uint32, c_int]
     library.avr_irq_register_notify.argtypes = [c_void_p, _Notify, c_void_p]
