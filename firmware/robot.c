@@ -183,7 +183,7 @@ static uint8_t execute(void)
 static void begin(uint8_t header)
 {
     uint8_t announced = (header & ROBOT_CAR_LENGTH_MASK) >> ROBOT_CAR_LENGTH_SHIFT;
-    int8_t length = length_of((header & ROBOT_CAR_ID_MASK) >> ROBOT_CAR_ID_SHIFT);
+    int8_t length = length_of((uint8_t)((header & ROBOT_CAR_ID_MASK) >> ROBOT_CAR_ID_SHIFT));
 
     if (BUG_LENGTH_OF_THREE_BITS)
         announced &= ROBOT_CAR_LENGTH_MASK >> 1;
