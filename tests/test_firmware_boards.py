@@ -95,12 +95,8 @@ def test_a_cortex_under_qemu_conforms() -> None:
     report = msgspec.json.decode(result.stdout)
     unwell = {c["id"]: c["verdict"] for c in report["cases"] if c["verdict"] != "pass"}
     # It runs in real time: on a machine that is busy a pause does not measure the same twice.
-    coarse = unwell.pop("timing/truncation-timeout", "inconclusive")
-    assert coarse == "inconclusive"
-    assert set(unwell.values()) <= {"skipped"}, unwell
-    assert len(unwell) <= 1  # the second power-on
-    assert result.returncode == report["exit"]
-    assert report["counts"]["pass"] > 50
+    assert unwell in ({}, {"timing/truncation-timeout": "inconclusive"})
+    assert result.returncode == report["exit"] == (3 if unwell else 0), result.stderr
 
 
 @CORTEX
