@@ -39,8 +39,9 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-noise: setup ## no false fail and no wrong pass over a noisy line, 100 seeded runs
+noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs, and 100 of the firmware
 	$(BIN)/python -m benchmarks.noise
+	$(BIN)/python -m benchmarks.noise --board
 
 bench: setup ## does sniffing keep up with a full line?
 	$(BIN)/python -m benchmarks.full_line

@@ -22,6 +22,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from rich.console import Console
+from rich.progress import track
+
 from analyzer.grammar_file import load_protocol
 from conformance.api import Options, conform
 from conformance.boards.simavr import SimavrBoard
@@ -132,7 +135,9 @@ def _run(todo: list[Trial], level: str, jobs: int) -> int:
     count, wrong = Counter[tuple[str, int]](), 0
     with ProcessPoolExecutor(jobs) as pool:
         outcomes = pool.map(partial(noisy_run, level=level), todo)
-        for trial, (code, told) in zip(todo, outcomes, strict=True):
+        pairs = zip(todo, outcomes, strict=True)
+        console = Console(stderr=True)
+        for trial, (code, told) in track(pairs, "runs", len(todo), console=console):
             count["a faulty device" if trial.fault else "the reference", code] += 1
             if code not in ((1, 3) if trial.fault else (0, 3)):
                 wrong += 1
