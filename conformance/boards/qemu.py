@@ -15,8 +15,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from analyzer.line_settings import LineSettings
 from analyzer.port import Port
@@ -60,13 +58,13 @@ _MOTIONS = ("stopped", "forward", "backward", "rotate_right", "rotate_left")
 @contextlib.contextmanager
 def running(firmware: Path, settings: LineSettings) -> Iterator[tuple[Port, QemuBoard]]:
     """A board that has its power, and its line, opened. Raises EmulatorError and LinkError."""
-    with QemuBoard(firmware) as board, open_port(board.url, settings) as port:
+    with contextlib.closing(QemuBoard(firmware)) as board, open_port(board.url, settings) as port:
         board.power_on()
         yield port, board
 
 
 class QemuBoard:
-    """A board while the context is open: `url` is its line, and it is its own probe.
+    """A board until it is closed: `url` is its line, and it is its own probe.
 
     It has no power until the line has been opened and `power_on` is called. Raises EmulatorError,
     in one sentence, where QEMU is missing or does not take the file.
@@ -92,20 +90,9 @@ class QemuBoard:
         self._at = 0
         self._line: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> Self:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(_PATIENCE)
         self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def power_on(self) -> None:
         """Start it on the line that was opened, and wait until the firmware runs."""
