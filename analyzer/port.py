@@ -12,11 +12,11 @@ import select
 import termios
 import time
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from analyzer.line_settings import LineSettings
 from analyzer.link_errors import LinkError, link_lost, writing_failed
+from captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
@@ -29,7 +29,7 @@ _COUNTERS = {"parity": (8,), "framing": (6,), "overrun": (7, 10), "break": (9,)}
 FAULTS = (OSError, termios.error, ValueError, TypeError, queue.Full)
 
 
-class Port:
+class Port(Closing):
     """An open port, made by `open_port`; every fault of it is a LinkError."""
 
     def __init__(self, name: str, settings: LineSettings, handle: Any) -> None:
@@ -161,17 +161,6 @@ class Port:
             self._handle.close()
         if sock:
             sock.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<Port {self.name} {self.settings}>"

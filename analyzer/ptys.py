@@ -5,15 +5,14 @@ from __future__ import annotations
 import contextlib
 import os
 import tty
-from types import TracebackType
-from typing import Self
 
 from analyzer.link_errors import LinkError
+from captures.closing import Closing
 
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
 
 
-class PtyPair:
+class PtyPair(Closing):
     """Both ends of a pty: `master` is our descriptor (non-blocking), `name` the path for others.
 
     It holds the slave open itself, so that the master never meets EIO when the last program closes
@@ -45,17 +44,6 @@ class PtyPair:
         while self._descriptors:
             with contextlib.suppress(OSError):
                 os.close(self._descriptors.pop())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def open_pty() -> PtyPair:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from analyzer.pairing import MILLISECOND
 from analyzer.records import DeviceRecord, Fault, HostRecord, Record, faults_of
 from analyzer.version import kit_version
+from captures.closing import Closing
 from captures.schemas import Asked, CaseMark, Chunk, Direction, Line, Log, Look, State, Time
 from captures.writer import CaptureWriter
 from spec.protocol import Protocol
@@ -46,7 +45,7 @@ def session_metadata(
     }
 
 
-class Recorder:
+class Recorder(Closing):
     """Writes events and records into a capture; a context manager that finishes the file.
 
     Raises CaptureError where the file cannot be written.
@@ -96,17 +95,6 @@ class Recorder:
     def close(self) -> None:
         """Finish the file."""
         self._writer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _log(self, fault: Fault) -> Log:
         seconds, nanoseconds = divmod(self._start + fault.t, 1_000_000_000)

@@ -8,11 +8,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from analyzer.forwarding import Forward
 from analyzer.ports import LinkError, Port, open_pty, wait_readable
+from captures.closing import Closing
 from captures.schemas import Chunk, Direction, Line
 
 _COUNT_EVERY = 100_000_000  # ns between looks at a driver's error counts
@@ -40,7 +39,7 @@ def counted(
             yield Line(t, kind, tap, f"{more} counted by the driver")
 
 
-class _Source:
+class _Source(Closing):
     """What taps and bridge share: the clock, and one port per direction with its error counts."""
 
     def __init__(self, ports: Mapping[Direction, Port]) -> None:
@@ -64,17 +63,6 @@ class _Source:
         self._ports.clear()
         for port in self._all:
             port.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _read(self, tap: Direction, events: list[Chunk | Line]) -> bytes:
         """Append the chunk that one side gives now, or its end; return the chunk's bytes."""

@@ -12,14 +12,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from captures import topics
+from captures.closing import Closing
 from captures.errors import CaptureError, shown
 from captures.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from captures.schemas import Chunk, Log, Time
@@ -32,7 +31,7 @@ U64 = 1 << 64
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 
 
-class CaptureWriter:
+class CaptureWriter(Closing):
     """Writes one new capture file; a context manager, for one thread.
 
     `start_wall` is the wall clock in ns at the capture's start: every `t` counts from there.
@@ -153,17 +152,6 @@ class CaptureWriter:
         self._guarded(self._mcap.finish)
         self._guarded(self._file.close)
         self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _open(self, about: dict[str, str], library: str) -> None:
         self._mcap.start(profile="", library=library)

@@ -9,8 +9,7 @@ the run rests on (`run.json`); at the end: what was measured (`profile.json`) an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import msgspec
 
@@ -18,6 +17,7 @@ from analyzer.recording import Recorder
 from analyzer.records import Record
 from analyzer.session import Session
 from analyzer.version import kit_version
+from captures.closing import Closing
 from captures.errors import CaptureError
 from captures.schemas import Asked, CaseMark, Chunk, Line, Look
 from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
@@ -41,7 +41,7 @@ NAMES: dict[type, AskName] = {
 """What each ask is called in a recording."""
 
 
-class RunRecorder:
+class RunRecorder(Closing):
     """A tap of the link that writes everything into a capture. Times are ns since the start.
 
     Raises CaptureError where the file cannot be made. What goes wrong later (a full disk) must not
@@ -143,14 +143,3 @@ class RunRecorder:
         """Finish the file."""
         self._try(lambda: self._decoded(self._session.finish()))
         self._try(self._file.close)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
