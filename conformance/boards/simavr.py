@@ -63,6 +63,21 @@ class SimavrBoard:
         self._run(now)
         return uno.look(self._powered.memory, now)
 
+    @property
+    def crashed(self) -> bool:
+        """Whether the firmware cannot go on: nothing will wake it, or what it runs is no code."""
+        return self._powered.crashed
+
+    @property
+    def unread(self) -> bool:
+        """Whether a byte has arrived that the firmware has not read."""
+        return uno.unread(self._powered.memory)
+
+    @property
+    def byte_time(self) -> int:
+        """How long the emulator takes to receive a byte, in ns."""
+        return uno.byte_time(self._powered.memory)
+
     def close(self) -> None:
         """Give the emulator up."""
         if self._avr:
