@@ -69,11 +69,6 @@ class SimavrBoard:
         return self._powered.crashed
 
     @property
-    def unread(self) -> bool:
-        """Whether a byte has arrived that the firmware has not read."""
-        return uno.unread(self._powered.memory)
-
-    @property
     def byte_time(self) -> int:
         """How long the emulator takes to receive a byte, in ns."""
         return uno.byte_time(self._powered.memory)

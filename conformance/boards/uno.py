@@ -16,9 +16,9 @@ CHIP, FREQUENCY = "atmega328p", 16_000_000
 _PORTS = {"B": 0x25, "C": 0x28, "D": 0x2B}
 _TCCR0A, _TCCR0B = 0x44, 0x45
 _UCSR0A, _UCSR0C, _UBRR0 = 0xC0, 0xC2, 0xC4
-_RXC0, _U2X0, _USBS0 = 0x80, 0x02, 0x08
+_U2X0, _USBS0 = 0x02, 0x08
 _LIGHT = 0b111  # A2 to A0
-_LATEST = 4_000  # ns until an interrupt has read a byte, and the emulator's own coarseness
+_COARSE = 4_000  # ns by which the emulator may be late with a byte
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +60,6 @@ def look(memory: Callable[[int], int], now: int) -> Look:
     )
 
 
-def unread(memory: Callable[[int], int]) -> bool:
-    """Whether a byte lies in the serial line's receiver."""
-    return bool(memory(_UCSR0A) & _RXC0)
-
-
 def byte_time(memory: Callable[[int], int]) -> int:
     """How long a byte takes simavr to receive, in ns, as the serial line's registers say.
 
@@ -73,7 +68,7 @@ def byte_time(memory: Callable[[int], int]) -> int:
     clocks = 8 if memory(_UCSR0A) & _U2X0 else 16
     divider = 1 + memory(_UBRR0) + 256 * (memory(_UBRR0 + 1) & 0x0F)
     bits = 12 if memory(_UCSR0C) & _USBS0 else 11
-    return -(-bits * clocks * divider * 1_000_000_000 // FREQUENCY) + _LATEST
+    return -(-bits * clocks * divider * 1_000_000_000 // FREQUENCY) + _COARSE
 
 
 def _motion(left: int, right: int) -> str:
