@@ -18,14 +18,16 @@ HELD = 1 << 20
 _SOON = 100_000  # ns; a board that wants to be looked at sooner is in the middle of something
 _IDLE = 2_000_000  # ns between two looks at a board that is not
 _SLICE = 20_000_000  # ns caught up at a time, so that Ctrl-C and probes are heard meanwhile
+_AGAIN = 20_000  # ns until it is seen again whether the chip has taken a byte
+_WAITED = 3  # bytes' time; for a chip that has not read then the line does not wait either
 
 
 class PacedBoard:
     """A simavr board as a device to serve: times are integers in ns since its power-on.
 
-    `byte_time` is the time of a byte on the wire in ns. Where the emulator needs longer for one, it
-    sets the pace: its own buffer is small, and drops without a word. `note` is told, in one
-    sentence, that the firmware crashed, or that bytes were lost.
+    `byte_time` is the time of a byte on the wire in ns. The emulator takes a bit longer for one and
+    drops without a word what its small buffer cannot hold: so a byte waits for the one before to be
+    read. `note` is told, in one sentence, that the firmware crashed, or that bytes were lost.
     """
 
     def __init__(self, board: SimavrBoard, byte_time: int, note: Callable[[str], None]) -> None:
@@ -38,7 +40,7 @@ class PacedBoard:
         self._index = 0  # of the first one's bytes that are on their way
         self._held = 0
         self._flooded = False
-        self._free = 0  # when the wire to the chip is free
+        self._free = self._run_over = 0  # when the wire to the chip is free, and is taken anyway
         self._back = 0  # when the wire to the host is free
         self._answers: deque[tuple[int, int]] = deque()  # when they arrive, answers
 
@@ -85,10 +87,17 @@ class PacedBoard:
         return max(self._chunks[0][0], self._free) if self._chunks else None
 
     def _begin(self, start: int) -> None:
-        """A byte starts on its way; from here the emulator lets its time pass by itself."""
+        """A byte starts on its way, unless one before has not been read.
+
+        It is handed over at its start bit: the emulator lets its time pass by itself.
+        """
+        if self._board.unread and start < self._run_over:
+            self._free = start + _AGAIN
+            return
         data = self._chunks[0][1]
         self._board.receive(data[self._index : self._index + 1], start)
-        self._free = start + max(self._byte_time, self._board.byte_time)
+        self._free = start + self._byte_time
+        self._run_over = self._free + _WAITED * self._byte_time
         self._held -= 1
         self._index += 1
         if self._index == len(data):

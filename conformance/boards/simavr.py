@@ -69,9 +69,9 @@ class SimavrBoard:
         return self._powered.crashed
 
     @property
-    def byte_time(self) -> int:
-        """How long the emulator takes to receive a byte, in ns."""
-        return uno.byte_time(self._powered.memory)
+    def unread(self) -> bool:
+        """Whether a byte has arrived that the firmware has not read."""
+        return uno.unread(self._powered.memory)
 
     def close(self) -> None:
         """Give the emulator up."""

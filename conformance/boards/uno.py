@@ -15,10 +15,8 @@ CHIP, FREQUENCY = "atmega328p", 16_000_000
 # Registers in the data space of an ATmega328P.
 _PORTS = {"B": 0x25, "C": 0x28, "D": 0x2B}
 _TCCR0A, _TCCR0B = 0x44, 0x45
-_UCSR0A, _UCSR0C, _UBRR0 = 0xC0, 0xC2, 0xC4
-_U2X0, _USBS0 = 0x02, 0x08
+_UCSR0A, _RXC0 = 0xC0, 0x80
 _LIGHT = 0b111  # A2 to A0
-_COARSE = 4_000  # ns by which the emulator may be late with a byte
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +58,9 @@ def look(memory: Callable[[int], int], now: int) -> Look:
     )
 
 
-def byte_time(memory: Callable[[int], int]) -> int:
-    """How long a byte takes simavr to receive, in ns, as the serial line's registers say.
-
-    That is a bit longer than on a wire, for it always counts a parity bit.
-    """
-    clocks = 8 if memory(_UCSR0A) & _U2X0 else 16
-    divider = 1 + memory(_UBRR0) + 256 * (memory(_UBRR0 + 1) & 0x0F)
-    bits = 12 if memory(_UCSR0C) & _USBS0 else 11
-    return -(-bits * clocks * divider * 1_000_000_000 // FREQUENCY) + _COARSE
+def unread(memory: Callable[[int], int]) -> bool:
+    """Whether a byte lies in the serial line's receiver."""
+    return bool(memory(_UCSR0A) & _RXC0)
 
 
 def _motion(left: int, right: int) -> str:
