@@ -109,6 +109,7 @@ COMMANDS = {
     "simulate": Row(
         "Conform", "conformance.cli_simulate", "simulate", "Serve the reference device."
     ),
+    "emulate": Row("Conform", "conformance.cli_emulate", "emulate", "Serve a board's firmware."),
     "line": Row("Conform", "analyzer.cli_line", "line", "Join two ends by a bad line."),
     "score": Row(
         "Conform", "conformance.cli_score", "command", "Score the suite against faulty devices."

@@ -67,6 +67,16 @@ class SimavrBoard:
         """The byte at an address of the chip's data space: a register, or RAM."""
         return self._powered.memory(address)
 
+    @property
+    def crashed(self) -> bool:
+        """Whether the firmware cannot go on: nothing will wake it, or what it runs is no code."""
+        return self._powered.crashed
+
+    @property
+    def unread(self) -> bool:
+        """Whether a byte has arrived that the firmware has not read."""
+        return uno.unread(self._powered.memory)
+
     def close(self) -> None:
         """Give the emulator up."""
         if self._avr:

@@ -15,6 +15,7 @@ CHIP, FREQUENCY = "atmega328p", 16_000_000
 # Registers in the data space of an ATmega328P.
 _PORTS = {"B": 0x25, "C": 0x28, "D": 0x2B}
 _TCCR0A, _TCCR0B = 0x44, 0x45
+_UCSR0A, _RXC0 = 0xC0, 0x80
 _LIGHT = 0b111  # A2 to A0
 
 
@@ -55,6 +56,11 @@ def look(memory: Callable[[int], int], now: int) -> Look:
         left=left,
         right=right,
     )
+
+
+def unread(memory: Callable[[int], int]) -> bool:
+    """Whether a byte lies in the serial line's receiver."""
+    return bool(memory(_UCSR0A) & _RXC0)
 
 
 def _motion(left: int, right: int) -> str:

@@ -1,0 +1,124 @@
+"""A board at the pace of the wall clock, for a pty: bytes take their time on the wire, both ways.
+
+The clock is given; no port here. Between two calls nothing is skipped: what is late is caught up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import msgspec
+
+from conformance.boards.simavr import SimavrBoard
+
+HELD = 1 << 20
+"""Bytes of the host that wait for the wire: more than a minute of it. What does not fit is lost."""
+
+_SOON = 100_000  # ns; a board that wants to be looked at sooner is in the middle of something
+_IDLE = 2_000_000  # ns between two looks at a board that is not
+_SLICE = 20_000_000  # ns caught up at a time, so that Ctrl-C and probes are heard meanwhile
+_AGAIN = 20_000  # ns until it is seen again whether the chip has taken a byte
+_WAITED = 3  # bytes' time; for a chip that has not read then the line does not wait either
+
+
+class PacedBoard:
+    """A simavr board as a device to serve: times are integers in ns since its power-on.
+
+    `byte_time` is the time of a byte on the wire in ns. The emulator takes a bit longer for one and
+    drops without a word what its small buffer cannot hold: so a byte waits for the one before to be
+    read. `note` is told, in one sentence, that the firmware crashed, or that bytes were lost.
+    """
+
+    def __init__(self, board: SimavrBoard, byte_time: int, note: Callable[[str], None]) -> None:
+        self.crashed = False
+        self._board = board
+        self._byte_time = byte_time
+        self._note = note
+        self._at = 0  # as far as the board has run
+        self._chunks: deque[tuple[int, bytes]] = deque()  # when they came, the host's bytes
+        self._index = 0  # of the first one's bytes that are on their way
+        self._held = 0
+        self._flooded = False
+        self._free = self._run_over = 0  # when the wire to the chip is free, and is taken anyway
+        self._back = 0  # when the wire to the host is free
+        self._answers: deque[tuple[int, int]] = deque()  # when they arrive, answers
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take bytes from the host: the first one's start bit is at `now`, if the wire is free."""
+        fitting = data[: HELD - self._held]
+        if len(fitting) < len(data) and not self._flooded:
+            self._flooded = True
+            self._note(f"{HELD} bytes wait for the wire already: what the host sends more is lost")
+        if fitting and not self.crashed:
+            self._chunks.append((now, fitting))
+            self._held += len(fitting)
+
+    def advance(self, now: int) -> bytes:
+        """Let the board run until `now`, or a part of the way, and return what has arrived."""
+        until = max(self._at, min(now, self._at + _SLICE))
+        while (start := self._next()) is not None and start <= until:
+            self._run(start)
+            if not self.crashed:  # on the way there
+                self._begin(start)
+        self._run(until)
+        due = bytearray()
+        while self._answers and self._answers[0][0] <= now:
+            due.append(self._answers.popleft()[1])
+        return bytes(due)
+
+    def deadline(self) -> int | None:
+        """Return when, in ns, `advance` is wanted next; None from a board that crashed."""
+        wanted = [self._answers[0][0]] if self._answers else []
+        if not self.crashed:
+            # An answer is under way for a byte's time: who looks that often delivers it in time.
+            busy = self._chunks or self._board.deadline() - self._at < _SOON
+            wanted.append(self._at + (self._byte_time if busy else _IDLE))
+        return min(wanted, default=None)
+
+    def probe(self, now: int) -> bytes:
+        """Return what the pins show as one line of JSON without newline."""
+        look = msgspec.to_builtins(self._board.look(self._at))
+        del look["t"]
+        return msgspec.json.encode({name: seen for name, seen in look.items() if seen is not None})
+
+    def _next(self) -> int | None:
+        """When the next byte of the host can start, None where none waits."""
+        return max(self._chunks[0][0], self._free) if self._chunks else None
+
+    def _begin(self, start: int) -> None:
+        """A byte starts on its way, unless one before has not been read.
+
+        It is handed over at its start bit: the emulator lets its time pass by itself.
+        """
+        if self._board.unread and start < self._run_over:
+            self._free = start + _AGAIN
+            return
+        data = self._chunks[0][1]
+        self._board.receive(data[self._index : self._index + 1], start)
+        self._free = start + self._byte_time
+        self._run_over = self._free + _WAITED * self._byte_time
+        self._held -= 1
+        self._index += 1
+        if self._index == len(data):
+            self._chunks.popleft()
+            self._index = 0
+
+    def _run(self, until: int) -> None:
+        """Run the board, in steps as small as it wants to be looked at."""
+        while not self.crashed and self._at < until:
+            self._at = min(until, max(self._board.deadline(), self._at + 1))
+            for answer in self._board.advance(self._at):
+                self._back = max(self._back, self._at) + self._byte_time
+                self._answers.append((self._back, answer))
+            if self._board.crashed:
+                self._give_up()
+
+    def _give_up(self) -> None:
+        self.crashed = True
+        self._chunks.clear()
+        self._held = self._index = 0
+        self._note(
+            f"the firmware crashed {self._at / 1e9:.3f} s after its start: its pins stay as they "
+            "are and nothing is answered any more; end with Ctrl-C, and start it again"
+        )
