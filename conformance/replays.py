@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import comb
 
 import msgspec
 
@@ -25,7 +26,9 @@ from spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
 _MORE, _OFTEN = 24, 3  # what does not show each time: tried so often, shown so often
-_BURSTS = 800  # that more tries may cost
+_BYTES = 8000  # that more tries may cost
+_NOISE, _UNLIKELY = 2e-4, 0.005  # bytes spoilt on a line that may still be used; what is no chance
+_SINGLE = 20  # bytes of a case's set-up and recovery
 _FLAKY = 8
 _TRUSTED = 6  # failures reproduced, and nothing flaky: the line is good and the device is not
 _SHRUNK, _SHORTER = 5, 60  # walks that are shortened in a run, tries for each
@@ -110,11 +113,12 @@ def _try(run: Run, case: Case | Walk) -> Script[_Try]:
 def _again(run: Run, case: Case | Walk, first: _Try) -> Script[tuple[bool, int]]:
     """Whether the failure is reproduced, and in how many tries that was found out."""
     hits = alike = tries = 0
-    size = len(case.bursts) if isinstance(case, Walk) else 10
+    size = _bytes(case)
+    spoilt = 1 - (1 - _NOISE) ** size
     # Where the line was flaky before, what goes wrong alike but elsewhere may be its doing again.
     often = _OFTEN + min(run.flaky, _OFTEN)
     # A line that is flaky throughout is not tried for so long each time.
-    most = _TRIES if run.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BURSTS // size))
+    most = _TRIES if run.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
     while tries < most:
         again = yield from _try(run, case)
         tries += 1
@@ -123,11 +127,26 @@ def _again(run: Run, case: Case | Walk, first: _Try) -> Script[tuple[bool, int]]
             alike += again.how == first.how
         if tries <= _TRIES and hits >= _TWICE:
             return True, tries
-        if alike >= often:
+        # A long walk is spoilt more often than a short one, and then anywhere.
+        if alike >= often and _at_least(alike, tries, spoilt) < _UNLIKELY:
             return True, tries
         if tries >= _TRIES and alike + (most - tries) < often:
             break
     return False, tries
+
+
+def _bytes(case: Case | Walk) -> int:
+    """How many bytes go over the line in a try, answers included; about so many for a case."""
+    if isinstance(case, Walk):
+        return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
+    return _SINGLE + len(case.stimulus)
+
+
+def _at_least(count: int, tries: int, chance: float) -> float:
+    """How likely that many of so many tries are, each with that chance."""
+    return sum(
+        comb(tries, n) * chance**n * (1 - chance) ** (tries - n) for n in range(count, tries + 1)
+    )
 
 
 def _cannot_be_noise(run: Run, tried: _Try) -> bool:

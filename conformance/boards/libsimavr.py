@@ -28,7 +28,7 @@ from conformance.boards.emulator import EmulatorError
 
 INSTALL = "apt-get install simavr"
 _LIBRARY = "libsimavr.so.2"
-_DONE, _CRASHED = 5, 6  # cpu_Done, cpu_Crashed
+_DONE, _CRASHED = 6, 7  # cpu_Done, cpu_Crashed
 _INPUT, _OUTPUT = 0, 1  # of the serial line's IRQs
 _FRAMING_ERROR = 0x8000
 _STUCK = 10_000  # turns without time
