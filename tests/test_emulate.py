@@ -537,15 +537,18 @@ def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
         (["{elf}", "--probe-listen", "1:2:3"], "the address is '1:2:3', allowed is HOST:PORT"),
         (["{elf}", "--listen", "{taken}"], "is in use by another program"),
         (["{elf}", "--pty", "--probe-listen", "{taken}"], "is in use by another program"),
-        (["{cut}"], "crashes before it begins: see that the file is whole"),
+        (["{cut}"], "is cut off or damaged"),
+        (["{empty}"], "crashes before it begins: see that the file is whole"),
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:
     cut = tmp_path / "cut.elf"
     cut.write_bytes(built().read_bytes()[:60])
+    empty = tmp_path / "empty.elf"  # its headers, and no instruction but "do nothing"
+    empty.write_bytes(built().read_bytes()[:148].ljust(1 << 16, b"\0"))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         taken = f"127.0.0.1:{listener.getsockname()[1]}"
-        given = [word.format(elf=built(), taken=taken, cut=cut) for word in arguments]
+        given = [word.format(elf=built(), taken=taken, cut=cut, empty=empty) for word in arguments]
         result = command("emulate", *given)
 
     assert (result.returncode, result.stdout) == (2, b"")

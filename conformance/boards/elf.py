@@ -9,7 +9,7 @@ from conformance.boards.emulator import EmulatorError
 
 AVR, ARM = 83, 40
 
-_CLASS_32_LITTLE = b"\x7fELF\x01\x01"
+_32_BITS_LITTLE = b"\x01\x01"
 _HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
 _SEGMENT = struct.Struct("<IIIIIIII")
 _LOAD = 1
@@ -31,17 +31,19 @@ def flash(firmware: Path, size: int) -> bytes:
     """
     data = _read(firmware)
     _, _, _, _, _, at, _, _, _, each, count, *_ = _header(firmware, data)
+    if data[4:6] != _32_BITS_LITTLE:
+        raise _damaged(firmware)
     image = bytearray(b"\xff" * size)
     end = 0
     for number in range(count):
         start = at + number * each
         if start + _SEGMENT.size > len(data):
-            raise EmulatorError(f"{firmware} is cut off or damaged: build it again")
+            raise _damaged(firmware)
         kind, offset, _, address, length, *_ = _SEGMENT.unpack_from(data, start)
         if kind != _LOAD or address >= _ELSEWHERE:
             continue
         if offset + length > len(data):
-            raise EmulatorError(f"{firmware} is cut off or damaged: build it again")
+            raise _damaged(firmware)
         if address + length > size:
             raise EmulatorError(
                 f"{firmware} needs {address + length} bytes of flash, and the board has {size}"
@@ -53,6 +55,10 @@ def flash(firmware: Path, size: int) -> bytes:
     return bytes(image[:end])
 
 
+def _damaged(firmware: Path) -> EmulatorError:
+    return EmulatorError(f"{firmware} is cut off or damaged: build it again")
+
+
 def _read(firmware: Path) -> bytes:
     try:
         with firmware.open("rb") as file:
@@ -62,8 +68,6 @@ def _read(firmware: Path) -> bytes:
 
 
 def _header(firmware: Path, data: bytes) -> tuple[int, ...]:
-    if len(data) < _HEADER.size or not data.startswith(_CLASS_32_LITTLE):
-        raise EmulatorError(
-            f"{firmware} is no ELF file of a microcontroller: give the one that the compiler linked"
-        )
+    if len(data) < _HEADER.size or not data.startswith(b"\x7fELF"):
+        raise EmulatorError(f"{firmware} is no ELF file: give the one that the compiler linked")
     return _HEADER.unpack_from(data)
