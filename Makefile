@@ -5,8 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 SOURCES := analyzer benchmarks captures conformance spec tests bilprov.py
 PYTEST_ARGS ?= -n 2
+# A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
+PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
+	gcc-arm-none-eabi qemu-system-arm ser2net socat
 
-.PHONY: help setup demo test check format lint types bench noise pictures clean
+.PHONY: help setup packages demo test check format lint types bench noise pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,7 +28,12 @@ $(STAMP): pyproject.toml constraints.txt
 demo: setup ## simulator, sniff, conform and replay, end to end
 	@$(BIN)/python -m conformance.demo
 
-test: setup ## the whole test suite
+packages: ## what the tests run beside Python, installed where that is allowed
+	@dpkg -s $(PACKAGES) >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && apt-get update && \
+	  apt-get install -y --no-install-recommends $(PACKAGES); } || \
+	  echo "some tests will be skipped. They need: apt-get install $(PACKAGES)" >&2
+
+test: setup packages ## the whole test suite
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 check: setup format lint types test ## format, lint, strict types and tests

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 
-from analyzer.options import line_settings, timeout_in_ns
+from analyzer.options import line_settings, note, timeout_in_ns
 from analyzer.port import Port
 from analyzer.recording import session_metadata
 from analyzer.session import Session
@@ -54,7 +54,10 @@ class Job:
 
             device = SimavrBoard(board.firmware)
             stack.callback(device.close)
-            return self._in_virtual_time(stack, device, count, name, board.kind)
+            report = self._in_virtual_time(stack, device, count, name, board.kind)
+            if device.crashed:
+                note(f"{board.firmware} crashed: the board has been silent since")
+            return report
         from conformance.boards.qemu import running
 
         settings = line_settings(self._protocol, None, None, None)

@@ -114,7 +114,8 @@ def _again(run: Run, case: Case | Walk, first: _Try) -> Script[tuple[bool, int]]
     """Whether the failure is reproduced, and in how many tries that was found out."""
     hits = alike = tries = 0
     size = _bytes(case)
-    spoilt = 1 - (1 - _NOISE) ** size
+    # A byte that is spoilt shows in an answer: a missed stop beside the right ones is no noise.
+    spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
     # Where the line was flaky before, what goes wrong alike but elsewhere may be its doing again.
     often = _OFTEN + min(run.flaky, _OFTEN)
     # A line that is flaky throughout is not tried for so long each time.

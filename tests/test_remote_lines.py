@@ -1,4 +1,4 @@
-"""The simulator's pty behind other people's programs: ser2net (raw TCP, RFC 2217) and socat."""
+"""A robot's pty behind other people's programs: ser2net (raw TCP, RFC 2217) and socat."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from analyzer.ports import open_port, wait_readable
-from tests.robots import PATIENCE, command, simulate
+from tests.firmware import AVR, built
+from tests.robots import PATIENCE, command, emulate, simulate, unwell
 from tests.wires import running
 
 INSTALL = "apt-get install ser2net socat"
@@ -127,6 +128,38 @@ def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> Non
         only = ["--only", "valid/Speed/25*", "--only", "bad-data/LED/8"]
         result = command("conform", url, "--probe", served.probe, "--yes", *only)
     assert result.returncode == 0, (result.stdout + result.stderr).decode()
+
+
+@AVR
+@lines
+def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
+    with emulate(built()) as served, behind(served.port, tmp_path) as url:
+        smoke = ["--level", "smoke", "--json", "-"]
+        result = command("conform", url, "--probe", served.probe, "--yes", *smoke)
+    assert unwell(result) == {"power-on/Forward": "skipped"}  # nobody can switch its power
+
+
+@AVR
+@lines
+def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path: Path) -> None:
+    firmware = built("-DBUG_STOP_KEEPS_PWM")
+    with emulate(firmware) as served, behind(served.port, tmp_path) as url:
+        smoke = ["--level", "smoke", "--fail-fast"]
+        result = command("conform", url, "--probe", served.probe, "--yes", *smoke)
+    assert result.returncode == 1, (result.stdout + result.stderr).decode()
+
+
+@AVR
+@pytest.mark.parametrize(("bug", "codes"), [("", (0, 3)), ("-DBUG_STOP_KEEPS_PWM", (1, 3))])
+def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
+    bug: str, codes: tuple[int, ...]
+) -> None:
+    faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "7"]
+    with emulate(built(bug)) as served, running("line", *faults, served.port, "pty") as line:
+        path = line.stdout.readline().decode().strip()
+        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
+        result = command("conform", path, *probe)
+    assert result.returncode in codes, (result.stdout + result.stderr).decode()
 
 
 @lines
