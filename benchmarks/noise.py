@@ -69,7 +69,9 @@ class Trial:
 def noisy_run(trial: Trial, level: str = "standard") -> tuple[int, str]:
     """Run one device over its line: the exit code, and what failed or ended the run."""
     try:
-        report = conform(trial.device(), options=Options(level=level, seed=trial.seed))
+        # A faulty device has failed with its first failure.
+        options = Options(level=level, seed=trial.seed, fail_fast=bool(trial.fault))
+        report = conform(trial.device(), options=options)
     except Exception as error:  # a kit that breaks is what is looked for
         return 2, f"{type(error).__name__}: {error}"
     bad = [r for r in report.results if r.verdict is Verdict.FAIL]

@@ -154,11 +154,11 @@ def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path:
 def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
     bug: str, codes: tuple[int, ...]
 ) -> None:
-    faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "7"]
+    faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "3"]
     with emulate(built(bug)) as served, running("line", *faults, served.port, "pty") as line:
         path = line.stdout.readline().decode().strip()
         probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
-        result = command("conform", path, *probe)
+        result = command("conform", path, *probe, timeout=150)  # what is lost is tried again
     assert result.returncode in codes, (result.stdout + result.stderr).decode()
 
 
