@@ -20,6 +20,7 @@ from analyzer.stopping import Stopper
 __all__ = ["ByteDevice", "Stop", "Stopper", "serve"]
 
 _REQUEST_LIMIT = 1024  # bytes of a probe's request line
+_LINGER = 3_000_000_000  # ns without a byte, after which a client that sends no more has got all
 
 
 class ByteDevice(Protocol):
@@ -95,6 +96,7 @@ class _Room:
         self.pty: Outlet | None = None
         self.client: Outlet | None = None
         self.speaker: Outlet | None = None
+        self.last = clock()  # when a byte went or came
         self.probes: list[tuple[Outlet, bytearray]] = []
         self.listener: socket.socket | None = None
         self.probe_listener: socket.socket | None = None
@@ -123,7 +125,7 @@ class _Room:
             outlet.give(self._reply(request, now) + b"\n")
         for outlet in outlets:
             outlet.flush()
-        self._let_go()
+        self._let_go(now)
         if self.listener is not None and self.listener in readable:
             self._accept_client(self.listener)
         if self.probe_listener is not None and self.probe_listener in readable:
@@ -157,6 +159,8 @@ class _Room:
         if said:
             for host in self._hosts() if self.speaker is None else [self.speaker]:
                 host.give(said)
+        if said or any(data for _, data in heard):
+            self.last = now
         return now
 
     def _reply(self, request: bytes, now: int) -> bytes:
@@ -165,10 +169,11 @@ class _Room:
         came = request.decode("ascii", "backslashreplace")[:80]
         return json.dumps({"error": f"the request is {came!r}, allowed is 'state'"}).encode()
 
-    def _let_go(self) -> None:
+    def _let_go(self, now: int) -> None:
         """Close what has gone. A client that only ended its sending still gets its last answers."""
         client = self.client
-        if client is not None and (client.lost or (client.idle and self.device.deadline() is None)):
+        quiet = self.device.deadline() is None or now - self.last > _LINGER
+        if client is not None and (client.lost or (client.idle and quiet)):
             self._drop_client()
         for outlet, _ in self.probes:
             if outlet.lost or outlet.idle:

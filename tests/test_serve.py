@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import pytest
 from analyzer.outlets import parse_address
 from analyzer.ports import LinkError, Port, open_port, wait_readable
 from analyzer.serve import Stopper, serve
+from tests.robots import PATIENCE
 
 ALL = bytes(range(256))
 ROOT = Path(__file__).parent.parent
@@ -188,6 +190,25 @@ def test_a_client_that_only_ends_its_sending_still_gets_its_answers(served: Star
         while data := client.recv(4096):
             got += data
         assert got == ALL
+
+
+class Restless(Echo):
+    """One that always wants to be asked again soon, as an emulated board does."""
+
+    def deadline(self) -> int:
+        return time.monotonic_ns() + 1_000_000
+
+
+def test_so_it_does_from_a_device_that_never_says_that_it_is_done(served: Start) -> None:
+    name = served(Restless(), listen="127.0.0.1:0").lines[0]
+    address = parse_address(name.removeprefix("socket://"))
+    with socket.create_connection(address, timeout=PATIENCE) as client:
+        client.sendall(b"abc")
+        client.shutdown(socket.SHUT_WR)
+        got = b""
+        while data := client.recv(4096):
+            got += data
+        assert got == b"abc"
 
 
 def test_a_client_that_does_not_read_holds_up_nobody(served: Start) -> None:
