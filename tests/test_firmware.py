@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.asks import Heard, Listen, See, Seen, Send
+from conformance.boards import uno
+from conformance.boards.libsimavr import Avr
 from conformance.boards.simavr import SimavrBoard
 from conformance.drive import VirtualLink
 from conformance.verdicts import Verdict
@@ -187,6 +190,21 @@ def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:
     assert again.look().led == 0
     assert again.send(b"\x20") == b"\x00"
     assert again.look().moving is False
+
+
+def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> None:
+    avr, draw = Avr(built(), uno.CHIP, uno.FREQUENCY, lambda answer: None), Random(1)
+    late = set()
+    for turn in range(2000):
+        cycle = avr.cycle + draw.randrange(1, 40_000)
+        avr.run_until(cycle)
+        late.add(avr.cycle - cycle)
+        if turn % 10 == 0:
+            avr.receive(draw.randrange(256))
+    avr.close()
+
+    assert min(late) >= 0
+    assert max(late) <= 8  # cycles: an instruction, or the way into an interrupt
 
 
 def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still() -> None:
