@@ -96,6 +96,16 @@ def test_noise_never_lets_a_faulty_device_pass(line: str, fault: str):
     assert code in (1, 3)
 
 
+def test_a_long_row_that_is_spoilt_again_and_again_is_no_failure(protocol: Protocol):
+    """Of 1,200 bytes one is often lost: that three tries of 24 go wrong says nothing."""
+    only = Options(only=("pipelined/dense",))
+    codes = set()
+    for seed in range(60):
+        device = NoisyDevice(Simulator(protocol), Noise(dropped=2e-4), seed)
+        codes.add(conform(device, grammar=protocol, options=only).exit)
+    assert codes == {0, 3}
+
+
 def test_many_bad_bytes_end_the_run_by_itself_and_fail_nothing(protocol: Protocol):
     for seed in range(4):
         device = NoisyDevice(Simulator(protocol), Noise(3e-4, 3e-4, 3e-4), seed)
