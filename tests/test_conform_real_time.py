@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import msgspec
@@ -13,7 +14,7 @@ from conformance.faults import fault_bank
 from conformance.simulator import Simulator
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
-from tests.robots import command, simulate
+from tests.robots import command, served_here, simulate, unwell
 
 Verdicts = dict[str, str]
 
@@ -117,6 +118,48 @@ def test_a_dead_line_is_given_up_in_one_sentence() -> None:
 
     assert result.returncode == 2
     assert b"nobody answered" in result.stdout
+
+
+class Switched(Simulator):
+    """A simulator whose power goes off and on when a file appears, which it then takes away."""
+
+    def __init__(self, protocol: Protocol, switch: Path) -> None:
+        super().__init__(protocol)
+        self._switch = switch
+        self.cycles = 0
+
+    def advance(self, now: int) -> bytes:
+        if self._switch.exists():
+            self.power_cycle(now)
+            self.cycles += 1
+            self._switch.unlink()
+        return super().advance(now)
+
+    def deadline(self) -> int:
+        return min(super().deadline() or sys.maxsize, time.monotonic_ns() + 5_000_000)
+
+
+def test_a_command_switches_the_power_off_and_on(protocol: Protocol, tmp_path: Path) -> None:
+    switch = tmp_path / "switch"
+    device = Switched(protocol, switch)
+    with served_here(device) as (port, probe):
+        power = f"exec:touch {switch}; while [ -e {switch} ]; do sleep 0.01; done"
+        words = ("--probe", probe, "--power", power, "--yes", "--json", "-")
+        result = command("conform", port, *words, "--level", "smoke")
+
+    assert unwell(result) == {}  # nor is anything skipped
+    assert device.cycles > 0
+
+
+def test_a_power_switch_that_does_not_work_is_no_robot_s_fault() -> None:
+    with simulate() as robot:
+        words = ("--probe", robot.probe, "--power", "exec:exit 7", "--yes", "--level", "smoke")
+        result = command("conform", robot.port, *words)
+        state = robot.state()
+
+    assert result.returncode == 2
+    assert b"the power switch 'exit 7' did not work" in result.stdout
+    assert state["moving"] is False
 
 
 PROBE = """\
