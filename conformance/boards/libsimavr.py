@@ -6,7 +6,6 @@ Written for libsimavr 1.6, as Debian brings it; another layout of its structures
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 from collections.abc import Callable
 from ctypes import (
     CFUNCTYPE,
