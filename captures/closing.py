@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
 
-class Closing:
+class Closing(ABC):
     """A base of everything whose way out is `close`, which may be called more than once."""
 
+    @abstractmethod
     def close(self) -> None:
         """Give up what is held."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         return self

@@ -13,6 +13,7 @@ from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.asks import Heard, Listen, See, Seen, Send
 from conformance.boards import uno
+from conformance.boards.elf import flash
 from conformance.boards.libsimavr import Avr
 from conformance.boards.simavr import SimavrBoard
 from conformance.drive import VirtualLink
@@ -193,7 +194,7 @@ def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:
 
 
 def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> None:
-    avr, draw = Avr(built(), uno.CHIP, uno.FREQUENCY, lambda answer: None), Random(1)
+    avr, draw = Avr(flash(built(), uno.FLASH), uno.CHIP, uno.FREQUENCY, print), Random(1)
     late = set()
     for turn in range(2000):
         cycle = avr.cycle + draw.randrange(1, 40_000)

@@ -20,9 +20,7 @@ from ctypes import (
     c_uint64,
     c_void_p,
 )
-from pathlib import Path
 
-from conformance.boards.elf import AVR, architecture, flash
 from conformance.boards.emulator import EmulatorError
 
 INSTALL = "apt-get install simavr"
@@ -77,22 +75,20 @@ _Notify = CFUNCTYPE(None, c_void_p, c_uint32, c_void_p)
 _AWAKE = ctypes.cast(ctypes.CDLL(None).abs, c_void_p)
 """What it calls to sleep: nobody waits, since the emulator's time is not ours.
 
-It is called a quarter of a million times a second of its time, where a function of Python would
-take longer than all the rest; so this is one of C that does nothing with what it is given.
+Firmware with phase-correct PWM sleeps a quarter of a million times a second of its time, where a
+function of Python would take longer than all the rest; so this is one of C that does nothing.
 """
 
 
 class Avr:
-    """One microcontroller with its firmware, at the moment of power-on.
+    """One microcontroller at the moment of power-on, with `code` in its flash from address 0 on.
 
     `on_answer` is called with each byte that it sends. Raises EmulatorError.
     """
 
     def __init__(
-        self, firmware: Path, chip: str, frequency: int, on_answer: Callable[[int], None]
+        self, code: bytes, chip: str, frequency: int, on_answer: Callable[[int], None]
     ) -> None:
-        if architecture(firmware) != AVR:
-            raise EmulatorError(f"{firmware} is not for an AVR, which is all that simavr runs")
         library = _library()
         self.crashed = False
         self._library = library
@@ -105,8 +101,6 @@ class Avr:
             raise EmulatorError(f"{_LIBRARY} is not laid out as version 1.6 is: try {INSTALL}")
         self._avr.frequency = frequency
         self._avr.sleep = _AWAKE
-        # Its own reader of ELF files crashes on damaged ones.
-        code = flash(firmware, self._avr.flashend + 1)
         library.avr_loadcode(self._handle, code, len(code), 0)
         self._flags(0)
         self._notify = _Notify(lambda _irq, value, _param: on_answer(value & 0xFF))

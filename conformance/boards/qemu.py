@@ -25,6 +25,7 @@ from conformance.boards.emulator import EmulatorError
 from conformance.boards.qmp import Monitor
 from conformance.power import PowerError
 from conformance.probes import ProbeError
+from spec.motion import Motion
 
 _PATIENCE = 10.0  # s until the firmware must run, and the line must be opened
 _STEP = 0.02  # s between two looks whether it does
@@ -52,7 +53,10 @@ _MACHINES = {
 # struct robot_state of firmware/robot.h
 _MAGIC = struct.pack("<I", 0x42494C21)
 _STATE = struct.Struct("<IBBhhhB")
-_MOTIONS = ("stopped", "forward", "backward", "rotate_right", "rotate_left")
+_MOTIONS = (
+    *(Motion.STOPPED, Motion.FORWARD, Motion.BACKWARD),
+    *(Motion.ROTATE_RIGHT, Motion.ROTATE_LEFT),
+)
 
 
 @contextlib.contextmanager
@@ -159,11 +163,11 @@ class QemuBoard:
             raise ProbeError("the emulator's RAM no longer holds the robot's state")
         _, motion, speed, steering, left, right, led = _STATE.unpack(data)
         moving = bool(left or right)
-        told = _MOTIONS[motion] if motion < len(_MOTIONS) else "unknown"
+        told = _MOTIONS[motion].value if motion < len(_MOTIONS) else "unknown"
         return Look(
             t=now,
             moving=moving,
-            motion=told if moving else "stopped",
+            motion=told if moving else Motion.STOPPED.value,
             speed=speed,
             steering=steering,
             led=led,

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from captures.schemas import Look
 from conformance.boards import uno
+from conformance.boards.elf import AVR, architecture, flash
+from conformance.boards.emulator import EmulatorError
 from conformance.boards.libsimavr import Avr
 
 _NS = 1_000_000_000
@@ -21,7 +23,10 @@ class SimavrBoard:
     """
 
     def __init__(self, firmware: Path) -> None:
-        self._firmware = firmware
+        if architecture(firmware) != AVR:
+            raise EmulatorError(f"{firmware} is not for an AVR, which is all that simavr runs")
+        # The emulator's own reader of ELF files crashes on damaged ones.
+        self._code = flash(firmware, uno.FLASH)
         self._avr: Avr | None = None
         self.power_cycle(0)
 
@@ -29,7 +34,7 @@ class SimavrBoard:
         """Off and on at `now`."""
         self.close()
         self._sent = bytearray()
-        self._avr = Avr(self._firmware, uno.CHIP, uno.FREQUENCY, self._sent.append)
+        self._avr = Avr(self._code, uno.CHIP, uno.FREQUENCY, self._sent.append)
         self._now = self._lively = now
         self._begun = now - _BOOT
 

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from captures.schemas import Look
+from spec.motion import Motion
 
-CHIP, FREQUENCY = "atmega328p", 16_000_000
+CHIP, FREQUENCY, FLASH = "atmega328p", 16_000_000, 1 << 15  # Hz, bytes
 
 # Registers in the data space of an ATmega328P.
 _PORTS = {"B": 0x25, "C": 0x28, "D": 0x2B}
@@ -51,7 +52,7 @@ def look(memory: Callable[[int], int], now: int) -> Look:
     return Look(
         t=now,
         moving=bool(left or right),
-        motion=_motion(left, right),
+        motion=_motion(left, right).value,
         led=memory(_PORTS["C"]) & memory(_PORTS["C"] - 1) & _LIGHT,
         left=left,
         right=right,
@@ -63,12 +64,12 @@ def unread(memory: Callable[[int], int]) -> bool:
     return bool(memory(_UCSR0A) & _RXC0)
 
 
-def _motion(left: int, right: int) -> str:
+def _motion(left: int, right: int) -> Motion:
     if left * right < 0:
-        return "rotate_right" if left > 0 else "rotate_left"
+        return Motion.ROTATE_RIGHT if left > 0 else Motion.ROTATE_LEFT
     if left or right:
-        return "forward" if left + right > 0 else "backward"
-    return "stopped"
+        return Motion.FORWARD if left + right > 0 else Motion.BACKWARD
+    return Motion.STOPPED
 
 
 def _is_high(memory: Callable[[int], int], port: str, bit: int) -> bool:
