@@ -69,15 +69,19 @@ def _settle(run: Run, probe: Probe, case: Case) -> Script[None]:
         found = yield from probe.make(run)
         yield from home(run)
         shown[found] += 1
-        if len(shown) > 1 or found.fault:
+        if len(_told(shown)) > 1 or found.fault:
             once = _AGREE + 1  # not the same, or a fault: once more than the line's noise explains
     best, _ = shown.most_common(1)[0]
     axis = "state" if probe.sees else "answer"
+    coarse = next((found.coarse for found in shown if found.coarse), "")
+    shown = _told(shown)
     if len(shown) > 1 and shown.most_common(2)[1][1] > 1:
         kinds = " and ".join(sorted(found.actual for found in shown))
         reason = "shows more than one choice; a device keeps to one"
-        verdict = Axis(Verdict.FAIL, best.expected, kinds, reason, case.reading)
-        run.end(case, {axis: verdict})
+        verdict = Verdict.FAIL
+        if coarse:  # then it may have been the line
+            verdict, reason = Verdict.INCONCLUSIVE, f"flaky: {coarse}"
+        run.end(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})
         return
     judged = _judged(run, best, case)
     # What one try alone has shown does not stay in the profile either.
@@ -95,6 +99,11 @@ def _settle(run: Run, probe: Probe, case: Case) -> Script[None]:
         reason = f"flaky: shown once in {sum(shown.values())} tries: {other.actual}"
         judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
     run.end(case, {axis: judged}, best.heard)
+
+
+def _told(shown: Counter[Shown]) -> Counter[Shown]:
+    """The tries that told something: not those for which the line was too coarse."""
+    return Counter({found: times for found, times in shown.items() if not found.coarse})
 
 
 def _judged(run: Run, best: Shown, case: Case) -> Axis:

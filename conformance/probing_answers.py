@@ -187,7 +187,7 @@ def _answer_point(run: Run, many: Step, some: Step) -> Script[Shown]:
 def _whole_frame(run: Run, step: Step) -> Script[Shown]:
     """A frame of several data bytes, each within the time-out, all of them not."""
     pause, point, early = run.timeout * 6 // 10, "R-truncation-timeout", 0
-    usable = True
+    usable = (run.profile.jitter or 0) < run.timeout - pause
     codes: list[tuple[int, int]] = []
     for index in range(len(step.frame)):
         sent = yield from send(step.frame[index : index + 1])
@@ -201,7 +201,7 @@ def _whole_frame(run: Run, step: Step) -> Script[Shown]:
     heard_all = (*codes, *more.answers)
     expected = "between two bytes"
     if not usable:
-        reason = "the pauses came out too long for the time-out on this link"
+        reason = "the time-out is too short for pauses inside it on this link"
         return Shown(((point, ""),), expected, "", coarse=reason)
     run.profile.whole_frame = early > 0 and not run.profile.choices.is_other("R-answer-point")
     word = "whole-frame" if run.profile.whole_frame else "between-bytes"

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from conformance import discovery
 from conformance.api import Options, conform
+from conformance.asks import Ask, Heard, Script, Seen, listen
 from conformance.choices import POINTS, Choices, parse_allowed
 from conformance.discovery import reading_cases
 from conformance.drive import drive
@@ -18,6 +20,7 @@ from conformance.mixtures import find_mixture
 from conformance.profile import Profile
 from conformance.run import Run
 from conformance.runner import Runner
+from conformance.shown import Probe, Shown
 from conformance.simulator import Event, Fault, Reaction, Simulator, answers
 from conformance.variants import variants
 from conformance.verdicts import CaseResult, Verdict
@@ -306,6 +309,78 @@ def test_a_state_that_is_no_choice_of_the_point_fails(
 
     assert found["reading/after-stop"].verdict is FAIL
     assert word in found["reading/after-stop"].reason
+
+
+# What six tries of a probe tell, one letter each: a choice, another one, or a line too coarse.
+@pytest.mark.parametrize(
+    ("tries", "verdict", "made"),
+    [
+        ("==", PASS, 2),
+        ("??", INFORMATIONAL, 2),
+        ("=?=", PASS, 3),  # a try that told nothing is made again
+        ("?=?", INFORMATIONAL, 3),
+        ("=!==", INCONCLUSIVE, 4),
+        ("=!=!=", FAIL, 5),
+        ("=!=!?=", INCONCLUSIVE, 6),  # it may have been the line
+        ("=!?!=?", INCONCLUSIVE, 6),
+    ],
+)
+def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
+    protocol: Protocol,
+    monkeypatch: pytest.MonkeyPatch,
+    tries: str,
+    verdict: Verdict,
+    made: int,
+) -> None:
+    point = "R-truncation-timeout"
+    kinds = {
+        "=": Shown(((point, POINTS[point].default),), "one", "one"),
+        "!": Shown(((point, "whole-frame"),), "one", "the other"),
+        "?": Shown(((point, ""),), "one", "", coarse="the line is slow"),
+    }
+    left = list(tries)
+
+    def make(run: Run) -> Script[Shown]:
+        yield from listen(0, 0)
+        return kinds[left.pop(0)]
+
+    probe = Probe("truncation-timeout", (point,), "it keeps to one", make)
+    monkeypatch.setattr(discovery, "_probes", lambda protocol: iter([probe]))
+
+    result = readings(probed(protocol, None))["reading/truncation-timeout"]
+
+    assert result.verdict is verdict
+    assert len(tries) - len(left) == made
+    if verdict is INFORMATIONAL or (verdict is INCONCLUSIVE and "?" in tries):
+        assert "the line is slow" in result.reason
+
+
+class Uneven(CountingLink):
+    """A line on which one answer in seven comes later, by so much (ns)."""
+
+    late = 0
+
+    def do(self, ask: Ask) -> int | Heard | Seen:
+        reply = super().do(ask)
+        if isinstance(reply, Heard) and self.asks % 7 == 0:
+            return Heard(tuple((t + self.late, c) for t, c in reply.answers), reply.now + self.late)
+        return reply
+
+
+@pytest.mark.parametrize(("late", "verdict"), [(MS // 2, PASS), (5 * MS, INFORMATIONAL)])
+def test_a_time_out_that_the_line_cannot_resolve_is_not_judged(
+    protocol: Protocol, late: int, verdict: Verdict
+) -> None:
+    class Line(Uneven):
+        pass
+
+    Line.late = late
+    short = Fault("x", "test", "", timeout=6 * MS)
+
+    found = readings(probed(protocol, short, link=Line))["reading/truncation-timeout"]
+
+    assert found.verdict is verdict
+    assert verdict is PASS or "too short for pauses" in found.reason
 
 
 @pytest.mark.parametrize("time", [1, 2])
