@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from conformance.boards import libsimavr
 from conformance.boards.emulator import EmulatorError
 from conformance.boards.simavr import SimavrBoard
-from tests.firmware import AVR, QEMU, built
+from tests.firmware import AVR, QEMU, built, emulator_of
 from tests.robots import PATIENCE, ROOT, command, sentence, unwell
 
 
@@ -53,6 +54,16 @@ def test_a_board_under_qemu_conforms() -> None:
     assert (report["device"], report["link"]["probe"]) == (target, "qemu")
 
 
+def somewhere_in(run: subprocess.Popen[bytes]) -> int:
+    """Wait until a run is past its power cycles, each of which is another process of QEMU."""
+    before = None
+    while (emulator := emulator_of(run.pid)) is None or emulator != before:
+        assert run.poll() is None
+        before = emulator
+        time.sleep(1.5)
+    return emulator
+
+
 @QEMU
 def test_an_emulator_that_ends_in_the_middle_is_told_in_one_sentence() -> None:
     words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
@@ -62,17 +73,34 @@ def test_an_emulator_that_ends_in_the_middle_is_told_in_one_sentence() -> None:
         stderr=subprocess.PIPE,
         cwd=ROOT,
     ) as run:
-        children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
-        while not children.read_text():
-            assert run.poll() is None
-        time.sleep(1)  # somewhere in its run
-        os.kill(int(children.read_text()), signal.SIGKILL)
+        emulator = somewhere_in(run)
+        os.kill(emulator, signal.SIGKILL)
         out, err = run.communicate(timeout=PATIENCE)
 
     assert run.returncode == 2
     assert b"emulator has ended" in err or b"was closed by the other side" in err, err
     assert b"Traceback" not in err
     assert msgspec.json.decode(out)["exit"] == 2
+
+
+@QEMU
+def test_an_emulator_ends_with_the_kit_even_where_that_is_killed() -> None:
+    words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
+    with subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        cwd=ROOT,
+    ) as run:
+        emulator = somewhere_in(run)
+        ends = os.pidfd_open(emulator)
+        run.kill()
+
+    ready, _, _ = select.select([ends], [], [], PATIENCE)
+    os.close(ends)
+    if not ready:
+        os.kill(emulator, signal.SIGKILL)
+    assert ready
 
 
 @QEMU

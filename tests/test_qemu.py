@@ -22,7 +22,7 @@ from conformance.boards.qmp import Monitor
 from conformance.power import PowerError
 from conformance.probes import ProbeError
 from spec.protocol import Protocol
-from tests.firmware import QEMU, built
+from tests.firmware import QEMU, built, emulator_of
 from tests.robots import PATIENCE
 
 # -- the monitor ----------------------------------------------------------------------------------
@@ -99,7 +99,9 @@ class Bench:
 
     @property
     def process(self) -> int:
-        return int(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()[-1])
+        emulator = emulator_of(os.getpid())
+        assert emulator
+        return emulator
 
 
 @pytest.fixture

@@ -50,6 +50,9 @@ _MACHINES = {
 }
 """By the ELF file's number for the architecture."""
 
+_GUARD = 'read -r _; kill -KILL "$0"'
+"""For a shell: it kills a process when its own input ends, as it does however the kit has ended."""
+
 # struct robot_state of firmware/robot.h
 _MAGIC = struct.pack("<I", 0x42494C21)
 _STATE = struct.Struct("<IBBhhhB")
@@ -94,6 +97,7 @@ class QemuBoard:
         self._at = 0
         self._line: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self._guard: subprocess.Popen[bytes] | None = None
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(_PATIENCE)
         self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
@@ -118,6 +122,11 @@ class QemuBoard:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
             )
+        self._guard = subprocess.Popen(
+            ["/bin/sh", "-c", _GUARD, str(self._process.pid)],
+            stdin=subprocess.PIPE,
+            start_new_session=True,  # a Ctrl-C, or the terminal's end, is not for the guard
+        )
         threading.Thread(target=self._watch, args=(self._process,), daemon=True).start()
         try:
             self._monitor.greet()
@@ -197,6 +206,10 @@ class QemuBoard:
         )
 
     def _power_off(self) -> None:
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.kill()
+            guard.communicate()
         process, self._process = self._process, None
         if process is not None:
             process.kill()
