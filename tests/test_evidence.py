@@ -28,7 +28,7 @@ from tests.robots import command, sentence
 
 TELLS = re.compile(r"hash \(sha256\)|checksum")
 SHARDS = 2
-ENDS, STRIDE = 4096, 7
+ENDS, STRIDE = 2048, 17
 
 
 @pytest.fixture(scope="module")
