@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 SOURCES := analyzer benchmarks captures conformance spec tests bilprov.py
-PYTEST_ARGS ?= -n 2 --dist worksteal
+PYTEST_ARGS ?= -n 3 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
 	gcc-arm-none-eabi qemu-system-arm ser2net socat

@@ -14,7 +14,7 @@ from conformance.faults import fault_bank
 from conformance.simulator import Simulator
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
-from tests.robots import command, served_here, simulate, unwell
+from tests.robots import TIMED_PROBES, command, served_here, simulate, unwell
 
 Verdicts = dict[str, str]
 
@@ -84,7 +84,6 @@ FAULTS = [
 
 # An answer that comes after its exchange falls to one neighbour or to the other, by microseconds.
 EITHER = {"late-second-answer": ("reading/", "line/"), "answers-at-header": ("line/",)}
-TIMED = ("reading/answer-point", "reading/truncation-timeout")
 
 
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
@@ -104,7 +103,7 @@ def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
     assert virtual == code
     # On a machine that is busy the link may be too coarse for a timing case, which then says so.
     unsure = ("informational", "inconclusive")
-    coarse = tuple(ident for ident in TIMED if found.get(ident) in unsure)
+    coarse = tuple(ident for ident in TIMED_PROBES if found.get(ident) in unsure)
     either = (*EITHER.get(fault, ()), *coarse)
     assert {ident: found[ident] for ident in found if not ident.startswith(either)} == {
         ident: expected[ident] for ident in expected if not ident.startswith(either)
