@@ -15,6 +15,7 @@ static struct {
     uint8_t count;   /* data bytes that came */
     uint8_t header;
     uint8_t answer; /* what it will be answered */
+    uint8_t lost;   /* a byte of it is missing: what comes belongs to nothing until a pause */
     uint8_t data[ROBOT_CAR_MAX_DATA];
 } frame;
 
@@ -216,6 +217,8 @@ static void end(void)
 
 void robot_receive(uint8_t byte)
 {
+    if (frame.lost)
+        return;
     if (frame.missing) {
         if (BUG_DATA_OVERRUN && frame.count >= 8)
             frame.answer = byte;
@@ -229,23 +232,33 @@ void robot_receive(uint8_t byte)
         end();
 }
 
-uint8_t robot_expects_data(void)
+void robot_lost_byte(void)
 {
-    return frame.missing || (BUG_TIMEOUT_LEFT_ARMED && armed);
+    frame.lost = 1;
+    stop_for_safety();
+}
+
+uint8_t robot_expects_pause(void)
+{
+    return frame.missing || frame.lost || (BUG_TIMEOUT_LEFT_ARMED && armed);
 }
 
 void robot_timed_out(void)
 {
+    uint8_t noise = frame.lost && !frame.missing; /* perhaps a header, and perhaps nothing */
+
     armed = 0;
-    frame.missing = 0;
+    frame.missing = frame.lost = 0;
     if (!BUG_TIMEOUT_DRIVES_ON)
         stop_for_safety();
+    if (noise)
+        return;
     board_answer(frame.answer == ROBOT_CAR_ON_UNKNOWN_ID ? frame.answer : ROBOT_CAR_ON_TOO_FEW);
 }
 
 void robot_reset(void)
 {
-    frame.missing = 0;
+    frame.missing = frame.lost = 0;
     if (BUG_STATE_KEPT_OVER_WATCHDOG && robot.magic == ROBOT_MAGIC)
         return;
     robot.magic = ROBOT_MAGIC;

@@ -40,10 +40,16 @@ void robot_reset(void);
 /* The next byte from the host. */
 void robot_receive(uint8_t byte);
 
-/* Whether a frame has begun and lacks data: then a pause must end it. */
-uint8_t robot_expects_data(void);
+/* A byte was damaged or lost, nobody knows which: what is received now is faulty.
+ *
+ * It stops at once, and what comes is thrown away until a pause: it may be data as well as headers.
+ */
+void robot_lost_byte(void);
 
-/* The line was silent for the whole time-out although data were missing. */
+/* Whether a frame has begun and lacks data, or a byte was lost: then a pause must end it. */
+uint8_t robot_expects_pause(void);
+
+/* The line was silent for the whole time-out although a pause was expected. */
 void robot_timed_out(void);
 
 /* -- the board ------------------------------------------------------------------------------- */

@@ -49,18 +49,23 @@ def emulator_of(kit: int) -> int | None:
     return None
 
 
-@cache
-def built(switches: str = "", target: str = "uno") -> Path:
-    """The ELF file, built with these `-D` switches by the firmware's own Makefile."""
-    out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
+def make(out: Path, target: str, *words: str) -> None:
+    """Build a target into a folder by the firmware's own Makefile."""
     bilprov = f"{sys.executable} -m bilprov"
-    words = ["make", "-s", "-C", str(FIRMWARE), target, f"OUT={out}", f"BILPROV={bilprov}"]
+    fixed = ["make", "-s", "-C", str(FIRMWARE), target, f"OUT={out}", f"BILPROV={bilprov}"]
     done = subprocess.run(
-        [*words, f"BUGS={switches}"],
+        [*fixed, *words],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert done.returncode == 0, done.stderr
+
+
+@cache
+def built(switches: str = "", target: str = "uno") -> Path:
+    """The ELF file, built once with these `-D` switches."""
+    out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
+    make(out, target, f"BUGS={switches}")
     return out / f"{target}.elf"

@@ -167,16 +167,46 @@ def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) 
     assert bench.look().moving is False  # 51 ms after the byte
 
 
-def test_a_byte_with_a_framing_error_is_left_out(bench: Bench) -> None:
+def test_a_damaged_byte_stops_it_and_what_comes_is_no_frame_until_a_pause(bench: Bench) -> None:
     bench.home()
-    assert bench.send(b"\x11\x20") == b"\x00"
-    assert bench.send(b"\x11") == b""
+    bench.send(b"\x11\x20")
+    bench.send(b"\x20")
+    assert bench.send(b"\x41", wait=MS) == b""
+    assert bench.look().moving
 
     bench.board.spoil(0x99, bench.board.deadline())
+    bench.send(b"", wait=MS)
 
-    assert bench.send(b"\x40") == b"\x00"
+    assert bench.look().moving is False
+    # It may be data, or Forward: nobody can tell.
+    assert bench.send(b"\x20\x20", wait=45 * MS, answers=None) == b""
+    assert bench.send(b"\x20", wait=48 * MS) == b""
+    assert bench.send(b"", wait=5 * MS, answers=None) == b"\x04"
+    assert bench.look().moving is False
+    assert bench.send(b"\x20") == b"\x00"
+    assert (bench.look().moving, bench.look().left) == (True, 0x20)
+
+
+def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Bench) -> None:
+    bench.home()
+    bench.send(b"\x11\x20")
     bench.send(b"\x20")
-    assert bench.look().left == 0x40
+
+    bench.board.spoil(0x11, bench.board.deadline())
+
+    assert bench.send(b"\x20", wait=PAUSE, answers=None) == b""  # the data of that header
+    assert bench.look().moving is False
+    assert bench.send(b"\x90") == b"\x01"
+
+
+def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Bench) -> None:
+    bench.home()
+    sent = bench.board.deadline()
+    for byte in b"\x90\x10\x00":
+        bench.board.receive(bytes([byte]), sent)
+    bench.board.spoil(0x20, sent)
+
+    assert bench.send(b"", wait=PAUSE, answers=None) == b"\x01\x04\x00"
 
 
 def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:

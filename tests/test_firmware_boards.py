@@ -6,6 +6,7 @@ import os
 import random
 import select
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +17,7 @@ import pytest
 from spec.codec import judge
 from spec.framing import Framer
 from spec.protocol import Protocol
-from tests.firmware import built, needs
+from tests.firmware import built, make, needs
 from tests.robots import PATIENCE, command, unwell
 from tests.vectors import FRAMES, FrameVector
 
@@ -105,15 +106,18 @@ def test_a_bug_of_the_core_is_found_on_the_cortex_too(bug: str) -> None:
 
 
 @CORTEX
-def test_a_break_on_the_cortexs_line_is_left_out() -> None:
+def test_what_follows_a_break_on_the_cortexs_line_is_no_frame_until_a_pause() -> None:
     with robot(*emulated("")) as cortex:
         cortex.send(b"\x90")
         assert cortex.answers(1) == b"\x01"  # it runs
 
-        cortex.send(BREAK + b"\xa0")
-        assert cortex.answers(1) == b"\x01"  # no Stop was answered in between
-        cortex.send(b"\x11" + BREAK + b"\x20" + BREAK + b"\x90")
-        assert cortex.answers(2) == b"\x00\x01"
+        cortex.send(b"\x11" + BREAK + b"\x90\xa0")
+        assert cortex.answers(1) == b"\x04"  # after the pause, and no other answer
+        cortex.send(b"\x90" + BREAK + b"\xa0")
+        assert cortex.answers(1) == b"\x01"
+        time.sleep(0.2)
+        cortex.send(b"\x10\x90")
+        assert cortex.answers(2) == b"\x04\x01"
 
 
 @CORTEX
@@ -262,3 +266,18 @@ def test_the_program_tells_how_it_is_used(program: Path, words: tuple[str, ...])
     assert (done.returncode, done.stdout) == (2, b"")
     assert len(done.stderr.splitlines()) == 1
     assert b"usage: " in done.stderr
+
+
+@HOST
+def test_a_planted_bug_is_never_kept_from_an_earlier_build(tmp_path: Path) -> None:
+    def program(bugs: str) -> bytes:
+        make(tmp_path, "host", f"BUGS={bugs}")
+        return (tmp_path / "host.elf").read_bytes()
+
+    clean = program("")
+    built_at = (tmp_path / "host.elf").stat().st_mtime_ns
+
+    assert program("") == clean
+    assert (tmp_path / "host.elf").stat().st_mtime_ns == built_at  # nothing is built anew in vain
+    assert program("-DBUG_LIGHT_MASKED") != clean
+    assert program("") == clean

@@ -48,7 +48,7 @@ void board_light(uint8_t rgb)
 static int is_heard(void)
 {
     struct pollfd line = {.fd = STDIN_FILENO, .events = POLLIN};
-    int ready, longest = robot_expects_data() ? ROBOT_CAR_TRUNCATION_TIMEOUT_MS : -1;
+    int ready, longest = robot_expects_pause() ? ROBOT_CAR_TRUNCATION_TIMEOUT_MS : -1;
 
     while ((ready = poll(&line, 1, longest)) < 0)
         if (errno != EINTR)
@@ -87,7 +87,7 @@ int main(int argc, char **argv)
             robot_timed_out();
         }
     }
-    if (robot_expects_data())
+    if (robot_expects_pause())
         robot_timed_out();
     return EXIT_SUCCESS;
 }

@@ -34,6 +34,7 @@
 
 static struct ring received, to_send;
 static volatile uint16_t silence; /* ms since the last byte, as far as it matters */
+static volatile uint8_t byte_lost; /* after those in the ring; set by the interrupt */
 
 /* Both motors without power. */
 static void off(void)
@@ -63,8 +64,8 @@ static void uart0(void)
         silence = 0;
         if (BUG_WATCHDOG_STARVES || BUG_STATE_KEPT_OVER_WATCHDOG)
             feed_watchdog();
-        if (!(byte & UART_DR_SPOILT))
-            ring_put(&received, (uint8_t)byte);
+        if (byte & UART_DR_SPOILT || byte_lost || !ring_put(&received, (uint8_t)byte))
+            byte_lost = 1;
     }
     while (!ring_empty(&to_send) && !(UART_FR & UART_FR_TX_FULL))
         UART_DR = ring_take(&to_send);
@@ -116,16 +117,25 @@ void board_light(uint8_t rgb)
 
 /* -- start ----------------------------------------------------------------------------------- */
 
+/* So many turns, each of a few clock cycles. */
+static void wait(uint32_t turns)
+{
+    while (turns--)
+        __asm__ volatile("");
+}
+
 /* From the oscillator inside, which is too coarse for a serial line, to the crystal and the PLL. */
 static void clock_init(void)
 {
     RCC = (RCC | RCC_BYPASS) & ~RCC_DIVIDE;
     RCC &= ~RCC_MOSC_OFF;
+    wait(HZ / 100); /* a crystal takes milliseconds to swing; until then nothing may run on it */
     RCC = (RCC & ~(RCC_XTAL | RCC_SOURCE | RCC_PLL_OFF)) | RCC_XTAL_8_MHZ;
     RCC = (RCC & ~RCC_DIVISOR) | RCC_200_MHZ_BY_4 | RCC_DIVIDE | RCC_PWM_BY_64;
     while (!(RIS & RIS_PLL_LOCKED))
         ;
     RCC &= ~RCC_BYPASS;
+    wait(16); /* for the switch itself */
 }
 
 static void board_init(void)
@@ -179,9 +189,16 @@ static uint8_t is_over(void)
 static void rest(void)
 {
     __asm__ volatile("cpsid i" ::: "memory");
-    if (ring_empty(&received))
+    if (ring_empty(&received) && !byte_lost)
         __asm__ volatile("wfi");
     __asm__ volatile("cpsie i" ::: "memory");
+}
+
+/* Tell the robot; a byte that came meanwhile is one that it would throw away. */
+static void lose(void)
+{
+    robot_lost_byte();
+    byte_lost = 0;
 }
 
 static void run(void)
@@ -193,7 +210,9 @@ static void run(void)
             feed_watchdog();
         if (!ring_empty(&received))
             robot_receive(ring_take(&received));
-        else if (is_over() && robot_expects_data())
+        else if (byte_lost)
+            lose();
+        else if (is_over() && robot_expects_pause())
             robot_timed_out();
         else
             rest();

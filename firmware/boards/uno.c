@@ -33,6 +33,7 @@
 
 static struct ring received, to_send;
 static volatile uint16_t silence; /* ms since the last byte, as far as it matters */
+static volatile uint8_t byte_lost; /* after those in the ring; set by the interrupt */
 
 static uint8_t again, answered, clock, deadline; /* of planted bugs alone */
 static volatile uint8_t running_down;
@@ -58,8 +59,8 @@ ISR(USART_RX_vect)
         wdt_reset();
     if (BUG_DEAF_WHILE_ANSWERING && UCSR0B & _BV(UDRIE0))
         return;
-    if (!spoilt)
-        ring_put(&received, byte);
+    if (spoilt || byte_lost || !ring_put(&received, byte))
+        byte_lost = 1;
 }
 
 ISR(USART_UDRE_vect)
@@ -151,6 +152,7 @@ static void board_init(void)
     TCCR1B = _BV(WGM12) | _BV(CS11) | _BV(CS10);
     TIMSK1 = BUG_NO_TICK ? 0 : _BV(OCIE1A);
 
+    PORTD |= _BV(PD0); /* a line that is not plugged in is idle */
     UCSR0A = _BV(U2X0);
     UBRR0 = (uint16_t)((F_CPU / 4 / ROBOT_CAR_BAUD - 1) / 2);
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
@@ -164,7 +166,7 @@ static uint8_t is_over(void)
 
     if (BUG_CLOCK_WRAPS)
         return clock > deadline;
-    if (BUG_STALE_SILENCE && robot_expects_data() && now)
+    if (BUG_STALE_SILENCE && robot_expects_pause() && now)
         return now > ROBOT_CAR_TRUNCATION_TIMEOUT_MS;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
         now = silence;
@@ -179,7 +181,7 @@ static void rest(void)
 {
 #ifndef AWAKE
     cli();
-    if (ring_empty(&received)) {
+    if (ring_empty(&received) && !byte_lost) {
         sleep_enable();
         sei(); /* the instruction after it still runs before any interrupt: none is missed */
         sleep_cpu();
@@ -187,6 +189,13 @@ static void rest(void)
     }
     sei();
 #endif
+}
+
+/* Tell the robot; a byte that came meanwhile is one that it would throw away. */
+static void lose(void)
+{
+    robot_lost_byte();
+    byte_lost = 0;
 }
 
 int main(void)
@@ -200,7 +209,9 @@ int main(void)
             wdt_reset();
         if (!ring_empty(&received))
             robot_receive(ring_take(&received));
-        else if (is_over() && robot_expects_data())
+        else if (byte_lost)
+            lose();
+        else if (is_over() && robot_expects_pause())
             robot_timed_out();
         else
             rest();
