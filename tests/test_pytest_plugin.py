@@ -17,7 +17,7 @@ from conformance.faults import fault_bank
 from conformance.simulator import Simulator
 from spec.protocol import Protocol
 from tests.firmware import AVR, QEMU, built
-from tests.robots import PATIENCE, ROOT, simulate
+from tests.robots import PATIENCE, ROOT, TIMED_PROBES, simulate
 
 pytest_plugins = ["pytester"]
 
@@ -25,6 +25,16 @@ PLUGIN = ("-p", "conformance.pytest_plugin")
 PROBES = 19  # the time-out and reading/*: what every run asks of a device first
 FEW = ("--robot-only", "valid/LED/*", "--robot-only", "bad-data/LED/9")
 Result = pytest.RunResult
+
+
+def unjudged(result: Result, *, skipped: int = 0) -> int:
+    """How many cases of the time-out a real line was too coarse for, as on a machine that is busy.
+
+    They are skipped, beside those that always are.
+    """
+    count: int = result.parseoutcomes().get("skipped", 0) - skipped
+    assert 0 <= count <= len(TIMED_PROBES) + 1
+    return count
 
 
 @pytest.fixture
@@ -373,7 +383,8 @@ def test_a_board_s_firmware_is_judged_and_driven(
 
     result = pytested(run, "--robot-port", target, *FEW, "test_mine.py", "conformance")
 
-    result.assert_outcomes(passed=38, failed=1)
+    unsure = unjudged(result) if kind == "qemu" else 0
+    result.assert_outcomes(passed=38 - unsure, failed=1, skipped=unsure)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:
@@ -425,7 +436,9 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
         text(refused),
     )
     # Without a power switch one of the opening cases is skipped.
-    result.assert_outcomes(passed=8 + 1 + 4 + 5 + PROBES, skipped=1, failed=1)
+    unsure = unjudged(result, skipped=1)
+    count = 8 + 1 + 4 + 5 + PROBES
+    result.assert_outcomes(passed=count - unsure, skipped=1 + unsure, failed=1)
     assert moving is False
 
 
