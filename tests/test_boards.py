@@ -54,6 +54,17 @@ def test_a_board_under_qemu_conforms() -> None:
     assert (report["device"], report["link"]["probe"]) == (target, "qemu")
 
 
+def judging_under_qemu() -> subprocess.Popen[bytes]:
+    """The command at work on a board under QEMU."""
+    words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
+    return subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+    )
+
+
 def somewhere_in(run: subprocess.Popen[bytes]) -> int:
     """Wait until a run is past its power cycles, each of which is another process of QEMU."""
     before = None
@@ -66,13 +77,7 @@ def somewhere_in(run: subprocess.Popen[bytes]) -> int:
 
 @QEMU
 def test_an_emulator_that_ends_in_the_middle_is_told_in_one_sentence() -> None:
-    words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
-    with subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-    ) as run:
+    with judging_under_qemu() as run:
         emulator = somewhere_in(run)
         os.kill(emulator, signal.SIGKILL)
         out, err = run.communicate(timeout=PATIENCE)
@@ -85,13 +90,7 @@ def test_an_emulator_that_ends_in_the_middle_is_told_in_one_sentence() -> None:
 
 @QEMU
 def test_an_emulator_ends_with_the_kit_even_where_that_is_killed() -> None:
-    words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
-    with subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=ROOT,
-    ) as run:
+    with judging_under_qemu() as run:
         emulator = somewhere_in(run)
         ends = os.pidfd_open(emulator)
         run.kill()
