@@ -12,8 +12,8 @@ from analyzer.pairing import MILLISECOND, Held, Pair, Waiting
 from analyzer.records import Fault, Severity
 from captures.errors import shown
 from captures.schemas import Line
-from spec.answers import other_choices
 from spec.codec import Judgement, spaced
+from spec.legal_answers import other_choices
 from spec.protocol import Protocol
 
 MID_FRAME = "out of step: the device answered in mid-frame"

@@ -23,9 +23,9 @@ from analyzer.records import (
     written_state,
 )
 from captures.schemas import Chunk, Line, Look
-from spec.answers import SILENCE_READING, other_choices
 from spec.codec import Judgement
 from spec.fields import Outcome
+from spec.legal_answers import SILENCE_READING, other_choices
 from spec.motion import Motion
 from spec.protocol import Protocol
 

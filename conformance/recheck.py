@@ -25,8 +25,8 @@ from conformance.recorded_link import TOPICS, RecordedLink, Strayed
 from conformance.recording import GRAMMAR, RUN, VERDICT
 from conformance.report import Report, as_json
 from conformance.verdicts import CaseResult, worst
-from spec.declared import NotDeclared, require_declarations
 from spec.protocol import GrammarError, Protocol, load
+from spec.safe_grammar import NotDeclared, require_declarations
 
 SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from spec.declared import LONGEST, NotDeclared, require_declarations
+from spec.safe_grammar import LONGEST, NotDeclared, require_declarations
 from tests.test_mutations import MUTATIONS
 
 WORDS = "from construct import BitsInteger, Byte, this\nfrom spec.fields import Outcome, Sets\n"

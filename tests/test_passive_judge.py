@@ -20,8 +20,8 @@ from conformance.cases import all_cases
 from conformance.faults import fault_bank
 from conformance.simulator import Simulator
 from conformance.variants import find_variant, variants
-from spec.answers import other_choices
 from spec.codec import judge
+from spec.legal_answers import other_choices
 from spec.protocol import Protocol, load
 from tests.recordings import recorded
 from tests.robots import MS, command, sentence
