@@ -19,8 +19,8 @@ from analyzer.session import Session
 from analyzer.statistics import Statistics
 from captures.errors import CaptureError, shown
 from captures.reader import open_capture
-from captures.records import MAGIC
 from captures.schemas import Chunk, Direction, Line
+from captures.storage.records import MAGIC
 from spec.protocol import Protocol
 
 PIECE = 1 << 16  # bytes

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 
-from captures import records
 from captures.errors import CaptureError, shown
-from captures.limits import ATTACHMENT_BYTES
 from captures.reader import Capture, open_capture
-from captures.records import MAGIC, RECORD_HEAD, Damaged
-from captures.recovery import RecordFile
-from captures.sealing import SEAL_BYTES, SEAL_HASH, SEAL_NAME
+from captures.storage import records
+from captures.storage.limits import ATTACHMENT_BYTES
+from captures.storage.records import MAGIC, RECORD_HEAD, Damaged
+from captures.storage.recovery import RecordFile
+from captures.storage.seal import SEAL_BYTES, SEAL_HASH, SEAL_NAME
 
 _SEAL = re.compile(rb"\x0c.{8}\x0c\x00{3}" + re.escape(SEAL_NAME.encode()), re.DOTALL)
 _DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)

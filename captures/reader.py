@@ -13,12 +13,12 @@ import msgspec
 from msgspec.structs import replace
 
 from captures import topics
-from captures.contents import Contents
 from captures.errors import CaptureError, shown
-from captures.records import MAGIC, Damaged
 from captures.schemas import Chunk, Direction, Line, Look
-from captures.stored import Stored, stored_messages
-from captures.survey import JSON_ERRORS, surveyed
+from captures.storage.contents import Contents
+from captures.storage.messages import Stored, stored_messages
+from captures.storage.records import MAGIC, Damaged
+from captures.storage.survey import JSON_ERRORS, surveyed
 
 TOPICS_SHOWN = 10
 

@@ -20,9 +20,9 @@ from mcap.writer import CompressionType, Writer
 from captures import topics
 from captures.closing import Closing
 from captures.errors import CaptureError, shown
-from captures.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from captures.schemas import Chunk, Log, Time
-from captures.sealing import SEAL_NAME, HashedFile
+from captures.storage.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
+from captures.storage.seal import SEAL_NAME, HashedFile
 
 FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # a seek costs in proportion to this

@@ -15,11 +15,11 @@ import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
 
-from captures import limits
 from captures.errors import CaptureError, shown
 from captures.reader import Message, open_capture
-from captures.recovery import RecordFile
 from captures.schemas import Chunk, Line, Log, State, Time
+from captures.storage import limits
+from captures.storage.recovery import RecordFile
 from captures.summary import summary
 from captures.writer import CaptureWriter
 

@@ -15,9 +15,9 @@ from mcap.reader import make_reader
 from captures import topics
 from captures.errors import CaptureError
 from captures.evidence import open_evidence
-from captures.limits import ATTACHMENT_BYTES
 from captures.reader import open_capture
-from captures.sealing import SEAL_NAME
+from captures.storage.limits import ATTACHMENT_BYTES
+from captures.storage.seal import SEAL_NAME
 from captures.writer import CaptureWriter
 from conformance.recheck import recheck
 from conformance.report import as_json

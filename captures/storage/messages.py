@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from io import BufferedReader
 from typing import NamedTuple
 
-from captures import records
-from captures.contents import Contents
-from captures.limits import MESSAGE_BYTES
-from captures.order import TimeWindow
-from captures.recovery import SKIPPED, RecordFile
+from captures.storage import records
+from captures.storage.contents import Contents
+from captures.storage.limits import MESSAGE_BYTES
+from captures.storage.recovery import SKIPPED, RecordFile
+from captures.storage.time_order import TimeWindow
 
 
 class Stored(NamedTuple):

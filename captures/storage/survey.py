@@ -8,12 +8,13 @@ from typing import Final
 
 import msgspec
 
-from captures import limits, records, topics
-from captures.contents import Contents, Tally
-from captures.order import TimeWindow
-from captures.records import MAGIC, ChannelRecord, CutOff, Damaged
-from captures.recovery import SKIPPED, Found, RecordFile
+from captures import topics
 from captures.schemas import Line
+from captures.storage import limits, records
+from captures.storage.contents import Contents, Tally
+from captures.storage.records import MAGIC, ChannelRecord, CutOff, Damaged
+from captures.storage.recovery import SKIPPED, Found, RecordFile
+from captures.storage.time_order import TimeWindow
 
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
 JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from io import BufferedReader
 from typing import Final, NamedTuple
 
-from captures import records
-from captures.limits import ATTACHMENT_BYTES, CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
-from captures.records import CutOff, Damaged
-from captures.unpack import unpacked_chunk
+from captures.storage import records
+from captures.storage.limits import ATTACHMENT_BYTES, CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
+from captures.storage.records import CutOff, Damaged
+from captures.storage.unpack import unpacked_chunk
 
 SKIPPED: Final = -1
 """Opcode of a record that was stepped over because it is larger than allowed."""

@@ -8,8 +8,8 @@ import zlib
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from captures.limits import CHUNK_BYTES
-from captures.records import Damaged, chunk_fields, packed_length
+from captures.storage.limits import CHUNK_BYTES
+from captures.storage.records import Damaged, chunk_fields, packed_length
 
 ZSTD_WINDOW = 16 * 1024 * 1024  # bytes; a chunk is no larger
 

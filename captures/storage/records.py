@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from captures.limits import STRING_BYTES
+from captures.storage.limits import STRING_BYTES
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "

@@ -6,7 +6,7 @@ import heapq
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
-from captures.limits import WINDOW_BYTES, WINDOW_MESSAGES
+from captures.storage.limits import WINDOW_BYTES, WINDOW_MESSAGES
 
 Item = TypeVar("Item")
 

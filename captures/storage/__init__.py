@@ -1,0 +1,1 @@
+"""MCAP bytes in, whole records out."""
