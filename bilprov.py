@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from analyzer.api import judge as judge
     from analyzer.api import read_capture as read_capture
     from analyzer.grammar_file import load_protocol as load_protocol
-    from analyzer.link_errors import LinkError as LinkError
     from analyzer.live import sniff as sniff
     from analyzer.robot import Robot as Robot
     from analyzer.robot_errors import NoAnswer as NoAnswer
     from analyzer.robot_errors import Refused as Refused
     from analyzer.robot_errors import RobotError as RobotError
+    from analyzer.transport.errors import LinkError as LinkError
     from captures.reader import open_capture as open_capture
     from captures.schemas import Look as Look
     from conformance.api import Options as Options
@@ -58,7 +58,7 @@ __all__ = [
 
 # What the import hands on: name -> (module, attribute).
 API = {
-    "LinkError": ("analyzer.link_errors", "LinkError"),
+    "LinkError": ("analyzer.transport.errors", "LinkError"),
     "Look": ("captures.schemas", "Look"),
     "NoAnswer": ("analyzer.robot_errors", "NoAnswer"),
     "Options": ("conformance.api", "Options"),

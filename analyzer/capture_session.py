@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from analyzer.line_settings import LineSettings
 from analyzer.pairing import MILLISECOND
 from analyzer.session import BOTH, SKEW, Session
+from analyzer.transport.line_settings import LineSettings
 from captures.errors import shown
 from captures.reader import Capture
 from captures.schemas import Direction

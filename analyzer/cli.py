@@ -97,8 +97,8 @@ def ports(style: str) -> None:
     """List the serial ports of this machine; USB adapters and boards are marked with a star."""
     from dataclasses import asdict
 
-    from analyzer.ports import list_ports
     from analyzer.show import table
+    from analyzer.transport.ports import list_ports
     from captures.errors import shown
 
     found = list_ports()

@@ -14,10 +14,10 @@ from analyzer.faulty_line import LONGEST, Lane, LineFaults
 from analyzer.grammar_file import load_protocol
 from analyzer.joining import join
 from analyzer.line_ends import End, open_end, require_two_ends
-from analyzer.line_settings import LineSettings
 from analyzer.noise import Noise
 from analyzer.options import line_options, line_settings, note
-from analyzer.stopping import Stopper
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.signals import Stopper
 
 _TIME = re.compile(r"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)\s*(ms|s|)", re.ASCII | re.IGNORECASE)
 

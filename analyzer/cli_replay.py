@@ -34,13 +34,13 @@ from analyzer.pairing import MILLISECOND
 from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.playing import interruptible, played
-from analyzer.ports import open_port
 from analyzer.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
 from analyzer.session import BOTH
 from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
-from analyzer.stopping import Stopper
 from analyzer.target import Target, scaled_timeout
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import Stopper
 from captures.errors import shown
 from captures.player import paced
 from captures.reader import Capture, open_capture

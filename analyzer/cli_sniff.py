@@ -8,8 +8,6 @@ from contextlib import ExitStack
 import rich_click as click
 
 from analyzer.grammar_file import load_protocol
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError
 from analyzer.options import (
     compiled,
     filter_option,
@@ -24,13 +22,15 @@ from analyzer.options import (
 from analyzer.outputs import Format, Shown, chosen_format
 from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
-from analyzer.ports import open_port
 from analyzer.recording import Recorder, session_metadata
 from analyzer.session import BOTH, SKEW, Session
 from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
-from analyzer.stopping import Stopper
 from analyzer.taps import Bridge, Taps, require_two_lines
+from analyzer.transport.errors import LinkError
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import Stopper
 from captures.schemas import Direction, Line
 
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from analyzer.homing import home, stops
 from analyzer.pairing import MILLISECOND
 from analyzer.robot_errors import NoAnswer, Refused, RobotError
-from analyzer.wire import Heard, Wire
+from analyzer.transport.wire import Heard, Wire
 from spec.codec import build, judge, spaced
 from spec.fields import Outcome
 from spec.protocol import InstructionSpec, Protocol

@@ -15,7 +15,7 @@ from click import exceptions
 # loaded: one that was raised is, and nothing is imported for the others.
 SENTENCES = (
     ("spec.protocol", "GrammarError"),
-    ("analyzer.link_errors", "LinkError"),
+    ("analyzer.transport.errors", "LinkError"),
     ("analyzer.filters", "FilterError"),
     ("captures.errors", "CaptureError"),
     ("conformance.probes", "ProbeError"),

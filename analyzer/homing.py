@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from analyzer.pairing import MILLISECOND
-from analyzer.wire import Wire
+from analyzer.transport.wire import Wire
 from spec.protocol import Protocol
 
 _TRIES = 5  # an opened Arduino resets, and boots for some seconds

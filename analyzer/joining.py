@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 
 from analyzer.faulty_line import Lane
-from analyzer.forwarding import Forward
 from analyzer.line_ends import End
-from analyzer.ports import LinkError, wait_readable
-from analyzer.serve import Stop
+from analyzer.transport.forward import Forward
+from analyzer.transport.ports import LinkError, wait_readable
+from analyzer.transport.server import Stop
 
 _RETRY = 1_000_000  # ns between tries to hand on what a peer did not take
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import os
 from typing import Protocol
 
-from analyzer.line_settings import LineSettings
-from analyzer.outlets import Outlet, accept_all, listen_on, shown_address
-from analyzer.ports import Port, open_port
-from analyzer.ptys import PtyPair, open_pty
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.ports import Port, open_port
+from analyzer.transport.pty import PtyPair, open_pty
+from analyzer.transport.streams import Outlet, accept_all, listen_on, shown_address
 
 PTY = "pty"
 LISTEN = "listen:"

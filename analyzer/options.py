@@ -10,10 +10,10 @@ import rich_click as click
 
 from analyzer.filter_words import HELP as FILTER_HELP
 from analyzer.json_lines import JsonLine
-from analyzer.line_settings import LineSettings
 from analyzer.outputs import Format, JsonOutput, LinesOutput, Output
 from analyzer.pairing import MILLISECOND
 from analyzer.statistics import Statistics
+from analyzer.transport.line_settings import LineSettings
 from spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 
-from analyzer.stopping import Stopper
+from analyzer.transport.signals import Stopper
 from captures.player import paced
 from captures.schemas import Chunk, Line, Look
 

@@ -11,12 +11,12 @@ from typing import Self
 from analyzer.driver import Driver
 from analyzer.grammar_file import load_protocol
 from analyzer.homing import home_once
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError
-from analyzer.ports import open_port
 from analyzer.robot_errors import NoAnswer, RobotError
-from analyzer.stopping import ending_in_order, undisturbed
-from analyzer.wire import PortWire
+from analyzer.transport.errors import LinkError
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import ending_in_order, undisturbed
+from analyzer.transport.wire import PortWire
 from spec.protocol import Protocol
 
 

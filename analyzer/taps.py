@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from analyzer.forwarding import Forward
-from analyzer.ports import LinkError, Port, open_pty, wait_readable
+from analyzer.transport.forward import Forward
+from analyzer.transport.ports import LinkError, Port, open_pty, wait_readable
 from captures.closing import Closing
 from captures.schemas import Chunk, Direction, Line
 

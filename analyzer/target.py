@@ -10,13 +10,13 @@ from typing import Self
 
 from analyzer.comparison import Run
 from analyzer.homing import home, home_once
-from analyzer.link_errors import LinkError
 from analyzer.pairing import MILLISECOND
-from analyzer.ports import Port, wait_readable
 from analyzer.records import Record
 from analyzer.session import Session
-from analyzer.stopping import Stopper
-from analyzer.wire import PortWire
+from analyzer.transport.errors import LinkError
+from analyzer.transport.ports import Port, wait_readable
+from analyzer.transport.signals import Stopper
+from analyzer.transport.wire import PortWire
 from captures.schemas import Chunk
 from spec.protocol import Protocol
 

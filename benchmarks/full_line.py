@@ -23,8 +23,8 @@ import time
 from pathlib import Path
 
 from analyzer.grammar_file import load_protocol
-from analyzer.line_settings import LineSettings
-from analyzer.ptys import open_pty
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.pty import open_pty
 from captures.reader import open_capture
 from captures.summary import summary
 from spec.codec import all_data, lying

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from analyzer.line_settings import LineSettings
+from analyzer.transport.line_settings import LineSettings
 from conformance.fault import MS
 from spec.codec import all_data, bad_data, judge, lying
 from spec.protocol import InstructionSpec, Protocol

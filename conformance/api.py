@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
 from analyzer.grammar_file import load_protocol
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError
-from analyzer.port import Port
+from analyzer.transport.errors import LinkError
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.port import Port
 from conformance.budget import dropped, within
 from conformance.cases import Case
 from conformance.checked import CheckedDevice

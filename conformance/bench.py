@@ -13,10 +13,10 @@ from dataclasses import replace
 from queue import SimpleQueue
 from typing import Any
 
-from analyzer.line_settings import LineSettings
-from analyzer.port import Port
-from analyzer.ports import open_port
-from analyzer.stopping import Stopper, undisturbed
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.port import Port
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import Stopper, undisturbed
 from conformance.api import (
     Options,
     always,

@@ -14,7 +14,7 @@ from rich.console import Console
 from analyzer.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
 from analyzer.options import line_options, line_settings, note
-from analyzer.ports import open_port
+from analyzer.transport.ports import open_port
 from analyzer.whole_file import write_whole
 from conformance.api import Options, always, estimated_seconds, select_cases
 from conformance.boards.named import board_named

@@ -9,8 +9,8 @@ import rich_click as click
 
 from analyzer.grammar_file import load_protocol
 from analyzer.options import line_settings, note
-from analyzer.serve import serve
-from analyzer.stopping import Stopper
+from analyzer.transport.server import serve
+from analyzer.transport.signals import Stopper
 from conformance.boards.elf import ARM, architecture
 from conformance.boards.emulator import EmulatorError
 from conformance.boards.named import PREFIX, QEMU

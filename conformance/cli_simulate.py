@@ -5,8 +5,8 @@ from __future__ import annotations
 import rich_click as click
 
 from analyzer.grammar_file import load_protocol
-from analyzer.serve import serve
-from analyzer.stopping import Stopper
+from analyzer.transport.server import serve
+from analyzer.transport.signals import Stopper
 from conformance.device_option import named_device
 from conformance.faults.names import listed_faults, listed_variants
 from conformance.simulator import Simulator

@@ -10,7 +10,7 @@ from analyzer.driver import Answer as Answer
 from analyzer.pairing import MILLISECOND
 from analyzer.robot import Instructions
 from analyzer.robot_errors import RobotError as RobotError
-from analyzer.wire import Heard as Answers
+from analyzer.transport.wire import Heard as Answers
 from captures.schemas import Look
 from conformance.asks import Ask, Heard, Listen, See, Seen, Send
 from conformance.drive import Link

@@ -17,9 +17,9 @@ from pathlib import Path
 import click
 
 from analyzer.grammar_file import load_protocol
-from analyzer.link_errors import LinkError
-from analyzer.port import Port
-from analyzer.ports import open_port, wait_readable
+from analyzer.transport.errors import LinkError
+from analyzer.transport.port import Port
+from analyzer.transport.ports import open_port, wait_readable
 from spec.framing import Framer
 from spec.protocol import Protocol
 from spec.readings import ERRATA, EXAMPLES

@@ -6,10 +6,10 @@ import time
 from contextlib import ExitStack
 
 from analyzer.options import line_settings, note, timeout_in_ns
-from analyzer.port import Port
 from analyzer.recording import session_metadata
 from analyzer.session import Session
-from analyzer.stopping import Stopper
+from analyzer.transport.port import Port
+from analyzer.transport.signals import Stopper
 from captures.errors import CaptureError
 from conformance.api import Options, conform, conform_port
 from conformance.boards.named import BoardName

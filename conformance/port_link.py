@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from analyzer.link_errors import LinkError
-from analyzer.port import Port
-from analyzer.ports import wait_readable
+from analyzer.transport.errors import LinkError
+from analyzer.transport.port import Port
+from analyzer.transport.ports import wait_readable
 from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.drive import HELD, Tap
 from conformance.power import Power, PowerError

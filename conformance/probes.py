@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import msgspec
 
-from analyzer.outlets import parse_address
-from analyzer.port import Port
+from analyzer.transport.port import Port
+from analyzer.transport.streams import parse_address
 from captures.errors import shown
 from captures.schemas import Look
 

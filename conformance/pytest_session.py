@@ -12,8 +12,8 @@ import pytest
 
 from analyzer.confirm import NotConfirmed, confirm_motion
 from analyzer.grammar_file import load_protocol
-from analyzer.link_errors import LinkError
 from analyzer.options import line_settings
+from analyzer.transport.errors import LinkError
 from captures.errors import shown
 from conformance.api import Options
 from conformance.bench import SIM, Bench

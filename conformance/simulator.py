@@ -13,7 +13,7 @@ from typing import cast
 
 import msgspec
 
-from analyzer.line_settings import LineSettings
+from analyzer.transport.line_settings import LineSettings
 from captures.schemas import Look
 from conformance.fault import CONFORMING as CONFORMING
 from conformance.fault import MS as MS

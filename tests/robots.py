@@ -15,9 +15,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from analyzer.outlets import parse_address
-from analyzer.serve import serve
-from analyzer.stopping import Stopper
+from analyzer.transport.server import serve
+from analyzer.transport.signals import Stopper
+from analyzer.transport.streams import parse_address
 from captures.schemas import Look
 from conformance.api import Unwatched
 from conformance.asks import Ask, Heard, See, Seen

@@ -20,10 +20,10 @@ import pytest
 
 from analyzer.api import read_capture
 from analyzer.grammar_file import load_protocol
-from analyzer.ports import open_port
-from analyzer.ptys import open_pty
 from analyzer.records import DeviceRecord, HostRecord
-from analyzer.stopping import Stopper
+from analyzer.transport.ports import open_port
+from analyzer.transport.pty import open_pty
+from analyzer.transport.signals import Stopper
 from captures.reader import open_capture
 from captures.schemas import Look
 from conformance.api import Options, conform, conform_port

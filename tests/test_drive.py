@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from analyzer.ports import open_port
-from analyzer.stopping import Stopper
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import Stopper
 from captures.schemas import Look
 from conformance.asks import Ask, Heard, Listen, Script, See, Seen, Send, listen, see, send
 from conformance.drive import VirtualLink, drive

@@ -20,7 +20,7 @@ import serial
 from click.testing import CliRunner
 
 import bilprov
-from analyzer.outlets import parse_address
+from analyzer.transport.streams import parse_address
 from captures.writer import CaptureWriter
 from conformance.boards.paced import HELD, PacedBoard
 from conformance.boards.simavr import SimavrBoard

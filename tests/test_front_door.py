@@ -14,8 +14,8 @@ import click
 import pytest
 
 import bilprov
-from analyzer.ptys import open_pty
 from analyzer.records import DeviceRecord, HostRecord
+from analyzer.transport.pty import open_pty
 from captures.schemas import Chunk
 from captures.writer import CaptureWriter
 

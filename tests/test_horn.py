@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analyzer.ptys import open_pty
+from analyzer.transport.pty import open_pty
 from conformance.api import Options, conform
 from conformance.cases import all_cases
 from conformance.faults import fault_bank

@@ -25,7 +25,7 @@ FRONT_DOOR = "bilprov.py"
 # Where each library may be met: files, or folders that end in a slash.
 HOMES = {
     "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
-    "serial": ("analyzer/ports.py",),
+    "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "rich_click": ("analyzer/", "conformance/", FRONT_DOOR),
@@ -230,7 +230,7 @@ def test_every_room_of_the_house_is_walked_through() -> None:
     rooms = {path.split("/")[0] for path in _product()}
 
     assert {"spec", "captures", "analyzer", "conformance"} <= rooms
-    assert {"spec/grammar.py", "spec/codec.py", "analyzer/ports.py"} <= set(_product())
+    assert {"spec/grammar.py", "spec/codec.py", "analyzer/transport/ports.py"} <= set(_product())
 
 
 def test_every_package_that_is_installed_is_walked_through() -> None:
@@ -250,7 +250,7 @@ BROKEN = [
     (against_the_direction, "captures/writer.py", "from analyzer.version import kit_version"),
     (against_the_direction, "analyzer/session.py", "import bilprov"),
     (against_the_direction, "analyzer/session.py", "def f():\n    import conformance.cases"),
-    (against_the_direction, "spec/emit/lua.py", "import_module('analyzer.ports')"),
+    (against_the_direction, "spec/emit/lua.py", "import_module('analyzer.transport.ports')"),
     (
         against_the_direction,
         "captures/writer.py",
@@ -298,16 +298,16 @@ KEPT = [
     (cli_outside_the_front_door, "bilprov.py", "row = {'info': 'analyzer.cli'}"),
     (cli_outside_the_front_door, "analyzer/taps.py", "from analyzer.ports import client"),
     (library_away_from_home, "spec/codec.py", "from construct import ConstructError"),
-    (library_away_from_home, "analyzer/ports.py", "import serial.tools.list_ports"),
+    (library_away_from_home, "analyzer/transport/ports.py", "import serial.tools.list_ports"),
     (library_away_from_home, "captures/reader.py", "import mcap.reader"),
     (library_away_from_home, "analyzer/cli.py", "import rich.table, rich_click"),
     (library_away_from_home, "conformance/pytest_case.py", "import pytest"),
     (relative, "spec/codec.py", "from spec import fields\nimport_module('spec.fields')"),
     (impure, "spec/codec.py", "import hashlib\nfrom dataclasses import dataclass"),
-    (impure, "analyzer/ports.py", "import time\nopen('x')"),
+    (impure, "analyzer/transport/ports.py", "import time\nopen('x')"),
     (without_promise, "spec/codec.py", "'''Bytes in, frames out.'''\nimport ast"),
     (naming_an_instruction, "spec/grammar.py", "NAME = 'Stop'"),
-    (naming_an_instruction, "analyzer/serve.py", "__all__ = ['Stop']"),
+    (naming_an_instruction, "analyzer/transport/server.py", "__all__ = ['Stop']"),
     (naming_an_instruction, "spec/codec.py", "'''Stop'''\nx = 'stop'  # 'Stop'\ny = 'Stop now'"),
 ]
 

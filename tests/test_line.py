@@ -19,9 +19,9 @@ from analyzer.faulty_line import LONGEST, Lane, LineFaults
 from analyzer.joining import join
 from analyzer.line_ends import ListeningEnd
 from analyzer.noise import Noise
-from analyzer.outlets import parse_address
-from analyzer.ports import LinkError, open_port, open_pty
-from analyzer.stopping import Stopper
+from analyzer.transport.ports import LinkError, open_port, open_pty
+from analyzer.transport.signals import Stopper
+from analyzer.transport.streams import parse_address
 from tests.robots import command, sentence, simulate
 from tests.wires import PATIENCE, Running, running
 

@@ -17,8 +17,8 @@ import pytest
 import serial
 import serial.rfc2217
 
-from analyzer.link_errors import link_lost, opening_failed
-from analyzer.ports import (
+from analyzer.transport.errors import link_lost, opening_failed
+from analyzer.transport.ports import (
     LineSettings,
     LinkError,
     Port,

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.ports import open_port
-from analyzer.ptys import open_pty
-from analyzer.stopping import Stopper
+from analyzer.transport.ports import open_port
+from analyzer.transport.pty import open_pty
+from analyzer.transport.signals import Stopper
 from captures.schemas import Look
 from conformance.asks import See, Seen
 from conformance.port_link import PortLink

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from analyzer.options import line_settings
-from analyzer.port import Port
-from analyzer.ports import wait_readable
+from analyzer.transport.port import Port
+from analyzer.transport.ports import wait_readable
 from captures.schemas import Look
 from conformance.boards.emulator import EmulatorError
 from conformance.boards.qemu import QemuBoard, running

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.ports import open_port, wait_readable
+from analyzer.transport.ports import open_port, wait_readable
 from tests.firmware import AVR, built
 from tests.robots import PATIENCE, command, emulate, simulate, unwell
 from tests.wires import running

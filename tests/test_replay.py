@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from analyzer.playing import played
-from analyzer.ptys import open_pty
+from analyzer.transport.pty import open_pty
 from captures.schemas import Chunk, Line
 from captures.writer import CaptureWriter
 from spec.protocol import Protocol

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from analyzer.ports import open_port
-from analyzer.stopping import ending_in_order, undisturbed
+from analyzer.transport.ports import open_port
+from analyzer.transport.signals import ending_in_order, undisturbed
 from bilprov import LinkError, NoAnswer, Refused, Robot, RobotError
 from conformance.asks import Ask
 from conformance.client import Client

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.outlets import parse_address
-from analyzer.ports import LinkError, Port, open_port, wait_readable
-from analyzer.serve import Stopper, serve
+from analyzer.transport.ports import LinkError, Port, open_port, wait_readable
+from analyzer.transport.server import Stopper, serve
+from analyzer.transport.streams import parse_address
 from tests.robots import PATIENCE
 
 ALL = bytes(range(256))

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from analyzer.ptys import PtyPair, open_pty
+from analyzer.transport.pty import PtyPair, open_pty
 from captures.reader import open_capture
 from captures.schemas import Chunk
 from spec.protocol import Protocol

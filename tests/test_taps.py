@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.forwarding import Forward
-from analyzer.ports import LinkError, Port, PtyPair, open_port, open_pty, wait_readable
-from analyzer.stopping import Stopper
 from analyzer.taps import Bridge, Taps, counted, require_two_lines
+from analyzer.transport.forward import Forward
+from analyzer.transport.ports import LinkError, Port, PtyPair, open_port, open_pty, wait_readable
+from analyzer.transport.signals import Stopper
 from captures.schemas import Chunk, Line
 
 ALL = bytes(range(256))

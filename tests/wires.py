@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from analyzer.serve import serve
-from analyzer.stopping import Stopper
+from analyzer.transport.server import serve
+from analyzer.transport.signals import Stopper
 from spec.codec import judge
 from spec.framing import Framer
 from spec.protocol import Protocol

@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from analyzer.line_settings import LineSettings
-from analyzer.port import Port
-from analyzer.ports import open_port
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.port import Port
+from analyzer.transport.ports import open_port
 from captures.schemas import Look
 from conformance.boards.elf import ARM, AVR, architecture
 from conformance.boards.emulator import EmulatorError

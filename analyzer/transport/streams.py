@@ -7,7 +7,7 @@ import os
 import socket
 from collections.abc import Callable, Iterator
 
-from analyzer.link_errors import LinkError
+from analyzer.transport.errors import LinkError
 
 _READ_LIMIT = 1 << 20  # bytes taken in one turn, so that a flood cannot hold the loop
 _BACKLOG_LIMIT = 1 << 16  # bytes kept for a peer that does not read; what follows is dropped

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from typing import Protocol, TypeAlias
 
-from analyzer.port import Port
-from analyzer.ports import wait_readable
+from analyzer.transport.port import Port
+from analyzer.transport.ports import wait_readable
 
 HELD = 1 << 16
 """Answers kept of one listening: a device that floods must not fill the memory."""

@@ -14,8 +14,8 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError, link_lost, writing_failed
+from analyzer.transport.errors import LinkError, link_lost, writing_failed
+from analyzer.transport.line_settings import LineSettings
 from captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken

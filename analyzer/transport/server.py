@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from analyzer.outlets import Outlet, accept_all, listen_on, shown_address
-from analyzer.ptys import open_pty
-from analyzer.stopping import Stopper
+from analyzer.transport.pty import open_pty
+from analyzer.transport.signals import Stopper
+from analyzer.transport.streams import Outlet, accept_all, listen_on, shown_address
 
 __all__ = ["ByteDevice", "Stop", "Stopper", "serve"]
 

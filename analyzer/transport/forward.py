@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from analyzer.link_errors import LinkError
+from analyzer.transport.errors import LinkError
 
 _BACKLOG_LIMIT = 1 << 16  # bytes
 _PATIENCE = 1_000_000_000  # ns without a byte taken

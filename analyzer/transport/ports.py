@@ -15,10 +15,10 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports as serial_list_ports
 
-from analyzer.line_settings import LineSettings
-from analyzer.link_errors import LinkError, opening_failed
-from analyzer.port import FAULTS, WRITE_TIMEOUT, Port
-from analyzer.ptys import PtyPair, open_pty
+from analyzer.transport.errors import LinkError, opening_failed
+from analyzer.transport.line_settings import LineSettings
+from analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
+from analyzer.transport.pty import PtyPair, open_pty
 
 __all__ = [
     "LineSettings",

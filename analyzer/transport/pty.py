@@ -6,7 +6,7 @@ import contextlib
 import os
 import tty
 
-from analyzer.link_errors import LinkError
+from analyzer.transport.errors import LinkError
 from captures.closing import Closing
 
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller

@@ -1,0 +1,1 @@
+"""Ports, ptys, sockets, signals."""
