@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 
 import rich_click as click
 
-from analyzer.faulty_line import LONGEST, Lane, LineFaults
 from analyzer.grammar_file import load_protocol
-from analyzer.joining import join
-from analyzer.line_ends import End, open_end, require_two_ends
-from analyzer.noise import Noise
 from analyzer.options import line_options, line_settings, note
+from analyzer.taps.ends import End, open_end, require_two_ends
+from analyzer.taps.impairment import LONGEST, Lane, LineFaults
+from analyzer.taps.noise import Noise
+from analyzer.taps.relay import join
 from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.signals import Stopper
 

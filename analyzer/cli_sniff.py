@@ -26,7 +26,7 @@ from analyzer.recording import Recorder, session_metadata
 from analyzer.session import BOTH, SKEW, Session
 from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
-from analyzer.taps import Bridge, Taps, require_two_lines
+from analyzer.taps.passive import Bridge, Taps, require_two_lines
 from analyzer.transport.errors import LinkError
 from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.ports import open_port

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from analyzer.grammar_file import load_protocol
 from analyzer.records import Record
 from analyzer.session import BOTH, Session
-from analyzer.taps import Taps, require_two_lines
+from analyzer.taps.passive import Taps, require_two_lines
 from analyzer.transport.ports import LineSettings, open_port
 from captures.schemas import Direction
 from spec.protocol import Protocol

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from random import Random
 
-from analyzer.noise import Noise
+from analyzer.taps.noise import Noise
 from captures.schemas import Look
 from conformance.drive import Device
 

@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.faulty_line import LONGEST, Lane, LineFaults
-from analyzer.joining import join
-from analyzer.line_ends import ListeningEnd
-from analyzer.noise import Noise
+from analyzer.taps.ends import ListeningEnd
+from analyzer.taps.impairment import LONGEST, Lane, LineFaults
+from analyzer.taps.noise import Noise
+from analyzer.taps.relay import join
 from analyzer.transport.ports import LinkError, open_port, open_pty
 from analyzer.transport.signals import Stopper
 from analyzer.transport.streams import parse_address

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.taps import Bridge, Taps, counted, require_two_lines
+from analyzer.taps.passive import Bridge, Taps, counted, require_two_lines
 from analyzer.transport.forward import Forward
 from analyzer.transport.ports import LinkError, Port, PtyPair, open_port, open_pty, wait_readable
 from analyzer.transport.signals import Stopper

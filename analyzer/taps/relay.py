@@ -8,8 +8,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from analyzer.faulty_line import Lane
-from analyzer.line_ends import End
+from analyzer.taps.ends import End
+from analyzer.taps.impairment import Lane
 from analyzer.transport.forward import Forward
 from analyzer.transport.ports import LinkError, wait_readable
 from analyzer.transport.server import Stop

@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from random import Random
 
-from analyzer.noise import Noise
+from analyzer.taps.noise import Noise
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back
 
