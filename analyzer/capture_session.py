@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from analyzer.pairing import MILLISECOND
-from analyzer.session import BOTH, SKEW, Session
+from analyzer.decode.pairing import MILLISECOND
+from analyzer.decode.session import BOTH, SKEW, Session
 from analyzer.transport.line_settings import LineSettings
 from captures.errors import shown
 from captures.reader import Capture

@@ -11,11 +11,11 @@ from typing import Literal
 import rich_click as click
 
 from analyzer.capture_session import capture_session, said_about
+from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
 from analyzer.hex_text import bytes_from_hex
 from analyzer.options import compiled, filter_option, note, opened_output
 from analyzer.outputs import Shown
-from analyzer.session import Session
 from analyzer.statistics import Statistics
 from captures.errors import CaptureError, shown
 from captures.reader import open_capture

@@ -18,6 +18,9 @@ from analyzer.capture_session import (
 )
 from analyzer.comparison import Run, differences
 from analyzer.confirm import confirm_motion
+from analyzer.decode.pairing import MILLISECOND
+from analyzer.decode.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
+from analyzer.decode.session import BOTH
 from analyzer.grammar_file import load_protocol
 from analyzer.options import (
     compiled,
@@ -30,12 +33,9 @@ from analyzer.options import (
     timeout_option,
 )
 from analyzer.outputs import Format, Output, Shown, chosen_format
-from analyzer.pairing import MILLISECOND
 from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.playing import interruptible, played
-from analyzer.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
-from analyzer.session import BOTH
 from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
 from analyzer.target import Target, scaled_timeout

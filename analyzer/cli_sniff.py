@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 import rich_click as click
 
+from analyzer.decode.session import BOTH, SKEW, Session
 from analyzer.grammar_file import load_protocol
 from analyzer.options import (
     compiled,
@@ -23,7 +24,6 @@ from analyzer.outputs import Format, Shown, chosen_format
 from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.recording import Recorder, session_metadata
-from analyzer.session import BOTH, SKEW, Session
 from analyzer.show_findings import tell_findings
 from analyzer.statistics import Statistics
 from analyzer.taps.passive import Bridge, Taps, require_two_lines

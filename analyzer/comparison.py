@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from analyzer.records import DeviceRecord, FaultRecord, HostRecord, Record
+from analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
 from spec.codec import spaced
 from spec.protocol import Protocol
 

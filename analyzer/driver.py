@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from analyzer.decode.pairing import MILLISECOND
 from analyzer.homing import home, stops
-from analyzer.pairing import MILLISECOND
 from analyzer.robot_errors import NoAnswer, Refused, RobotError
 from analyzer.transport.wire import Heard, Wire
 from spec.codec import build, judge, spaced

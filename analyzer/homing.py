@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from analyzer.pairing import MILLISECOND
+from analyzer.decode.pairing import MILLISECOND
 from analyzer.transport.wire import Wire
 from spec.protocol import Protocol
 

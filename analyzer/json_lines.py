@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import msgspec
 
-from analyzer.records import (
+from analyzer.decode.records import (
     DeviceRecord,
     Fault,
     FaultRecord,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 
+from analyzer.decode.records import Record
+from analyzer.decode.session import BOTH, Session
 from analyzer.grammar_file import load_protocol
-from analyzer.records import Record
-from analyzer.session import BOTH, Session
 from analyzer.taps.passive import Taps, require_two_lines
 from analyzer.transport.ports import LineSettings, open_port
 from captures.schemas import Direction

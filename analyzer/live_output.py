@@ -14,8 +14,8 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.live import Live
 
+from analyzer.decode.records import Record
 from analyzer.live_view import View, live_view
-from analyzer.records import Record
 from analyzer.statistics import Statistics
 from spec.protocol import Protocol
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from analyzer.car_view import car_view
-from analyzer.records import (
+from analyzer.decode.records import (
     DeviceRecord,
     Fault,
     FaultRecord,

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 import rich_click as click
 
+from analyzer.decode.pairing import MILLISECOND
 from analyzer.filter_words import HELP as FILTER_HELP
 from analyzer.json_lines import JsonLine
 from analyzer.outputs import Format, JsonOutput, LinesOutput, Output
-from analyzer.pairing import MILLISECOND
 from analyzer.statistics import Statistics
 from analyzer.transport.line_settings import LineSettings
 from spec.protocol import Protocol

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable
 from typing import Literal, Protocol, TextIO
 
+from analyzer.decode.records import Record, is_frame
 from analyzer.json_lines import JsonLine, encode, json_line
-from analyzer.records import Record, is_frame
 from analyzer.render import ASCII_ARROWS, LineRenderer
 
 Format = Literal["live", "lines", "jsonl"]

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections import Counter
 
 from analyzer.coverage import Coverage
-from analyzer.findings import Findings, Violation
-from analyzer.pairing import MILLISECOND
-from analyzer.records import (
+from analyzer.decode.pairing import MILLISECOND
+from analyzer.decode.records import (
     DeviceRecord,
     Fault,
     FaultRecord,
@@ -22,6 +21,7 @@ from analyzer.records import (
     Severity,
     written_state,
 )
+from analyzer.findings import Findings, Violation
 from captures.schemas import Chunk, Line, Look
 from spec.codec import Judgement
 from spec.fields import Outcome

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from analyzer.decode.records import Record
+from analyzer.decode.session import Session
 from analyzer.outputs import Output, Shown
 from analyzer.passive_judge import PassiveJudge
 from analyzer.recording import Recorder
-from analyzer.records import Record
-from analyzer.session import Session
 from analyzer.statistics import Statistics
 from captures.schemas import Chunk, Line
 

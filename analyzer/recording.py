@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from analyzer.pairing import MILLISECOND
-from analyzer.records import DeviceRecord, Fault, HostRecord, Record, faults_of
+from analyzer.decode.pairing import MILLISECOND
+from analyzer.decode.records import DeviceRecord, Fault, HostRecord, Record, faults_of
 from analyzer.version import kit_version
 from captures.closing import Closing
 from captures.schemas import Asked, CaseMark, Chunk, Direction, Line, Log, Look, State, Time

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import click
 
-from analyzer.records import (
+from analyzer.decode.records import (
     DeviceRecord,
     Fault,
     FaultRecord,

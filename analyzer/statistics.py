@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 
-from analyzer.records import (
+from analyzer.decode.records import (
     DeviceRecord,
     Fault,
     HostRecord,

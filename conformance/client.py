@@ -6,8 +6,8 @@ time are the same to a test.
 
 from __future__ import annotations
 
+from analyzer.decode.pairing import MILLISECOND
 from analyzer.driver import Answer as Answer
-from analyzer.pairing import MILLISECOND
 from analyzer.robot import Instructions
 from analyzer.robot_errors import RobotError as RobotError
 from analyzer.transport.wire import Heard as Answers

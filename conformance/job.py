@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 
+from analyzer.decode.session import Session
 from analyzer.options import line_settings, note, timeout_in_ns
 from analyzer.recording import session_metadata
-from analyzer.session import Session
 from analyzer.transport.port import Port
 from analyzer.transport.signals import Stopper
 from captures.errors import CaptureError

@@ -16,9 +16,9 @@ from urllib.parse import quote
 
 from rich.console import Console, RenderableType
 
+from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
 from analyzer.live_view import View, live_view
-from analyzer.session import Session
 from analyzer.statistics import Statistics
 from analyzer.transport.line_settings import LineSettings
 from captures.schemas import Chunk

@@ -13,9 +13,9 @@ from typing import Literal
 
 import msgspec
 
+from analyzer.decode.records import Record
+from analyzer.decode.session import Session
 from analyzer.recording import Recorder
-from analyzer.records import Record
-from analyzer.session import Session
 from analyzer.version import kit_version
 from captures.closing import Closing
 from captures.errors import CaptureError

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from analyzer.records import DeviceRecord, HostRecord, Record, faults_of
-from analyzer.session import Session
+from analyzer.decode.records import DeviceRecord, HostRecord, Record, faults_of
+from analyzer.decode.session import Session
 from captures.schemas import Chunk, Line
 
 MS = 1_000_000  # ns

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
+from analyzer.decode.session import Session
 from analyzer.recording import session_metadata
-from analyzer.session import Session
 from captures import topics
 from captures.reader import Message, open_capture
 from captures.schemas import Chunk

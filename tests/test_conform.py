@@ -19,8 +19,8 @@ import msgspec
 import pytest
 
 from analyzer.api import read_capture
+from analyzer.decode.records import DeviceRecord, HostRecord
 from analyzer.grammar_file import load_protocol
-from analyzer.records import DeviceRecord, HostRecord
 from analyzer.transport.ports import open_port
 from analyzer.transport.pty import open_pty
 from analyzer.transport.signals import Stopper

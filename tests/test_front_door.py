@@ -14,7 +14,7 @@ import click
 import pytest
 
 import bilprov
-from analyzer.records import DeviceRecord, HostRecord
+from analyzer.decode.records import DeviceRecord, HostRecord
 from analyzer.transport.pty import open_pty
 from captures.schemas import Chunk
 from captures.writer import CaptureWriter

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from analyzer.records import Severity, faults_of
-from analyzer.session import Session
+from analyzer.decode.records import Severity, faults_of
+from analyzer.decode.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
 from tests.decoding import MS, Event, conversation, decoded, devices, hosts, kinds

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from analyzer.decode.session import Session
 from analyzer.live_view import View, live_view
 from analyzer.render import LineRenderer
-from analyzer.session import Session
 from analyzer.statistics import Snapshot, Statistics
 from captures.schemas import Line
 from spec.protocol import Protocol

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer.records import HostRecord, LineRecord, Record, Severity
-from analyzer.session import Session
+from analyzer.decode.records import HostRecord, LineRecord, Record, Severity
+from analyzer.decode.session import Session
 from captures.schemas import Chunk, Line
 from spec.protocol import Protocol
 from tests.decoding import MS, Event, conversation, decoded, devices, hosts, kinds

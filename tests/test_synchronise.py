@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from analyzer.session import Session
+from analyzer.decode.session import Session
 from captures.schemas import Chunk
 from spec.protocol import Protocol, load
 from spec.synchronise import Synchroniser, traffic

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 
 import msgspec
 
-from analyzer import oddities
-from analyzer.decoder import LOSSES, Decoder
-from analyzer.hunt import Hunt
-from analyzer.pairing import MILLISECOND
-from analyzer.records import Record
+from analyzer.decode import anomalies as oddities
+from analyzer.decode.decoder import LOSSES, Decoder
+from analyzer.decode.pairing import MILLISECOND
+from analyzer.decode.records import Record
+from analyzer.decode.resync import Hunt
 from captures.schemas import Chunk, Direction, Line
 from spec.framing import Framed
 from spec.protocol import Protocol

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.pairing import MILLISECOND
+from analyzer.decode.pairing import MILLISECOND
 from captures.schemas import Chunk, Line
 from spec.framing import Framed
 from spec.protocol import Protocol

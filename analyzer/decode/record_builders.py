@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from analyzer.oddities import Verdict
-from analyzer.pairing import Held, Waiting
-from analyzer.records import DeviceRecord, Fault, HostRecord
+from analyzer.decode.anomalies import Verdict
+from analyzer.decode.pairing import Held, Waiting
+from analyzer.decode.records import DeviceRecord, Fault, HostRecord
 from captures.schemas import Instruction, Response, State
 from spec.codec import Judgement, spaced
 from spec.framing import Framed

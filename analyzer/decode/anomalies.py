@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from analyzer.pairing import MILLISECOND, Held, Pair, Waiting
-from analyzer.records import Fault, Severity
+from analyzer.decode.pairing import MILLISECOND, Held, Pair, Waiting
+from analyzer.decode.records import Fault, Severity
 from captures.errors import shown
 from captures.schemas import Line
 from spec.codec import Judgement, spaced

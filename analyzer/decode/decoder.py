@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 
-from analyzer import oddities
-from analyzer.pairing import MILLISECOND, Held, Pair, Pairing
-from analyzer.record_forms import answer_record, frame_record, garbage_record
-from analyzer.records import FaultRecord, LineRecord, Record, written_state
+from analyzer.decode import anomalies as oddities
+from analyzer.decode.pairing import MILLISECOND, Held, Pair, Pairing
+from analyzer.decode.record_builders import answer_record, frame_record, garbage_record
+from analyzer.decode.records import FaultRecord, LineRecord, Record, written_state
 from captures.schemas import Line
 from spec.codec import Judgement, judge
 from spec.fields import Outcome

@@ -1,0 +1,1 @@
+"""Timed bytes in, frames with their answers out."""
