@@ -22,6 +22,7 @@ from analyzer.decode.pairing import MILLISECOND
 from analyzer.decode.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
 from analyzer.decode.session import BOTH
 from analyzer.grammar_file import load_protocol
+from analyzer.monitor.passive_judge import PassiveJudge
 from analyzer.options import (
     compiled,
     filter_option,
@@ -33,7 +34,6 @@ from analyzer.options import (
     timeout_option,
 )
 from analyzer.outputs import Format, Output, Shown, chosen_format
-from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.playing import interruptible, played
 from analyzer.show_findings import tell_findings

@@ -9,6 +9,7 @@ import rich_click as click
 
 from analyzer.decode.session import BOTH, SKEW, Session
 from analyzer.grammar_file import load_protocol
+from analyzer.monitor.passive_judge import PassiveJudge
 from analyzer.options import (
     compiled,
     filter_option,
@@ -21,7 +22,6 @@ from analyzer.options import (
     timeout_option,
 )
 from analyzer.outputs import Format, Shown, chosen_format
-from analyzer.passive_judge import PassiveJudge
 from analyzer.pipeline import Pipeline
 from analyzer.recording import Recorder, session_metadata
 from analyzer.show_findings import tell_findings

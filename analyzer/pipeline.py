@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 from analyzer.decode.records import Record
 from analyzer.decode.session import Session
+from analyzer.monitor.passive_judge import PassiveJudge
 from analyzer.outputs import Output, Shown
-from analyzer.passive_judge import PassiveJudge
 from analyzer.recording import Recorder
 from analyzer.statistics import Statistics
 from captures.schemas import Chunk, Line

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from analyzer.findings import Findings, Violation
+from analyzer.monitor.findings import Findings, Violation
 from analyzer.outputs import Format
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from analyzer.coverage import Covered
+from analyzer.monitor.coverage import Covered
 
 
 class Violation(msgspec.Struct, frozen=True):

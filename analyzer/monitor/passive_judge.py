@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 
-from analyzer.coverage import Coverage
 from analyzer.decode.pairing import MILLISECOND
 from analyzer.decode.records import (
     DeviceRecord,
@@ -21,7 +20,8 @@ from analyzer.decode.records import (
     Severity,
     written_state,
 )
-from analyzer.findings import Findings, Violation
+from analyzer.monitor.coverage import Coverage
+from analyzer.monitor.findings import Findings, Violation
 from captures.schemas import Chunk, Line, Look
 from spec.codec import Judgement
 from spec.fields import Outcome

@@ -1,0 +1,1 @@
+"""Conformance judged from ordinary traffic."""
