@@ -8,7 +8,7 @@ from typing import Any
 import rich_click as click
 
 from analyzer.format_option import output_format
-from analyzer.show import show, show_json
+from analyzer.output.console import show, show_json
 
 
 @click.command()
@@ -33,7 +33,7 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
     """
     from analyzer.grammar_file import load_protocol
     from analyzer.hex_text import bytes_from_hex
-    from analyzer.show_explanation import as_json, drawn
+    from analyzer.output.explanation import as_json, drawn
     from spec import explain as explaining
 
     data = _or_sentence(bytes_from_hex, " ".join(words))
@@ -97,7 +97,7 @@ def ports(style: str) -> None:
     """List the serial ports of this machine; USB adapters and boards are marked with a star."""
     from dataclasses import asdict
 
-    from analyzer.show import table
+    from analyzer.output.console import table
     from analyzer.transport.ports import list_ports
     from captures.errors import shown
 
@@ -130,7 +130,7 @@ def ports(style: str) -> None:
 def info(grammar: str | None, file: str, style: str) -> None:
     """Tell what a capture holds, who recorded it and whether it is whole."""
     from analyzer.grammar_file import load_protocol
-    from analyzer.show_capture import as_json, drawn, summarized
+    from analyzer.output.capture_info import as_json, drawn, summarized
     from captures.reader import open_capture
 
     summary = summarized(open_capture(file), load_protocol(grammar))

@@ -15,8 +15,8 @@ from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
 from analyzer.hex_text import bytes_from_hex
 from analyzer.options import compiled, filter_option, note, opened_output
-from analyzer.outputs import Shown
-from analyzer.statistics import Statistics
+from analyzer.output.outputs import Shown
+from analyzer.output.statistics import Statistics
 from captures.errors import CaptureError, shown
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line

@@ -33,11 +33,11 @@ from analyzer.options import (
     opened_output,
     timeout_option,
 )
-from analyzer.outputs import Format, Output, Shown, chosen_format
+from analyzer.output.findings import tell_findings
+from analyzer.output.outputs import Format, Output, Shown, chosen_format
+from analyzer.output.statistics import Statistics
 from analyzer.pipeline import Pipeline
 from analyzer.playing import interruptible, played
-from analyzer.show_findings import tell_findings
-from analyzer.statistics import Statistics
 from analyzer.target import Target, scaled_timeout
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import Stopper

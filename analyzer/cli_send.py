@@ -11,7 +11,7 @@ from analyzer.grammar_file import load_protocol
 from analyzer.hex_text import bytes_from_hex
 from analyzer.instruction_text import encoded
 from analyzer.options import line_options, line_settings, note, timeout_in_ns, timeout_option
-from analyzer.outputs import JsonOutput, LinesOutput, Output
+from analyzer.output.outputs import JsonOutput, LinesOutput, Output
 from analyzer.target import Target
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import Stopper

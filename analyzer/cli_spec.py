@@ -7,7 +7,7 @@ from pathlib import Path
 import rich_click as click
 
 from analyzer.format_option import output_format
-from analyzer.show import show, show_json
+from analyzer.output.console import show, show_json
 from analyzer.whole_file import write_whole
 
 
@@ -22,7 +22,7 @@ def spec() -> None:
 def spec_show(grammar: str | None, style: str) -> None:
     """Show header, instructions, responses, effects and defaults of the grammar in use."""
     from analyzer.grammar_file import load_protocol
-    from analyzer.show_spec import drawn_protocol, protocol_json
+    from analyzer.output.protocol import drawn_protocol, protocol_json
 
     protocol = load_protocol(grammar)
     if style == "json":
@@ -45,7 +45,7 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 
     Example: bilprov spec readings R-led-id
     """
-    from analyzer.show_spec import drawn_readings, readings_json
+    from analyzer.output.protocol import drawn_readings, readings_json
     from spec.readings import READINGS
 
     known = {reading.id.lower(): reading for reading in READINGS}
@@ -71,7 +71,7 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 def spec_errata(grammar: str | None, style: str) -> None:
     """Run the document's own examples through the grammar and show where it contradicts itself."""
     from analyzer.grammar_file import load_protocol
-    from analyzer.show_spec import drawn_errata, errata_json
+    from analyzer.output.protocol import drawn_errata, errata_json
     from spec.errata import check
 
     protocol = load_protocol(grammar)

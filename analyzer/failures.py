@@ -16,7 +16,7 @@ from click import exceptions
 SENTENCES = (
     ("spec.protocol", "GrammarError"),
     ("analyzer.transport.errors", "LinkError"),
-    ("analyzer.filters", "FilterError"),
+    ("analyzer.output.filter", "FilterError"),
     ("captures.errors", "CaptureError"),
     ("conformance.probes", "ProbeError"),
     ("conformance.boards.emulator", "EmulatorError"),

@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 import rich_click as click
 
 from analyzer.decode.pairing import MILLISECOND
-from analyzer.filter_words import HELP as FILTER_HELP
-from analyzer.json_lines import JsonLine
-from analyzer.outputs import Format, JsonOutput, LinesOutput, Output
-from analyzer.statistics import Statistics
+from analyzer.output.filter_names import HELP as FILTER_HELP
+from analyzer.output.json_lines import JsonLine
+from analyzer.output.outputs import Format, JsonOutput, LinesOutput, Output
+from analyzer.output.statistics import Statistics
 from analyzer.transport.line_settings import LineSettings
 from spec.protocol import Protocol
 
@@ -85,7 +85,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine],
     """The filter, None where there is none. Raises FilterError."""
     if expression is None:
         return None
-    from analyzer.filters import compile_filter
+    from analyzer.output.filter import compile_filter
 
     return compile_filter(expression, protocol)
 
@@ -102,7 +102,7 @@ def opened_output(
         return JsonOutput(sys.stdout)
     if style == "lines":
         return LinesOutput(sys.stdout)
-    from analyzer.live_output import LiveOutput
+    from analyzer.output.live_output import LiveOutput
 
     return LiveOutput(protocol, statistics, title, captured)
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from analyzer.decode.records import Record
 from analyzer.decode.session import Session
 from analyzer.monitor.passive_judge import PassiveJudge
-from analyzer.outputs import Output, Shown
+from analyzer.output.outputs import Output, Shown
+from analyzer.output.statistics import Statistics
 from analyzer.recording import Recorder
-from analyzer.statistics import Statistics
 from captures.schemas import Chunk, Line
 
 

@@ -18,8 +18,8 @@ from rich.console import Console, RenderableType
 
 from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
-from analyzer.live_view import View, live_view
-from analyzer.statistics import Statistics
+from analyzer.output.live_view import View, live_view
+from analyzer.output.statistics import Statistics
 from analyzer.transport.line_settings import LineSettings
 from captures.schemas import Chunk
 from conformance.api import Options, conform

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from analyzer.decode.session import Session
-from analyzer.filters import FilterError, compile_filter
-from analyzer.json_lines import JsonLine, json_line
+from analyzer.output.filter import FilterError, compile_filter
+from analyzer.output.json_lines import JsonLine, json_line
 from captures.schemas import Line
 from spec.protocol import Protocol
 from tests.decoding import MS, conversation, decoded

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from analyzer.decode.session import Session
-from analyzer.live_view import View, live_view
-from analyzer.render import LineRenderer
-from analyzer.statistics import Snapshot, Statistics
+from analyzer.output.live_view import View, live_view
+from analyzer.output.statistics import Snapshot, Statistics
+from analyzer.output.text_lines import LineRenderer
 from captures.schemas import Line
 from spec.protocol import Protocol
 from tests.decoding import MS, conversation, decoded

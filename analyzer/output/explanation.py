@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.show import facts, heading
+from analyzer.output.console import facts, heading
 from spec.bits import BitGroup
 from spec.codec import spaced
 from spec.explain import Explanation, FrameExplanation, ResponseExplanation

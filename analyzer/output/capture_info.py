@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from analyzer.show import facts, heading, table
+from analyzer.output.console import facts, heading, table
 from captures.errors import shown
 from captures.reader import Capture
 from captures.topics import DEVICE_RAW, HOST_RAW

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from analyzer.show import facts, heading, table
+from analyzer.output.console import facts, heading, table
 from spec.codec import judge, spaced
 from spec.errata import Finding
 from spec.fields import Outcome

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
-from analyzer.filter_words import HELP, MISSING, Name, names, words
-from analyzer.json_lines import JsonLine
+from analyzer.output.filter_names import HELP, MISSING, Name, names, words
+from analyzer.output.json_lines import JsonLine
 from captures.errors import shown
 from spec.protocol import Protocol
 

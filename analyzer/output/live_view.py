@@ -10,7 +10,6 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.car_view import car_view
 from analyzer.decode.records import (
     DeviceRecord,
     Fault,
@@ -21,8 +20,9 @@ from analyzer.decode.records import (
     Severity,
     faults_of,
 )
-from analyzer.render import SEVERITY_COLOURS
-from analyzer.statistics import Latencies, Snapshot
+from analyzer.output.car_view import car_view
+from analyzer.output.statistics import Latencies, Snapshot
+from analyzer.output.text_lines import SEVERITY_COLOURS
 from captures.errors import shown
 from spec.protocol import Protocol
 

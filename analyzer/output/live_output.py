@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.live import Live
 
 from analyzer.decode.records import Record
-from analyzer.live_view import View, live_view
-from analyzer.statistics import Statistics
+from analyzer.output.live_view import View, live_view
+from analyzer.output.statistics import Statistics
 from spec.protocol import Protocol
 
 DRAW_EVERY = 0.1  # s

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_args
 
-from analyzer.json_lines import JsonLine
+from analyzer.output.json_lines import JsonLine
 from captures.schemas import Direction, FrameKind
 from spec.motion import VARIABLES, Motion
 from spec.protocol import Protocol

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from analyzer.monitor.findings import Findings, Violation
-from analyzer.outputs import Format
+from analyzer.output.outputs import Format
 
 
 def tell_findings(findings: Findings, style: Format) -> int:

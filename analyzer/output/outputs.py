@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import Literal, Protocol, TextIO
 
 from analyzer.decode.records import Record, is_frame
-from analyzer.json_lines import JsonLine, encode, json_line
-from analyzer.render import ASCII_ARROWS, LineRenderer
+from analyzer.output.json_lines import JsonLine, encode, json_line
+from analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 
 Format = Literal["live", "lines", "jsonl"]
 

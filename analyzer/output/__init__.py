@@ -1,0 +1,1 @@
+"""Records as text, JSON lines, live view, tables."""
