@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from analyzer.api import explain as explain
     from analyzer.api import judge as judge
     from analyzer.api import read_capture as read_capture
+    from analyzer.client.errors import NoAnswer as NoAnswer
+    from analyzer.client.errors import Refused as Refused
+    from analyzer.client.errors import RobotError as RobotError
+    from analyzer.client.robot import Robot as Robot
     from analyzer.grammar_file import load_protocol as load_protocol
     from analyzer.live import sniff as sniff
-    from analyzer.robot import Robot as Robot
-    from analyzer.robot_errors import NoAnswer as NoAnswer
-    from analyzer.robot_errors import Refused as Refused
-    from analyzer.robot_errors import RobotError as RobotError
     from analyzer.transport.errors import LinkError as LinkError
     from captures.reader import open_capture as open_capture
     from captures.schemas import Look as Look
@@ -60,11 +60,11 @@ __all__ = [
 API = {
     "LinkError": ("analyzer.transport.errors", "LinkError"),
     "Look": ("captures.schemas", "Look"),
-    "NoAnswer": ("analyzer.robot_errors", "NoAnswer"),
+    "NoAnswer": ("analyzer.client.errors", "NoAnswer"),
     "Options": ("conformance.api", "Options"),
-    "Refused": ("analyzer.robot_errors", "Refused"),
-    "Robot": ("analyzer.robot", "Robot"),
-    "RobotError": ("analyzer.robot_errors", "RobotError"),
+    "Refused": ("analyzer.client.errors", "Refused"),
+    "Robot": ("analyzer.client.robot", "Robot"),
+    "RobotError": ("analyzer.client.errors", "RobotError"),
     "conform": ("conformance.api", "conform"),
     "decode": ("analyzer.api", "decode"),
     "encode": ("analyzer.api", "encode"),

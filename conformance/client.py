@@ -6,10 +6,10 @@ time are the same to a test.
 
 from __future__ import annotations
 
+from analyzer.client.driver import Answer as Answer
+from analyzer.client.errors import RobotError as RobotError
+from analyzer.client.robot import Instructions
 from analyzer.decode.pairing import MILLISECOND
-from analyzer.driver import Answer as Answer
-from analyzer.robot import Instructions
-from analyzer.robot_errors import RobotError as RobotError
 from analyzer.transport.wire import Heard as Answers
 from captures.schemas import Look
 from conformance.asks import Ask, Heard, Listen, See, Seen, Send

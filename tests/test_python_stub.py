@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.robot_stub import STUB
+from analyzer.client.write_stub import STUB
 from spec.emit.python_stub import RENEW, python_stub
 from spec.protocol import Protocol, load
 from spec.python_names import method_names, parameter_names, snake_case
@@ -25,7 +25,7 @@ def test_the_committed_stub_is_what_the_grammar_gives(protocol: Protocol) -> Non
 def test_the_command_that_the_stub_names_writes_it(
     protocol: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from analyzer import robot_stub
+    from analyzer.client import write_stub as robot_stub
 
     monkeypatch.setattr(robot_stub, "STUB", tmp_path / "robot.pyi")
     robot_stub.main()

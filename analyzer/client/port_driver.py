@@ -8,10 +8,10 @@ from os import PathLike
 from types import TracebackType
 from typing import Self
 
-from analyzer.driver import Driver
+from analyzer.client.driver import Driver
+from analyzer.client.errors import NoAnswer, RobotError
+from analyzer.client.homing import home_once
 from analyzer.grammar_file import load_protocol
-from analyzer.homing import home_once
-from analyzer.robot_errors import NoAnswer, RobotError
 from analyzer.transport.errors import LinkError
 from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.ports import open_port

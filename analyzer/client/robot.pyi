@@ -3,8 +3,8 @@
 Written out of the grammar (robot-car 1.1) by `python -m analyzer.robot_stub`; do not edit.
 """
 
-from analyzer.driver import Answer, Driver
-from analyzer.port_driver import PortDriver
+from analyzer.client.driver import Answer, Driver
+from analyzer.client.port_driver import PortDriver
 
 class Instructions(Driver):
     """The instructions of robot-car 1.1; `Driver` says what each of them raises."""

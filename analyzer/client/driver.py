@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from analyzer.client.errors import NoAnswer, Refused, RobotError
+from analyzer.client.homing import home, stops
 from analyzer.decode.pairing import MILLISECOND
-from analyzer.homing import home, stops
-from analyzer.robot_errors import NoAnswer, Refused, RobotError
 from analyzer.transport.wire import Heard, Wire
 from spec.codec import build, judge, spaced
 from spec.fields import Outcome

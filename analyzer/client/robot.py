@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from analyzer.driver import Driver
-from analyzer.port_driver import PortDriver
+from analyzer.client.driver import Driver
+from analyzer.client.port_driver import PortDriver
 
 
 class Instructions(Driver):

@@ -1,0 +1,1 @@
+"""A robot driven from Python."""
