@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from analyzer.capture_session import capture_session
 from analyzer.decode.records import DeviceRecord, HostRecord, Record
 from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
+from analyzer.replay.capture_session import capture_session
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction
 from spec import codec

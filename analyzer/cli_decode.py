@@ -10,13 +10,13 @@ from typing import Literal
 
 import rich_click as click
 
-from analyzer.capture_session import capture_session, said_about
 from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
 from analyzer.hex_text import bytes_from_hex
 from analyzer.options import compiled, filter_option, note, opened_output
 from analyzer.output.outputs import Shown
 from analyzer.output.statistics import Statistics
+from analyzer.replay.capture_session import capture_session, said_about
 from captures.errors import CaptureError, shown
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line

@@ -9,14 +9,6 @@ from dataclasses import dataclass
 
 import rich_click as click
 
-from analyzer.capture_session import (
-    capture_line,
-    capture_session,
-    capture_timeout,
-    heard,
-    said_about,
-)
-from analyzer.comparison import Run, differences
 from analyzer.confirm import confirm_motion
 from analyzer.decode.pairing import MILLISECOND
 from analyzer.decode.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
@@ -37,8 +29,16 @@ from analyzer.output.findings import tell_findings
 from analyzer.output.outputs import Format, Output, Shown, chosen_format
 from analyzer.output.statistics import Statistics
 from analyzer.pipeline import Pipeline
-from analyzer.playing import interruptible, played
-from analyzer.target import Target, scaled_timeout
+from analyzer.replay.capture_session import (
+    capture_line,
+    capture_session,
+    capture_timeout,
+    heard,
+    said_about,
+)
+from analyzer.replay.comparison import Run, differences
+from analyzer.replay.playback import interruptible, played
+from analyzer.replay.target import Target, scaled_timeout
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import Stopper
 from captures.errors import shown

@@ -12,7 +12,7 @@ from analyzer.hex_text import bytes_from_hex
 from analyzer.instruction_text import encoded
 from analyzer.options import line_options, line_settings, note, timeout_in_ns, timeout_option
 from analyzer.output.outputs import JsonOutput, LinesOutput, Output
-from analyzer.target import Target
+from analyzer.replay.target import Target
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import Stopper
 from spec.protocol import Protocol

@@ -25,7 +25,7 @@ from analyzer.output.findings import tell_findings
 from analyzer.output.outputs import Format, Shown, chosen_format
 from analyzer.output.statistics import Statistics
 from analyzer.pipeline import Pipeline
-from analyzer.recording import Recorder, session_metadata
+from analyzer.replay.recorder import Recorder, session_metadata
 from analyzer.taps.passive import Bridge, Taps, require_two_lines
 from analyzer.transport.errors import LinkError
 from analyzer.transport.line_settings import LineSettings

@@ -9,7 +9,7 @@ from analyzer.decode.session import Session
 from analyzer.monitor.passive_judge import PassiveJudge
 from analyzer.output.outputs import Output, Shown
 from analyzer.output.statistics import Statistics
-from analyzer.recording import Recorder
+from analyzer.replay.recorder import Recorder
 from captures.schemas import Chunk, Line
 
 

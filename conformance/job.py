@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 from analyzer.decode.session import Session
 from analyzer.options import line_settings, note, timeout_in_ns
-from analyzer.recording import session_metadata
+from analyzer.replay.recorder import session_metadata
 from analyzer.transport.port import Port
 from analyzer.transport.signals import Stopper
 from captures.errors import CaptureError

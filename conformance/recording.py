@@ -15,7 +15,7 @@ import msgspec
 
 from analyzer.decode.records import Record
 from analyzer.decode.session import Session
-from analyzer.recording import Recorder
+from analyzer.replay.recorder import Recorder
 from analyzer.version import kit_version
 from captures.closing import Closing
 from captures.errors import CaptureError

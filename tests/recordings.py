@@ -10,7 +10,7 @@ import msgspec
 from mcap.reader import make_reader
 
 from analyzer.decode.session import Session
-from analyzer.recording import session_metadata
+from analyzer.replay.recorder import session_metadata
 from captures import topics
 from captures.reader import Message, open_capture
 from captures.schemas import Chunk

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.capture_session import capture_session
 from analyzer.decode.session import BOTH, Session
 from analyzer.monitor.findings import Findings
 from analyzer.monitor.passive_judge import KEPT, MOVING, PassiveJudge
+from analyzer.replay.capture_session import capture_session
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line, Look
 from conformance.cases import all_cases

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from analyzer.playing import played
+from analyzer.replay.playback import played
 from analyzer.transport.pty import open_pty
 from captures.schemas import Chunk, Line
 from captures.writer import CaptureWriter

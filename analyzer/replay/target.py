@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import Self
 
 from analyzer.client.homing import home, home_once
-from analyzer.comparison import Run
 from analyzer.decode.pairing import MILLISECOND
 from analyzer.decode.records import Record
 from analyzer.decode.session import Session
+from analyzer.replay.comparison import Run
 from analyzer.transport.errors import LinkError
 from analyzer.transport.ports import Port, wait_readable
 from analyzer.transport.signals import Stopper
