@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import rich_click as click
 from click import exceptions
 
-from analyzer.failures import report
+from analyzer.cli.failures import report
 
 if TYPE_CHECKING:
     from analyzer.api import decode as decode
@@ -98,28 +98,36 @@ class Row(NamedTuple):
 
 
 COMMANDS = {
-    "sniff": Row("Analyze", "analyzer.cli_sniff", "sniff", "Listen to a line, decode and log it."),
-    "replay": Row("Analyze", "analyzer.cli_replay", "replay", "Play a capture again."),
-    "decode": Row("Analyze", "analyzer.cli_decode", "decode", "Decode bytes from hex or a file."),
-    "info": Row("Analyze", "analyzer.cli", "info", "Tell what a capture holds."),
-    "send": Row("Analyze", "analyzer.cli_send", "send", "Send instructions or bytes to a device."),
-    "ports": Row("Analyze", "analyzer.cli", "ports", "List the serial ports of this machine."),
+    "sniff": Row("Analyze", "analyzer.cli.sniff", "sniff", "Listen to a line, decode and log it."),
+    "replay": Row("Analyze", "analyzer.cli.replay", "replay", "Play a capture again."),
+    "decode": Row("Analyze", "analyzer.cli.decode", "decode", "Decode bytes from hex or a file."),
+    "info": Row("Analyze", "analyzer.cli.text_commands", "info", "Tell what a capture holds."),
+    "send": Row("Analyze", "analyzer.cli.send", "send", "Send instructions or bytes to a device."),
+    "ports": Row(
+        "Analyze", "analyzer.cli.text_commands", "ports", "List the serial ports of this machine."
+    ),
     "conform": Row("Conform", "conformance.cli", "conform", "Run the suite against a device."),
     "report": Row("Conform", "conformance.cli_report", "report", "Compare and show past runs."),
     "simulate": Row(
         "Conform", "conformance.cli_simulate", "simulate", "Serve the reference device."
     ),
     "emulate": Row("Conform", "conformance.cli_emulate", "emulate", "Serve a board's firmware."),
-    "line": Row("Conform", "analyzer.cli_line", "line", "Join two ends by a bad line."),
+    "line": Row("Conform", "analyzer.cli.line", "line", "Join two ends by a bad line."),
     "score": Row(
         "Conform", "conformance.cli_score", "command", "Score the suite against faulty devices."
     ),
     "recheck": Row("Conform", "conformance.cli_recheck", "recheck", "Judge a recorded run again."),
     "merge": Row("Conform", "conformance.cli_merge", "merge_reports", "Put shards together."),
-    "explain": Row("Protocol", "analyzer.cli", "explain", "Explain every bit of some bytes."),
-    "encode": Row("Protocol", "analyzer.cli", "encode", "Build the bytes of an instruction."),
-    "spec": Row("Protocol", "analyzer.cli_spec", "spec", "Show protocol, readings and errata."),
-    "completion": Row("Protocol", "analyzer.cli", "completion", "Print shell completion."),
+    "explain": Row(
+        "Protocol", "analyzer.cli.text_commands", "explain", "Explain every bit of some bytes."
+    ),
+    "encode": Row(
+        "Protocol", "analyzer.cli.text_commands", "encode", "Build the bytes of an instruction."
+    ),
+    "spec": Row("Protocol", "analyzer.cli.spec", "spec", "Show protocol, readings and errata."),
+    "completion": Row(
+        "Protocol", "analyzer.cli.text_commands", "completion", "Print shell completion."
+    ),
 }
 
 

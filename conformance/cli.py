@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import rich_click as click
 from rich.console import Console
 
-from analyzer.confirm import confirm_motion
+from analyzer.cli.confirm import confirm_motion
 from analyzer.grammar_file import load_protocol
 from analyzer.options import line_options, line_settings, note
 from analyzer.transport.ports import open_port

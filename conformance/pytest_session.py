@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from analyzer.confirm import NotConfirmed, confirm_motion
+from analyzer.cli.confirm import NotConfirmed, confirm_motion
 from analyzer.grammar_file import load_protocol
 from analyzer.options import line_settings
 from analyzer.transport.errors import LinkError

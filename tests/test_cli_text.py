@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from analyzer.cli.typed_input import bytes_from_hex
 from analyzer.grammar_file import load_protocol
-from analyzer.hex_text import bytes_from_hex
 from captures.schemas import Chunk
 from captures.writer import CaptureWriter
 from spec.readings import ERRATA, READINGS

@@ -7,7 +7,7 @@ from typing import Any
 
 import rich_click as click
 
-from analyzer.format_option import output_format
+from analyzer.cli.options import output_format
 from analyzer.output.console import show, show_json
 
 
@@ -31,8 +31,8 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
 
     Example: bilprov explain 81 09
     """
+    from analyzer.cli.typed_input import bytes_from_hex
     from analyzer.grammar_file import load_protocol
-    from analyzer.hex_text import bytes_from_hex
     from analyzer.output.explanation import as_json, drawn
     from spec import explain as explaining
 

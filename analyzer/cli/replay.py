@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import rich_click as click
 
-from analyzer.confirm import confirm_motion
+from analyzer.cli.confirm import confirm_motion
 from analyzer.decode.pairing import MILLISECOND
 from analyzer.decode.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
 from analyzer.decode.session import BOTH

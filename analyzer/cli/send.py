@@ -6,9 +6,9 @@ import sys
 
 import rich_click as click
 
-from analyzer.confirm import confirm_motion
+from analyzer.cli.confirm import confirm_motion
+from analyzer.cli.typed_input import bytes_from_hex
 from analyzer.grammar_file import load_protocol
-from analyzer.hex_text import bytes_from_hex
 from analyzer.instruction_text import encoded
 from analyzer.options import line_options, line_settings, note, timeout_in_ns, timeout_option
 from analyzer.output.outputs import JsonOutput, LinesOutput, Output

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import rich_click as click
 
-from analyzer.format_option import output_format
+from analyzer.cli.options import output_format
 from analyzer.output.console import show, show_json
 from analyzer.whole_file import write_whole
 

@@ -10,9 +10,9 @@ from typing import Literal
 
 import rich_click as click
 
+from analyzer.cli.typed_input import bytes_from_hex
 from analyzer.decode.session import Session
 from analyzer.grammar_file import load_protocol
-from analyzer.hex_text import bytes_from_hex
 from analyzer.options import compiled, filter_option, note, opened_output
 from analyzer.output.outputs import Shown
 from analyzer.output.statistics import Statistics
