@@ -27,11 +27,11 @@ from rich.progress import track
 
 from analyzer.grammar_file import load_protocol
 from conformance.api import Options, conform
-from conformance.boards.simavr import SimavrBoard
-from conformance.drive import Device
+from conformance.dut.boards.simavr import SimavrBoard
+from conformance.dut.link import Device
+from conformance.dut.noisy_device import Noise, NoisyDevice
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.noise import Noise, NoisyDevice
-from conformance.simulator import Simulator
 from conformance.verdicts import Verdict
 
 RATE = 1e-4

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from conformance.asks import Heard, Script, listen, see, send
 from conformance.cases import Case
+from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import watch
 from conformance.judging import answer_words, differences, judge_belief, look_words
 from conformance.model import Deed

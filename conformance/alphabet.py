@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from analyzer.transport.line_settings import LineSettings
-from conformance.fault import MS
+from conformance.dut.fault import MS
 from spec.codec import all_data, bad_data, judge, lying
 from spec.protocol import InstructionSpec, Protocol
 

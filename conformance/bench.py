@@ -25,14 +25,14 @@ from conformance.api import (
     estimated_seconds,
     select_cases,
 )
-from conformance.boards.named import board_named
 from conformance.client import Client
-from conformance.drive import Device, Link, VirtualLink
-from conformance.port_link import PortLink
-from conformance.power import Power
-from conformance.probes import Probe, ProbeError, open_probe
+from conformance.dut.boards.target import board_named
+from conformance.dut.link import Device, Link, VirtualLink
+from conformance.dut.port_link import PortLink
+from conformance.dut.power import Power
+from conformance.dut.probes import Probe, ProbeError, open_probe
+from conformance.dut.simulator import Fault, Simulator
 from conformance.report import Report
-from conformance.simulator import Fault, Simulator
 from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 
@@ -109,7 +109,7 @@ class Bench:
         if self._port is not None:
             return
         if self._board:
-            from conformance.boards.qemu import running
+            from conformance.dut.boards.qemu import running
 
             board = running(self._board.firmware, self._settings)
             self._port, robot = self._stack.enter_context(board)
@@ -221,7 +221,7 @@ class Bench:
         if self._board is None:
             yield Simulator(self.protocol, self._fault)
             return
-        from conformance.boards.simavr import SimavrBoard
+        from conformance.dut.boards.simavr import SimavrBoard
 
         with closing(SimavrBoard(self._board.firmware)) as board:
             yield board

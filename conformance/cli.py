@@ -17,9 +17,12 @@ from analyzer.options import line_options, line_settings, note
 from analyzer.transport.ports import open_port
 from analyzer.whole_file import write_whole
 from conformance.api import Options, always, estimated_seconds, select_cases
-from conformance.boards.named import board_named
 from conformance.choices import parse_allowed
 from conformance.device_option import named_device
+from conformance.dut.boards.target import board_named
+from conformance.dut.power import by_command
+from conformance.dut.probes import open_probe
+from conformance.dut.simulator import Simulator
 from conformance.expect_option import (
     expect_failures_option,
     expected_file,
@@ -35,11 +38,8 @@ from conformance.outputs import (
     require_writable,
     wanted,
 )
-from conformance.power import by_command
-from conformance.probes import open_probe
 from conformance.profile_file import profile_text, read_profile
 from conformance.selection import matching, shard_named
-from conformance.simulator import Simulator
 from conformance.summary import show
 
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -11,11 +11,11 @@ from analyzer.grammar_file import load_protocol
 from analyzer.options import line_settings, note
 from analyzer.transport.server import serve
 from analyzer.transport.signals import Stopper
-from conformance.boards.elf import ARM, architecture
-from conformance.boards.emulator import EmulatorError
-from conformance.boards.named import PREFIX, QEMU
-from conformance.boards.paced import PacedBoard
-from conformance.boards.simavr import SimavrBoard
+from conformance.dut.boards.elf import ARM, architecture
+from conformance.dut.boards.emulator import EmulatorError
+from conformance.dut.boards.paced import PacedBoard
+from conformance.dut.boards.simavr import SimavrBoard
+from conformance.dut.boards.target import PREFIX, QEMU
 
 
 @click.command()

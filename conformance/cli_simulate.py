@@ -8,8 +8,8 @@ from analyzer.grammar_file import load_protocol
 from analyzer.transport.server import serve
 from analyzer.transport.signals import Stopper
 from conformance.device_option import named_device
+from conformance.dut.simulator import Simulator
 from conformance.faults.names import listed_faults, listed_variants
-from conformance.simulator import Simulator
 
 
 @click.command()

@@ -12,8 +12,8 @@ from analyzer.client.robot import Instructions
 from analyzer.decode.pairing import MILLISECOND
 from analyzer.transport.wire import Heard as Answers
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Listen, See, Seen, Send
-from conformance.drive import Link
+from conformance.dut.link import Link
+from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
 from conformance.run import Ended
 from spec.protocol import Protocol
 

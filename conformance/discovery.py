@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from conformance.asks import Script
 from conformance.cases import Case, special
 from conformance.choices import LOSING, POINTS
+from conformance.dut.operations import Script
 from conformance.first_bytes import first_frames_lost
 from conformance.homing import home
 from conformance.probing_answers import DEFAULT, answer_probes

@@ -7,9 +7,9 @@ what it showed first is kept, and the probes of `discovery` are held against it.
 from __future__ import annotations
 
 from captures.schemas import Look
-from conformance.asks import Script, listen, send
 from conformance.cases import special
 from conformance.choices import POINTS, Choices
+from conformance.dut.operations import Script, listen, send
 from conformance.homing import set_up, watch
 from conformance.judging import differences, look_words
 from conformance.run import Run

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import msgspec
 
 from conformance.alphabet import Symbol, alphabet
-from conformance.fault import MS, Fault
+from conformance.dut.fault import MS, Fault
+from conformance.dut.fault_reads import Reads
+from conformance.dut.simulator import Simulator
 from conformance.faults.random_faults import Draw
-from conformance.simulator import Simulator
-from conformance.watched import Reads
 from spec.protocol import Protocol
 
 MOST = 250_000  # inputs that are tried, unless told otherwise

@@ -6,9 +6,9 @@ echo. The first byte is no Stop, because that would hide a robot that moves at p
 
 from __future__ import annotations
 
-from conformance.asks import Heard, Script, listen, power_cycle, see, send
 from conformance.cases import Case, special
 from conformance.choices import LOSING
+from conformance.dut.operations import Heard, Script, listen, power_cycle, see, send
 from conformance.homing import pad
 from conformance.judging import (
     NOT_OBSERVABLE,

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.asks import Script, Seen, listen, see, send
 from conformance.cases import special
+from conformance.dut.operations import Script, Seen, listen, see, send
 from conformance.judging import MS, look_words
 from conformance.run import Ended, GaveUp, Run
 from conformance.setup import deed_of, frames_to

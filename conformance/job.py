@@ -12,14 +12,14 @@ from analyzer.transport.port import Port
 from analyzer.transport.signals import Stopper
 from captures.errors import CaptureError
 from conformance.api import Options, conform, conform_port
-from conformance.boards.named import BoardName
-from conformance.drive import Device
-from conformance.power import Power
-from conformance.probes import Probe
+from conformance.dut.boards.target import BoardName
+from conformance.dut.link import Device
+from conformance.dut.power import Power
+from conformance.dut.probes import Probe
+from conformance.dut.simulator import CONFORMING, Simulator
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
 from conformance.report import Report
-from conformance.simulator import CONFORMING, Simulator
 from spec.protocol import Protocol
 
 SIM = "sim"
@@ -50,7 +50,7 @@ class Job:
     def on_board(self, stack: ExitStack, board: BoardName, name: str, count: int) -> Report:
         """Run an emulated board: it is its own probe, and nothing moves. Raises EmulatorError."""
         if board.virtual:
-            from conformance.boards.simavr import SimavrBoard
+            from conformance.dut.boards.simavr import SimavrBoard
 
             device = SimavrBoard(board.firmware)
             stack.callback(device.close)
@@ -58,7 +58,7 @@ class Job:
             if device.crashed:
                 note(f"{board.firmware} crashed: the board has been silent since")
             return report
-        from conformance.boards.qemu import running
+        from conformance.dut.boards.qemu import running
 
         settings = line_settings(self._protocol, None, None, None)
         port, robot = stack.enter_context(running(board.firmware, settings))

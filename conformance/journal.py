@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from conformance.asks import Ask, Heard, Seen
 from conformance.circumstances import Circumstances
-from conformance.drive import Link, Tap, interruption
+from conformance.dut.link import Link, Tap, interruption
+from conformance.dut.operations import Ask, Heard, Seen
 from conformance.report import Report
 from conformance.run import Ended
 from spec.protocol import Protocol as Grammar

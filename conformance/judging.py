@@ -6,9 +6,9 @@ from collections.abc import Container, Iterator
 from dataclasses import replace
 
 from captures.schemas import Look
-from conformance.asks import Heard
 from conformance.cases import Case
 from conformance.choices import POINTS, STATE_POINTS
+from conformance.dut.operations import Heard
 from conformance.model import Belief, Deed, Model
 from conformance.steps import Accepted, Class
 from conformance.verdicts import Axis, Verdict

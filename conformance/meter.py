@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import statistics
 
-from conformance.asks import Ask, Heard, Listen, Seen, Send
-from conformance.drive import Link
+from conformance.dut.link import Link
+from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
 
 
 class Meter:

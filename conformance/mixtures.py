@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
-from conformance.fault import MS, Fault
+from conformance.dut.fault import MS, Fault
+from conformance.dut.simulator import Simulator
 from conformance.readings_taken import Chooses
-from conformance.simulator import Simulator
 from conformance.variants import MIXTURE, Variant, variants
 from spec.codec import bad_data
 from spec.motion import Motion, State

@@ -24,10 +24,10 @@ from analyzer.transport.line_settings import LineSettings
 from captures.schemas import Chunk
 from conformance.api import Options, conform
 from conformance.demo import examples
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.html_report import as_html
 from conformance.judging import MS
-from conformance.simulator import Simulator
 from conformance.summary import show
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from conformance.asks import Heard, Script, listen, send
 from conformance.chosen import as_chosen, led_instruction
+from conformance.dut.operations import Heard, Script, listen, send
 from conformance.judging import MS, answer_words
 from conformance.run import Run
 from conformance.setup import setting

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from captures.schemas import Look
-from conformance.asks import Script, listen, see, send
+from conformance.dut.operations import Script, listen, see, send
 from conformance.homing import set_up, watch
 from conformance.judging import MS, look_words
 from conformance.model import rotates

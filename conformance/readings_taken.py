@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from conformance.fault import MS, Event, Hear, React, Reaction, answers
+from conformance.dut.fault import MS, Event, Hear, React, Reaction, answers
+from conformance.dut.simulator import Simulator
 from conformance.faults.words import Condition, is_truncated, sets
-from conformance.simulator import Simulator
 from spec.fields import Outcome
 from spec.motion import WHEELS, Motion
 from spec.protocol import Protocol

@@ -21,7 +21,7 @@ from captures.evidence import Evidence, open_evidence
 from captures.schemas import CaseMark
 from conformance.api import Options, run_on
 from conformance.circumstances import Circumstances
-from conformance.recorded_link import TOPICS, RecordedLink, Strayed
+from conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from conformance.recording import GRAMMAR, RUN, VERDICT
 from conformance.report import Report, as_json
 from conformance.verdicts import CaseResult, worst

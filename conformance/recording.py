@@ -20,8 +20,8 @@ from analyzer.version import kit_version
 from captures.closing import Closing
 from captures.errors import CaptureError
 from captures.schemas import Asked, CaseMark, Chunk, Line, Look
-from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.circumstances import Circumstances
+from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.report import Report, as_json
 from conformance.run import Ended
 from conformance.verdicts import CaseResult

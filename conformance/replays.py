@@ -14,8 +14,8 @@ from math import comb
 
 import msgspec
 
-from conformance.asks import Script
 from conformance.cases import Case
+from conformance.dut.operations import Script
 from conformance.homing import home
 from conformance.run import Run
 from conformance.trial import try_case

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from conformance.asks import Heard, Script, listen
 from conformance.between import Between
 from conformance.cases import Case
 from conformance.choices import LOSING, POINTS
 from conformance.chosen import on_the_wire
+from conformance.dut.operations import Heard, Script, listen
 from conformance.judging import MS, NOT_OBSERVABLE, answer_words, matching
 from conformance.limits import Eyes, Limits
 from conformance.model import Model

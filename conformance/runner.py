@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from conformance.asks import Script
 from conformance.budget import within
 from conformance.discovery import discover
+from conformance.dut.operations import Script
 from conformance.early import first_choices
 from conformance.estimate import answers_in, seconds
 from conformance.first_bytes import calibrate, first_bytes

@@ -18,13 +18,13 @@ import msgspec
 
 from captures.schemas import Look
 from conformance.api import Options, conform
+from conformance.dut.simulator import CONFORMING, Fault, Simulator
 from conformance.equivalence import MOST, Search, search
 from conformance.faults import fault_bank
 from conformance.faults.names import find_fault
 from conformance.faults.random_faults import PREFIX
 from conformance.levels import LEVELS
 from conformance.mixtures import mixtures
-from conformance.simulator import CONFORMING, Fault, Simulator
 from conformance.steps import Class
 from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from conformance.asks import Script
+from conformance.dut.operations import Script
 from conformance.run import Run
 
 

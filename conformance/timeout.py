@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from conformance.asks import Heard, Script, listen, see, send
 from conformance.cases import Case
+from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import home, set_up, watch
 from conformance.judging import MS, judge_answers, look_words
 from conformance.opening import truncation_timeout

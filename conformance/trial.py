@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from conformance.aftermath import hold, recover, restart
-from conformance.asks import Heard, Script, Seen, listen, see, send
 from conformance.cases import Case
 from conformance.chosen import as_chosen
+from conformance.dut.operations import Heard, Script, Seen, listen, see, send
 from conformance.homing import set_up, watch
 from conformance.judging import (
     MOVING,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from conformance import readings_taken as take
-from conformance.fault import MS, Event, Fault, React
+from conformance.dut.fault import MS, Event, Fault, React
 from conformance.faults.codes import under_other_ids
 from conformance.faults.words import (
     Condition,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from conformance.asks import Heard, Script, listen
 from conformance.choices import LOSING, POINTS
+from conformance.dut.operations import Heard, Script, listen
 from conformance.judging import MS, answer_words, code_words
 from conformance.run import Run
 from conformance.steps import Accepted, Class, Step

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from captures.schemas import Look
-from conformance.asks import Script, listen, see
 from conformance.choices import POINTS
+from conformance.dut.operations import Script, listen, see
 from conformance.judging import MOVING, MS, contradiction, differences, look_words, state_words
 from conformance.model import Belief
 from conformance.run import Run

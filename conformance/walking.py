@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.asks import Heard, Script, listen, send
 from conformance.chosen import as_chosen
+from conformance.dut.operations import Heard, Script, listen, send
 from conformance.judging import MS
 from conformance.model import Belief
 from conformance.run import Run

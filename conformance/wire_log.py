@@ -19,8 +19,8 @@ from itertools import groupby
 import msgspec
 
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Seen, Send
-from conformance.drive import Link
+from conformance.dut.link import Link
+from conformance.dut.operations import Ask, Heard, Seen, Send
 from conformance.judging import look_words
 from conformance.verdicts import CaseResult, Verdict, WireEvent
 from spec.codec import spaced

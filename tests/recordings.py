@@ -16,14 +16,14 @@ from captures.reader import Message, open_capture
 from captures.schemas import Chunk
 from captures.writer import CaptureWriter
 from conformance.api import Options, run_on
-from conformance.asks import Ask, Heard, Seen
 from conformance.circumstances import Circumstances
-from conformance.drive import VirtualLink
+from conformance.dut.link import VirtualLink
+from conformance.dut.operations import Ask, Heard, Seen
+from conformance.dut.simulator import Simulator
 from conformance.limits import Eyes
 from conformance.recording import RunRecorder
 from conformance.report import Report
 from conformance.run import Ended
-from conformance.simulator import Simulator
 from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS

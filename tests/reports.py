@@ -5,9 +5,9 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from conformance.api import Options, conform
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.report import Report
-from conformance.simulator import Simulator
 from conformance.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 from spec.protocol import Protocol
 

@@ -20,13 +20,13 @@ from analyzer.transport.signals import Stopper
 from analyzer.transport.streams import parse_address
 from captures.schemas import Look
 from conformance.api import Unwatched
-from conformance.asks import Ask, Heard, See, Seen
 from conformance.cases import Case, all_cases
-from conformance.drive import VirtualLink, drive
+from conformance.dut.link import VirtualLink, drive
+from conformance.dut.operations import Ask, Heard, See, Seen
+from conformance.dut.simulator import Simulator
 from conformance.limits import Eyes, Limits
 from conformance.run import Run
 from conformance.runner import Runner
-from conformance.simulator import Simulator
 from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from conformance.boards import libsimavr
-from conformance.boards.emulator import EmulatorError
-from conformance.boards.simavr import SimavrBoard
+from conformance.dut.boards import libsimavr
+from conformance.dut.boards.emulator import EmulatorError
+from conformance.dut.boards.simavr import SimavrBoard
 from tests.firmware import AVR, QEMU, built, emulator_of
 from tests.robots import PATIENCE, ROOT, command, sentence, unwell
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from conformance.cases import Case, all_cases
-from conformance.simulator import Simulator
+from conformance.dut.simulator import Simulator
 from conformance.steps import Class
 from conformance.verdicts import Verdict
 from spec.codec import judge

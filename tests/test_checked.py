@@ -8,8 +8,8 @@ import pytest
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.checked import DeviceError
-from conformance.simulator import Simulator
+from conformance.dut.checked_device import DeviceError
+from conformance.dut.simulator import Simulator
 from spec.protocol import Protocol
 
 FEW = Options(only=("valid/LED/*",))

@@ -27,11 +27,11 @@ from analyzer.transport.signals import Stopper
 from captures.reader import open_capture
 from captures.schemas import Look
 from conformance.api import Options, conform, conform_port
+from conformance.dut.probes import TcpProbe
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.levels import level_cases
-from conformance.probes import TcpProbe
 from conformance.selection import BY_THEMSELVES
-from conformance.simulator import Simulator
 from conformance.walks import Walk
 from spec.protocol import Protocol
 from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate

@@ -11,12 +11,23 @@ import pytest
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import Stopper
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Listen, Script, See, Seen, Send, listen, see, send
-from conformance.drive import VirtualLink, drive
-from conformance.port_link import PortLink
-from conformance.probes import open_probe
+from conformance.dut.link import VirtualLink, drive
+from conformance.dut.operations import (
+    Ask,
+    Heard,
+    Listen,
+    Script,
+    See,
+    Seen,
+    Send,
+    listen,
+    see,
+    send,
+)
+from conformance.dut.port_link import PortLink
+from conformance.dut.probes import open_probe
+from conformance.dut.simulator import Fault, Simulator, answers
 from conformance.run import Ended
-from conformance.simulator import Fault, Simulator, answers
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
 

@@ -22,8 +22,8 @@ from click.testing import CliRunner
 import bilprov
 from analyzer.transport.streams import parse_address
 from captures.writer import CaptureWriter
-from conformance.boards.paced import HELD, PacedBoard
-from conformance.boards.simavr import SimavrBoard
+from conformance.dut.boards.paced import HELD, PacedBoard
+from conformance.dut.boards.simavr import SimavrBoard
 from spec.codec import judge
 from spec.protocol import Protocol
 from tests.decoding import conversation

@@ -8,10 +8,10 @@ from dataclasses import fields
 import pytest
 
 from conformance.api import Options, conform
-from conformance.asks import Heard, Listen, Send
 from conformance.cases import Class
+from conformance.dut.operations import Heard, Listen, Send
+from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import all_faults, fault_bank
-from conformance.simulator import Fault, Simulator
 from conformance.verdicts import Verdict
 from spec.fields import Clauses
 from spec.protocol import Protocol, load

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.asks import Heard, Listen, See, Seen, Send
-from conformance.boards import uno
-from conformance.boards.elf import flash
-from conformance.boards.libsimavr import Avr
-from conformance.boards.simavr import SimavrBoard
-from conformance.drive import VirtualLink
+from conformance.dut.boards import uno
+from conformance.dut.boards.elf import flash
+from conformance.dut.boards.libsimavr import Avr
+from conformance.dut.boards.simavr import SimavrBoard
+from conformance.dut.link import VirtualLink
+from conformance.dut.operations import Heard, Listen, See, Seen, Send
 from conformance.verdicts import Verdict
 from spec.codec import judge
 from spec.motion import State, wheels

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from conformance.api import Options, conform, select_cases
-from conformance.drive import Device
-from conformance.simulator import MS, Simulator
+from conformance.dut.link import Device
+from conformance.dut.simulator import MS, Simulator
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 

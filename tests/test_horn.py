@@ -13,9 +13,9 @@ import pytest
 from analyzer.transport.pty import open_pty
 from conformance.api import Options, conform
 from conformance.cases import all_cases
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.levels import level_cases
-from conformance.simulator import Simulator
 from conformance.steps import Class
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.asks import Heard
 from conformance.cases import Case, all_cases
 from conformance.choices import Choices
+from conformance.dut.operations import Heard
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.judging import contradiction, judge_answers, judge_belief
 from conformance.model import FAULT, Belief, Deed, Model
 from conformance.report import Report
-from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from spec.motion import Motion, State
 from spec.protocol import Protocol

@@ -10,8 +10,8 @@ import pytest
 
 from captures.schemas import Look
 from conformance.api import Options, conform
+from conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from conformance.faults.words import faulty, sets, stands_still, when
-from conformance.simulator import Event, Fault, Reaction, Simulator
 from conformance.variants import find_variant, variants
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol

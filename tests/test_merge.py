@@ -10,11 +10,11 @@ import msgspec
 import pytest
 
 from conformance.api import Options, conform, select_cases
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.merge import merge
 from conformance.parts import MergeError, Part, part_from, require_together
 from conformance.report import as_json
-from conformance.simulator import Simulator
 from spec.protocol import Protocol
 from tests.robots import command, sentence, simulate
 

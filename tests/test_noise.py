@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.noise import LINES, Trial, noisy_run
 from conformance.api import Options, conform
-from conformance.noise import Noise, NoisyDevice
-from conformance.simulator import Simulator
+from conformance.dut.noisy_device import Noise, NoisyDevice
+from conformance.dut.simulator import Simulator
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 

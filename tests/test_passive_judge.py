@@ -17,8 +17,8 @@ from analyzer.replay.capture_session import capture_session
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line, Look
 from conformance.cases import all_cases
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.simulator import Simulator
 from conformance.variants import find_variant, variants
 from spec.codec import judge
 from spec.legal_answers import other_choices

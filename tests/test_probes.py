@@ -18,9 +18,9 @@ from analyzer.transport.ports import open_port
 from analyzer.transport.pty import open_pty
 from analyzer.transport.signals import Stopper
 from captures.schemas import Look
-from conformance.asks import See, Seen
-from conformance.port_link import PortLink
-from conformance.probes import ExecProbe, Probe, ProbeError, TcpProbe, open_probe, parse_look
+from conformance.dut.operations import See, Seen
+from conformance.dut.port_link import PortLink
+from conformance.dut.probes import ExecProbe, Probe, ProbeError, TcpProbe, open_probe, parse_look
 from conformance.run import Ended
 from tests.robots import PATIENCE, ROOT, ProbeServer, command, sentence, simulate
 

@@ -13,8 +13,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from conformance.api import Options, conform
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.simulator import Simulator
 from spec.protocol import Protocol
 from tests.firmware import AVR, QEMU, built
 from tests.robots import PATIENCE, ROOT, TIMED_PROBES, simulate

@@ -16,11 +16,11 @@ from analyzer.options import line_settings
 from analyzer.transport.port import Port
 from analyzer.transport.ports import wait_readable
 from captures.schemas import Look
-from conformance.boards.emulator import EmulatorError
-from conformance.boards.qemu import QemuBoard, running
-from conformance.boards.qmp import Monitor
-from conformance.power import PowerError
-from conformance.probes import ProbeError
+from conformance.dut.boards.emulator import EmulatorError
+from conformance.dut.boards.qemu import QemuBoard, running
+from conformance.dut.boards.qmp import Monitor
+from conformance.dut.power import PowerError
+from conformance.dut.probes import ProbeError
 from spec.protocol import Protocol
 from tests.firmware import QEMU, built, emulator_of
 from tests.robots import PATIENCE

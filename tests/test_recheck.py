@@ -15,12 +15,12 @@ from captures import topics
 from captures.errors import CaptureError
 from captures.reader import Message, open_capture
 from conformance.api import Options
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.limits import Eyes
 from conformance.recheck import recheck
 from conformance.report import as_json
 from conformance.run import Ended
-from conformance.simulator import Simulator
 from spec.protocol import GrammarError, Protocol, load
 from tests.recordings import attachments_of, forged, recorded
 from tests.robots import FEW_LOOKS, command, sentence, simulate

@@ -10,13 +10,13 @@ import pytest
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.asks import Heard, Listen, See, Seen, Send
 from conformance.cases import Case
-from conformance.drive import VirtualLink
+from conformance.dut.link import VirtualLink
+from conformance.dut.operations import Heard, Listen, See, Seen, Send
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.faults import fault_bank
 from conformance.levels import AnyCase
 from conformance.run import Ended
-from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.verdicts import CaseResult, Verdict, exit_code
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS, CountingLink, at_rest, case_of, cases_of, run_over

@@ -19,11 +19,11 @@ import pytest
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import ending_in_order, undisturbed
 from bilprov import LinkError, NoAnswer, Refused, Robot, RobotError
-from conformance.asks import Ask
 from conformance.client import Client
+from conformance.dut.operations import Ask
+from conformance.dut.simulator import CONFORMING, MS, Fault, Simulator
 from conformance.faults import fault_bank
 from conformance.run import Ended
-from conformance.simulator import CONFORMING, MS, Fault, Simulator
 from spec.protocol import Protocol, load
 from spec.python_names import RESERVED
 from tests.robots import PATIENCE, ROOT, served_here, simulate

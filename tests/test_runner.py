@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 
 from captures.schemas import Look
 from conformance.api import Options, Unwatched, conform
-from conformance.asks import Ask, Heard, Listen, See, Seen, Send
 from conformance.cases import Case
-from conformance.drive import drive
+from conformance.dut.link import drive
+from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
+from conformance.dut.simulator import Fault, Simulator, answers
 from conformance.faults import fault_bank
 from conformance.limits import Eyes, Limits
 from conformance.run import Ended, Run
 from conformance.runner import Runner
-from conformance.simulator import Fault, Simulator, answers
 from conformance.verdicts import CaseResult, Verdict, exit_code
 from spec.protocol import Protocol
 from tests.robots import CountingLink, at_rest, cases_of, run_over

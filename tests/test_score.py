@@ -6,9 +6,9 @@ import msgspec
 import pytest
 
 from conformance.api import conform
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.score import Caught, Score, _Spares, chosen_faults, group_of, score
-from conformance.simulator import Simulator
 from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import command, sentence

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conformance.dut.simulator import Fault, Simulator, answers
 from conformance.faults import fault_bank
-from conformance.simulator import Fault, Simulator, answers
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 from tests.vectors import (

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Listen, Seen, Send
+from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.levels import level_cases
 from conformance.limits import Eyes, Limits
 from conformance.profile import Profile
-from conformance.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.variants import find_variant
 from conformance.verdicts import Verdict
 from conformance.walks import Burst, Walk

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import pytest
 
 from conformance.api import Options, conform
+from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import fault_bank
 from conformance.mixtures import mixtures
 from conformance.report import Report
-from conformance.simulator import Fault, Simulator
 from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol, load
 from tests.conftest import ROOT

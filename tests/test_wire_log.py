@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.asks import Heard
+from conformance.dut.operations import Heard
+from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.simulator import Simulator
 from conformance.verdicts import Verdict, WireEvent
 from conformance.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
 from spec.protocol import Protocol

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from conformance.asks import Script
-from conformance.drive import drive
+from conformance.dut.link import drive
+from conformance.dut.operations import Script
+from conformance.dut.simulator import Event, Fault, React, Reaction
 from conformance.homing import home, see_motions
 from conformance.limits import Eyes, Limits
 from conformance.profile import Profile
 from conformance.run import Run
-from conformance.simulator import Event, Fault, React, Reaction
 from conformance.steps import Step, cut, whole
 from conformance.verdicts import CaseResult
 from conformance.walking import walk

@@ -18,8 +18,8 @@ SENTENCES = (
     ("analyzer.transport.errors", "LinkError"),
     ("analyzer.output.filter", "FilterError"),
     ("captures.errors", "CaptureError"),
-    ("conformance.probes", "ProbeError"),
-    ("conformance.boards.emulator", "EmulatorError"),
+    ("conformance.dut.probes", "ProbeError"),
+    ("conformance.dut.boards.emulator", "EmulatorError"),
     ("conformance.expected", "ExpectedError"),
     ("conformance.parts", "MergeError"),
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+from conformance.dut.simulator import Fault
 from conformance.faults.answers import answer_faults
 from conformance.faults.codes import code_faults
 from conformance.faults.counts import count_faults
@@ -23,7 +24,6 @@ from conformance.faults.pauses import pause_faults
 from conformance.faults.settings import setting_faults
 from conformance.faults.stops import stop_faults
 from conformance.faults.times import timing_faults
-from conformance.simulator import Fault
 from spec.protocol import Protocol
 
 

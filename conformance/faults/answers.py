@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import MS, Event, Fault, Reaction, Simulator
+from conformance.dut.simulator import answers as answered
 from conformance.faults.words import (
     ALL_FAULTY,
     CASES,
@@ -18,8 +20,6 @@ from conformance.faults.words import (
     slug,
     when,
 )
-from conformance.simulator import MS, Event, Fault, Reaction, Simulator
-from conformance.simulator import answers as answered
 from spec.fields import Outcome
 from spec.protocol import Protocol
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     ALL_FAULTY,
     HISTORY,
@@ -17,7 +18,6 @@ from conformance.faults.words import (
     valid,
     when,
 )
-from conformance.simulator import Event, Fault, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.motion import State
 from spec.protocol import InstructionSpec, Protocol

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.fault import Hear
+from conformance.dut.fault import Hear
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     PIPELINED,
     after_a_fault,
@@ -22,7 +23,6 @@ from conformance.faults.words import (
     valid,
     when,
 )
-from conformance.simulator import Event, Fault, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.motion import Motion
 from spec.protocol import Protocol

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from conformance.cases import moving_motions
-from conformance.fault import Hear
+from conformance.dut.fault import Hear
+from conformance.dut.simulator import MS, Event, React, Reaction, Simulator
 from conformance.faults.words import (
     Change,
     answers_with,
@@ -20,7 +21,6 @@ from conformance.faults.words import (
     twice,
     variable_of,
 )
-from conformance.simulator import MS, Event, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.motion import Motion, State
 from spec.protocol import InstructionSpec

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conformance.dut.simulator import Fault
 from conformance.faults.words import EVERYTHING, WATCHED_FAULTS, answers_with, drives_on, when
-from conformance.simulator import Fault
 from spec.protocol import Protocol
 
 

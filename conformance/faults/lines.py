@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conformance.dut.simulator import Fault, Simulator
 from conformance.faults.words import EVERYTHING
-from conformance.simulator import Fault, Simulator
 from spec.protocol import Protocol
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from conformance.cases import moving_motions
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     FOLLOWED,
     WATCHED_FAULTS,
@@ -15,7 +16,6 @@ from conformance.faults.words import (
     starts_driving,
     when,
 )
-from conformance.simulator import Event, Fault, React, Reaction, Simulator
 from spec.motion import Motion, State
 from spec.protocol import InstructionSpec, Protocol
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conformance.fault import Fault
+from conformance.dut.fault import Fault
 from conformance.faults import fault_bank
 from conformance.faults.random_faults import PREFIX, random_fault
 from conformance.variants import MIXTURE, find_variant, variants

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from conformance.cases import moving_motions
+from conformance.dut.simulator import Event, Fault, React
 from conformance.faults.words import (
     READING,
     SEQUENCE,
@@ -30,7 +31,6 @@ from conformance.faults.words import (
     when,
     words,
 )
-from conformance.simulator import Event, Fault, React
 from spec.codec import bad_data
 from spec.fields import Outcome
 from spec.motion import WHEELS, State

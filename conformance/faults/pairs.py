@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     SEQUENCE,
     Change,
@@ -25,7 +26,6 @@ from conformance.faults.words import (
     variable_of,
     when,
 )
-from conformance.simulator import Event, Fault, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.motion import WHEELS, Motion, State
 from spec.protocol import InstructionSpec, Protocol

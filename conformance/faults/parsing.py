@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from conformance.faults.words import CASES, CUT, EVERYTHING, is_outcome, when
-from conformance.simulator import Event, Fault, Reaction, Simulator, answers
 from spec.codec import bad_data
 from spec.fields import Outcome
 from spec.protocol import Protocol

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import MS, Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     CUT,
     SEQUENCE,
@@ -20,7 +21,6 @@ from conformance.faults.words import (
     valid,
     when,
 )
-from conformance.simulator import MS, Event, Fault, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.protocol import Protocol
 

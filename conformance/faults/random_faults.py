@@ -11,6 +11,7 @@ from functools import cache
 from typing import NamedTuple, TypeVar
 
 from conformance.cases import moving_motions
+from conformance.dut.simulator import MS, Event, Fault
 from conformance.faults.effects import Effect, effects_on
 from conformance.faults.words import (
     Condition,
@@ -24,7 +25,6 @@ from conformance.faults.words import (
     ordinal,
     when,
 )
-from conformance.simulator import MS, Event, Fault
 from spec.fields import Outcome
 from spec.motion import Motion
 from spec.protocol import InstructionSpec, Protocol

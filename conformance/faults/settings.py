@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     FOLLOWED,
     WATCHED_FAULTS,
@@ -16,7 +17,6 @@ from conformance.faults.words import (
     starts_driving,
     when,
 )
-from conformance.simulator import Event, Fault, React, Reaction, Simulator
 from spec.fields import Outcome
 from spec.protocol import Protocol
 

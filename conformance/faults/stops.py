@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from conformance.cases import moving_motions
+from conformance.dut.simulator import MS, Event, Fault, Reaction, Simulator
 from conformance.faults.words import (
     CUT,
     FOLLOWED,
@@ -19,7 +20,6 @@ from conformance.faults.words import (
     slug,
     when,
 )
-from conformance.simulator import MS, Event, Fault, Reaction, Simulator
 from spec.fields import Outcome
 from spec.motion import Motion
 from spec.protocol import Protocol

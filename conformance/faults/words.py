@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from conformance.simulator import MS, Event, React, Reaction, Simulator, answers
+from conformance.dut.simulator import MS, Event, React, Reaction, Simulator, answers
 from spec.fields import Outcome
 from spec.motion import Motion, State
 from spec.protocol import InstructionSpec, Protocol

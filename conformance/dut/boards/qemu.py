@@ -20,11 +20,11 @@ from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.port import Port
 from analyzer.transport.ports import open_port
 from captures.schemas import Look
-from conformance.boards.elf import ARM, AVR, architecture
-from conformance.boards.emulator import EmulatorError
-from conformance.boards.qmp import Monitor
-from conformance.power import PowerError
-from conformance.probes import ProbeError
+from conformance.dut.boards.elf import ARM, AVR, architecture
+from conformance.dut.boards.emulator import EmulatorError
+from conformance.dut.boards.qmp import Monitor
+from conformance.dut.power import PowerError
+from conformance.dut.probes import ProbeError
 from spec.motion import Motion
 
 _PATIENCE = 10.0  # s until the firmware must run, and the line must be opened

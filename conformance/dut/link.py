@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from captures.schemas import Look
-from conformance.asks import Ask, Heard, Listen, PowerCycle, Script, See, Seen, Send
+from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, Script, See, Seen, Send
 from conformance.run import Ended
 
 T = TypeVar("T")

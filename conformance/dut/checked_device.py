@@ -7,7 +7,7 @@ from typing import Any
 
 from captures.errors import shown
 from captures.schemas import Look
-from conformance.drive import Device
+from conformance.dut.link import Device
 
 _METHODS = ("receive", "advance", "deadline")
 

@@ -8,7 +8,7 @@ import select
 import socket
 from typing import Any
 
-from conformance.boards.emulator import EmulatorError
+from conformance.dut.boards.emulator import EmulatorError
 
 _PATIENCE = 10.0  # s until it must reply
 _BYTE = re.compile(r"0x([0-9a-f]{2})\b")

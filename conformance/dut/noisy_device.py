@@ -11,7 +11,7 @@ from random import Random
 
 from analyzer.taps.noise import Noise
 from captures.schemas import Look
-from conformance.drive import Device
+from conformance.dut.link import Device
 
 __all__ = ["Noise", "NoisyDevice"]
 

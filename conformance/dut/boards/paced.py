@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from conformance.boards.simavr import SimavrBoard
+from conformance.dut.boards.simavr import SimavrBoard
 
 HELD = 1 << 20
 """Bytes of the host that wait for the wire: more than a minute of it. What does not fit is lost."""

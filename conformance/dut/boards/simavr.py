@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from captures.schemas import Look
-from conformance.boards import uno
-from conformance.boards.elf import AVR, architecture, flash
-from conformance.boards.emulator import EmulatorError
-from conformance.boards.libsimavr import Avr
+from conformance.dut.boards import uno
+from conformance.dut.boards.elf import AVR, architecture, flash
+from conformance.dut.boards.emulator import EmulatorError
+from conformance.dut.boards.libsimavr import Avr
 
 _NS = 1_000_000_000
 _BUSY, _IDLE = 20_000, 500_000  # ns between two looks at what it sends

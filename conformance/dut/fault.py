@@ -13,7 +13,7 @@ from spec.codec import Judgement
 from spec.motion import State
 
 if TYPE_CHECKING:
-    from conformance.simulator import Simulator
+    from conformance.dut.simulator import Simulator
 
 MS = 1_000_000
 

@@ -15,14 +15,14 @@ import msgspec
 
 from analyzer.transport.line_settings import LineSettings
 from captures.schemas import Look
-from conformance.fault import CONFORMING as CONFORMING
-from conformance.fault import MS as MS
-from conformance.fault import Event as Event
-from conformance.fault import Fault as Fault
-from conformance.fault import React as React
-from conformance.fault import Reaction as Reaction
-from conformance.fault import answers as answers
-from conformance.watched import COUNTED, Reads, Watched
+from conformance.dut.fault import CONFORMING as CONFORMING
+from conformance.dut.fault import MS as MS
+from conformance.dut.fault import Event as Event
+from conformance.dut.fault import Fault as Fault
+from conformance.dut.fault import React as React
+from conformance.dut.fault import Reaction as Reaction
+from conformance.dut.fault import answers as answers
+from conformance.dut.fault_reads import COUNTED, Reads, Watched
 from spec.codec import Judgement, judge
 from spec.motion import State, wheels
 from spec.protocol import Protocol

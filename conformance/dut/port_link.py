@@ -8,10 +8,10 @@ from collections.abc import Callable
 from analyzer.transport.errors import LinkError
 from analyzer.transport.port import Port
 from analyzer.transport.ports import wait_readable
-from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.drive import HELD, Tap
-from conformance.power import Power, PowerError
-from conformance.probes import Probe, ProbeError
+from conformance.dut.link import HELD, Tap
+from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
+from conformance.dut.power import Power, PowerError
+from conformance.dut.probes import Probe, ProbeError
 from conformance.run import Ended
 
 

@@ -21,7 +21,7 @@ from ctypes import (
     c_void_p,
 )
 
-from conformance.boards.emulator import EmulatorError
+from conformance.dut.boards.emulator import EmulatorError
 
 INSTALL = "apt-get install simavr"
 _LIBRARY = "libsimavr.so.2"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from conformance.boards.emulator import EmulatorError
+from conformance.dut.boards.emulator import EmulatorError
 
 AVR, ARM = 83, 40
 

@@ -15,8 +15,8 @@ import msgspec
 from captures import topics
 from captures.reader import Message
 from captures.schemas import Asked, Look
-from conformance.asks import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.drive import HELD
+from conformance.dut.link import HELD
+from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.recording import NAMES
 from conformance.run import Ended
 from spec.codec import spaced

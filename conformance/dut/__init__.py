@@ -1,0 +1,1 @@
+"""The device under test and how it is reached."""
