@@ -32,7 +32,7 @@ from conformance.dut.link import Device
 from conformance.dut.noisy_device import Noise, NoisyDevice
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 
 RATE = 1e-4
 LINES = {

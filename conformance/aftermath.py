@@ -7,12 +7,12 @@ from collections.abc import Callable
 from conformance.cases import Case
 from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import watch
-from conformance.judging import answer_words, differences, judge_belief, look_words
-from conformance.model import Deed
+from conformance.oracle.judge import answer_words, differences, judge_belief, look_words
+from conformance.oracle.state_model import Deed
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.setup import moving_to, setting
 from conformance.steps import Class
-from conformance.verdicts import Axis, Verdict
 from spec.codec import judge
 from spec.fields import Outcome
 

@@ -13,7 +13,6 @@ from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.port import Port
 from conformance.budget import dropped, within
 from conformance.cases import Case
-from conformance.choices import Choices, parse_allowed
 from conformance.circumstances import Circumstances
 from conformance.discovery import reading_cases
 from conformance.dut.checked_device import CheckedDevice
@@ -24,18 +23,19 @@ from conformance.dut.probes import Probe
 from conformance.dut.simulator import Simulator
 from conformance.estimate import before_the_cases, seconds
 from conformance.journal import Journal, journalled
-from conformance.judging import MS
 from conformance.levels import LEVELS, AnyCase, level_cases
-from conformance.limits import Eyes
 from conformance.meter import Meter
 from conformance.opening import opening_cases, truncation_timeout
-from conformance.profile import Profile
-from conformance.profile_file import profile_from
+from conformance.oracle.choices import Choices, parse_allowed
+from conformance.oracle.judge import MS
+from conformance.oracle.profile import Profile
+from conformance.oracle.profile_file import profile_from
+from conformance.oracle.timers import Eyes
+from conformance.oracle.verdicts import CaseResult
 from conformance.report import Report, make_report
 from conformance.run import Run
 from conformance.runner import Runner, Spare
 from conformance.selection import BY_THEMSELVES, matching, share
-from conformance.verdicts import CaseResult
 from conformance.wire_log import WireLog
 from spec.protocol import Protocol as Grammar
 

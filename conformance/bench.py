@@ -32,8 +32,8 @@ from conformance.dut.port_link import PortLink
 from conformance.dut.power import Power
 from conformance.dut.probes import Probe, ProbeError, open_probe
 from conformance.dut.simulator import Fault, Simulator
+from conformance.oracle.verdicts import CaseResult
 from conformance.report import Report
-from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 
 SIM = "sim"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from conformance.cases import Case, special
-from conformance.judging import answer_words
-from conformance.verdicts import Axis, Verdict
+from conformance.oracle.judge import answer_words
+from conformance.oracle.verdicts import Axis, Verdict
 from spec.protocol import Protocol
 
 Answers = tuple[tuple[int, int], ...]

@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
-from conformance.judging import MS
-from conformance.limits import Eyes, Limits
+from conformance.oracle.judge import MS
+from conformance.oracle.timers import Eyes, Limits
 from spec.protocol import Protocol
 
 # How much later than an answer a stop may be seen on a real line although it was in time: link and

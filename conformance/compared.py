@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from conformance.oracle.verdicts import CaseResult
 from conformance.report import Report
 from conformance.side_by_side import Row, names, rows, tally
 from conformance.summary import STYLES, conclusion
-from conformance.verdicts import CaseResult
 
 _SHOWN = 20
 

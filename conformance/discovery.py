@@ -10,15 +10,15 @@ from collections import Counter
 from collections.abc import Iterator
 
 from conformance.cases import Case, special
-from conformance.choices import LOSING, POINTS
 from conformance.dut.operations import Script
 from conformance.first_bytes import first_frames_lost
 from conformance.homing import home
+from conformance.oracle.choices import LOSING, POINTS
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.probing_answers import DEFAULT, answer_probes
 from conformance.probing_state import state_probes
 from conformance.run import Run
 from conformance.shown import Probe, Shown
-from conformance.verdicts import Axis, Verdict
 from spec.protocol import Protocol
 
 _AGREE, _TRIES = 2, 6

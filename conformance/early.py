@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from captures.schemas import Look
 from conformance.cases import special
-from conformance.choices import POINTS, Choices
 from conformance.dut.operations import Script, listen, send
 from conformance.homing import set_up, watch
-from conformance.judging import differences, look_words
+from conformance.oracle.choices import POINTS, Choices
+from conformance.oracle.judge import differences, look_words
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.setup import moves, moving_to
 from conformance.steps import code_of
-from conformance.verdicts import Axis, Verdict
 from spec.fields import Outcome
 from spec.motion import Motion, State
 from spec.protocol import Protocol

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from conformance.judging import MS
 from conformance.levels import AnyCase
-from conformance.limits import Limits
+from conformance.oracle.judge import MS
+from conformance.oracle.timers import Limits
 from conformance.steps import Class
 from conformance.walks import Walk
 from spec.protocol import Protocol

@@ -7,10 +7,11 @@ echo. The first byte is no Stop, because that would hide a robot that moves at p
 from __future__ import annotations
 
 from conformance.cases import Case, special
-from conformance.choices import LOSING
 from conformance.dut.operations import Heard, Script, listen, power_cycle, see, send
 from conformance.homing import pad
-from conformance.judging import (
+from conformance.opening import at_rest, link_check, motion_first
+from conformance.oracle.choices import LOSING
+from conformance.oracle.judge import (
     NOT_OBSERVABLE,
     answer_words,
     judge_answers,
@@ -18,10 +19,9 @@ from conformance.judging import (
     look_words,
     lost,
 )
-from conformance.model import Belief
-from conformance.opening import at_rest, link_check, motion_first
+from conformance.oracle.state_model import Belief
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.verdicts import Axis, Verdict
 from spec.motion import State
 
 _STOPPED = "stopped"

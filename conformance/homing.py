@@ -9,10 +9,10 @@ from dataclasses import replace
 
 from conformance.cases import special
 from conformance.dut.operations import Script, Seen, listen, see, send
-from conformance.judging import MS, look_words
+from conformance.oracle.judge import MS, look_words
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Ended, GaveUp, Run
 from conformance.setup import deed_of, frames_to
-from conformance.verdicts import Axis, Verdict
 from spec.motion import Motion, State
 
 # So many times more answers than were due, so often, and the rest of a run would show no more.

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from conformance.html_text import Safe, joined, tag
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import AXES, Report, reproduce
 from conformance.side_by_side import Row
-from conformance.verdicts import CaseResult, Verdict
 from conformance.visible import visible
 from conformance.wire_words import WireWords
 from spec.protocol import Protocol

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from conformance.choices import default_of
 from conformance.html_text import Safe, tag, text
+from conformance.oracle.choices import default_of
 from conformance.report import Report
 from spec.readings import READINGS
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from conformance.html_text import Safe, joined, tag
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.side_by_side import Row, tally
-from conformance.verdicts import CaseResult, Verdict
 
 _BAR = 160  # units of a bar's width
 

@@ -14,10 +14,10 @@ from conformance.html_cases import case_data, case_rows
 from conformance.html_facts import coverage, facts, profile
 from conformance.html_matrix import matrix
 from conformance.html_text import Safe, joined, json_block, tag
+from conformance.oracle.verdicts import Verdict
 from conformance.report import Report
 from conformance.side_by_side import Row, names, rows, tally
 from conformance.summary import conclusion
-from conformance.verdicts import Verdict
 from conformance.visible import visible
 from spec.protocol import Protocol
 

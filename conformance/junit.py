@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import AXES, Report, reproduce
 from conformance.summary import conclusion
-from conformance.verdicts import CaseResult, Verdict
 from conformance.visible import visible
 from spec.protocol import Protocol
 

@@ -6,9 +6,9 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import Report, reproduce
 from conformance.summary import conclusion
-from conformance.verdicts import CaseResult, Verdict
 from conformance.visible import visible
 from spec.protocol import Protocol
 

@@ -15,6 +15,7 @@ import msgspec
 from captures.errors import shown
 from conformance.expected import Comparison
 from conformance.levels import AnyCase
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.parts import Part
 from conformance.report import (
     Report,
@@ -23,7 +24,6 @@ from conformance.report import (
     coverage,
     decided_exit,
 )
-from conformance.verdicts import Axis, CaseResult, Verdict
 from spec.codec import spaced
 from spec.protocol import Protocol
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from conformance.cases import Case, special
+from conformance.oracle.verdicts import Verdict
 from conformance.setup import moves, setting
 from conformance.steps import Accepted
-from conformance.verdicts import Verdict
 from spec.codec import judge
 from spec.protocol import Protocol
 

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 
 from captures.errors import shown
+from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
 from conformance.report import NO_AXIS
-from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
 from spec.protocol import Protocol
 
 _VERDICTS = {verdict.label: verdict for verdict in Verdict}

@@ -27,9 +27,9 @@ from conformance.demo import examples
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.html_report import as_html
-from conformance.judging import MS
+from conformance.oracle.judge import MS
+from conformance.oracle.verdicts import Verdict
 from conformance.summary import show
-from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 
 _LATENCY = int(0.4 * MS)

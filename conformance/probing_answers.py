@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from conformance.chosen import as_chosen, led_instruction
 from conformance.dut.operations import Heard, Script, listen, send
-from conformance.judging import MS, answer_words
+from conformance.oracle.judge import MS, answer_words
 from conformance.run import Run
 from conformance.setup import setting
 from conformance.shown import Probe, Shown

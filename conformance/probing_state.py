@@ -8,8 +8,8 @@ from functools import partial
 from captures.schemas import Look
 from conformance.dut.operations import Script, listen, see, send
 from conformance.homing import set_up, watch
-from conformance.judging import MS, look_words
-from conformance.model import rotates
+from conformance.oracle.judge import MS, look_words
+from conformance.oracle.state_model import rotates
 from conformance.run import Run
 from conformance.setup import moves, setting
 from conformance.shown import Probe, Shown

@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.recording import RunRecorder
-from conformance.verdicts import CaseResult, Verdict
 
 
 class Progress:

@@ -11,9 +11,9 @@ import pytest
 
 from captures.errors import shown
 from conformance.bench import Bench
-from conformance.profile import Profile
+from conformance.oracle.profile import Profile
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import evidence, make_report, reproduce
-from conformance.verdicts import CaseResult, Verdict
 
 NAME = "conformance"
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from conformance.expected import Comparison
+from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 from conformance.report import AXES, NO_AXIS, Report
-from conformance.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 
 LABELS = {verdict.label: verdict for verdict in Verdict}
 

@@ -22,9 +22,9 @@ from captures.schemas import CaseMark
 from conformance.api import Options, run_on
 from conformance.circumstances import Circumstances
 from conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
+from conformance.oracle.verdicts import CaseResult, worst
 from conformance.recording import GRAMMAR, RUN, VERDICT
 from conformance.report import Report, as_json
-from conformance.verdicts import CaseResult, worst
 from spec.protocol import GrammarError, Protocol, load
 from spec.safe_grammar import NotDeclared, require_declarations
 

@@ -22,9 +22,9 @@ from captures.errors import CaptureError
 from captures.schemas import Asked, CaseMark, Chunk, Line, Look
 from conformance.circumstances import Circumstances
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
+from conformance.oracle.verdicts import CaseResult
 from conformance.report import Report, as_json
 from conformance.run import Ended
-from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 
 GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"

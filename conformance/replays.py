@@ -17,9 +17,9 @@ import msgspec
 from conformance.cases import Case
 from conformance.dut.operations import Script
 from conformance.homing import home
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.run import Run
 from conformance.trial import try_case
-from conformance.verdicts import Axis, CaseResult, Verdict
 from conformance.walking import walk
 from conformance.walks import Burst, Mismatch, Walk
 from spec.codec import spaced

@@ -13,10 +13,10 @@ import msgspec
 from analyzer.version import kit_version
 from conformance.coverage import covered
 from conformance.expected import Comparison
-from conformance.judging import MS
 from conformance.levels import AnyCase
-from conformance.profile import Profile
-from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from conformance.oracle.judge import MS
+from conformance.oracle.profile import Profile
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from conformance.walks import Walk
 from spec.protocol import Protocol
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 from conformance.between import Between
 from conformance.cases import Case
-from conformance.choices import LOSING, POINTS
 from conformance.chosen import on_the_wire
 from conformance.dut.operations import Heard, Script, listen
-from conformance.judging import MS, NOT_OBSERVABLE, answer_words, matching
-from conformance.limits import Eyes, Limits
-from conformance.model import Model
-from conformance.profile import Profile
-from conformance.verdicts import Axis, CaseResult, Received, Verdict, worst
+from conformance.oracle.choices import LOSING, POINTS
+from conformance.oracle.judge import MS, NOT_OBSERVABLE, answer_words, matching
+from conformance.oracle.profile import Profile
+from conformance.oracle.state_model import Model
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
 from conformance.walks import Walk
 from spec.codec import spaced
 from spec.motion import Motion

@@ -16,10 +16,10 @@ from conformance.estimate import answers_in, seconds
 from conformance.first_bytes import calibrate, first_bytes
 from conformance.homing import home, leave, see_motions
 from conformance.levels import AnyCase
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.replays import judge_case
 from conformance.run import Ended, GaveUp, Run
 from conformance.timeout import measure_timeout, needs_timeout
-from conformance.verdicts import Axis, CaseResult, Verdict
 
 _SLOW = 0.005  # s for an answer
 Spare = Callable[[str, Sequence[CaseResult]], bool]

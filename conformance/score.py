@@ -25,8 +25,8 @@ from conformance.faults.names import find_fault
 from conformance.faults.random_faults import PREFIX
 from conformance.levels import LEVELS
 from conformance.mixtures import mixtures
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.steps import Class
-from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 
 RANDOM_FLOOR = 0.9  # of the random faults that can show

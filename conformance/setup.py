@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from conformance.model import Deed
+from conformance.oracle.state_model import Deed
 from spec.codec import build, judge
 from spec.motion import WHEELS, Motion, State
 from spec.protocol import InstructionSpec, Protocol

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import Report
-from conformance.verdicts import CaseResult, Verdict
 
 
 class Row(NamedTuple):

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from conformance.choices import POINTS
-from conformance.model import FAULT, Deed
-from conformance.verdicts import Verdict
+from conformance.oracle.choices import POINTS
+from conformance.oracle.state_model import FAULT, Deed
+from conformance.oracle.verdicts import Verdict
 from spec.codec import build, lying
 from spec.fields import Outcome
 from spec.protocol import InstructionSpec, Protocol

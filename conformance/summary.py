@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from conformance.choices import default_of
+from conformance.oracle.choices import default_of
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import Report, evidence, reproduce
-from conformance.verdicts import CaseResult, Verdict
 
 STYLES = {
     Verdict.PASS: "green",

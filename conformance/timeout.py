@@ -10,10 +10,10 @@ import msgspec
 from conformance.cases import Case
 from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import home, set_up, watch
-from conformance.judging import MS, judge_answers, look_words
 from conformance.opening import truncation_timeout
+from conformance.oracle.judge import MS, judge_answers, look_words
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.run import Run
-from conformance.verdicts import Axis, CaseResult, Verdict
 from conformance.walks import Walk
 from spec.motion import State
 

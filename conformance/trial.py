@@ -7,7 +7,7 @@ from conformance.cases import Case
 from conformance.chosen import as_chosen
 from conformance.dut.operations import Heard, Script, Seen, listen, see, send
 from conformance.homing import set_up, watch
-from conformance.judging import (
+from conformance.oracle.judge import (
     MOVING,
     MS,
     NOT_OBSERVABLE,
@@ -19,9 +19,9 @@ from conformance.judging import (
     state_words,
     unseen,
 )
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.steps import Class
-from conformance.verdicts import Axis, Verdict
 from spec.fields import Outcome
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from conformance.choices import LOSING, POINTS
 from conformance.dut.operations import Heard, Script, listen
-from conformance.judging import MS, answer_words, code_words
+from conformance.oracle.choices import LOSING, POINTS
+from conformance.oracle.judge import MS, answer_words, code_words
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.steps import Accepted, Class, Step
-from conformance.verdicts import Axis, Verdict
 from conformance.walks import Mismatch
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from captures.schemas import Look
-from conformance.choices import POINTS
 from conformance.dut.operations import Script, listen, see
-from conformance.judging import MOVING, MS, contradiction, differences, look_words, state_words
-from conformance.model import Belief
+from conformance.oracle.choices import POINTS
+from conformance.oracle.judge import MOVING, MS, contradiction, differences, look_words, state_words
+from conformance.oracle.state_model import Belief
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.steps import Step
-from conformance.verdicts import Axis, Verdict
 from conformance.walk_answers import unasked
 from conformance.walks import Mismatch
 

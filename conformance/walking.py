@@ -10,11 +10,11 @@ from dataclasses import replace
 
 from conformance.chosen import as_chosen
 from conformance.dut.operations import Heard, Script, listen, send
-from conformance.judging import MS
-from conformance.model import Belief
+from conformance.oracle.judge import MS
+from conformance.oracle.state_model import Belief
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
 from conformance.steps import Step
-from conformance.verdicts import Axis, Verdict
 from conformance.walk_answers import Early, answered_early, flushes, judge_burst, unasked
 from conformance.walk_looks import dwell, look_after
 from conformance.walks import Burst, Mismatch, Walk

@@ -21,8 +21,8 @@ import msgspec
 from captures.schemas import Look
 from conformance.dut.link import Link
 from conformance.dut.operations import Ask, Heard, Seen, Send
-from conformance.judging import look_words
-from conformance.verdicts import CaseResult, Verdict, WireEvent
+from conformance.oracle.judge import look_words
+from conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
 from spec.codec import spaced
 
 HEAD = TAIL = 250

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import groupby
 
-from conformance.judging import MS, code_words
+from conformance.oracle.judge import MS, code_words
+from conformance.oracle.verdicts import WireEvent
 from conformance.report import Report
-from conformance.verdicts import WireEvent
 from spec.codec import judge
 from spec.framing import Framer
 from spec.protocol import Protocol

@@ -20,11 +20,11 @@ from conformance.circumstances import Circumstances
 from conformance.dut.link import VirtualLink
 from conformance.dut.operations import Ask, Heard, Seen
 from conformance.dut.simulator import Simulator
-from conformance.limits import Eyes
+from conformance.oracle.timers import Eyes
+from conformance.oracle.verdicts import CaseResult
 from conformance.recording import RunRecorder
 from conformance.report import Report
 from conformance.run import Ended
-from conformance.verdicts import CaseResult
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS
 

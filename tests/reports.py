@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
+from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 from conformance.report import Report
-from conformance.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 from spec.protocol import Protocol
 
 EVIL = (

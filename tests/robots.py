@@ -24,10 +24,10 @@ from conformance.cases import Case, all_cases
 from conformance.dut.link import VirtualLink, drive
 from conformance.dut.operations import Ask, Heard, See, Seen
 from conformance.dut.simulator import Simulator
-from conformance.limits import Eyes, Limits
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.run import Run
 from conformance.runner import Runner
-from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 
 ROOT = Path(__file__).resolve().parent.parent

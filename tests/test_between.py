@@ -6,7 +6,7 @@ import pytest
 
 from conformance.between import Between
 from conformance.cases import Case
-from conformance.verdicts import Axis, Verdict
+from conformance.oracle.verdicts import Axis, Verdict
 from spec.protocol import Protocol
 
 FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE

@@ -9,8 +9,8 @@ import pytest
 
 from conformance.cases import Case, all_cases
 from conformance.dut.simulator import Simulator
+from conformance.oracle.verdicts import Verdict
 from conformance.steps import Class
-from conformance.verdicts import Verdict
 from spec.codec import judge
 from spec.motion import Motion
 from spec.protocol import Protocol, load

@@ -10,20 +10,20 @@ import pytest
 
 from conformance import discovery
 from conformance.api import Options, conform
-from conformance.choices import POINTS, Choices, parse_allowed
 from conformance.discovery import reading_cases
 from conformance.dut.fault import React
 from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Script, Seen, listen
 from conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from conformance.limits import Eyes, Limits
 from conformance.mixtures import find_mixture
-from conformance.profile import Profile
+from conformance.oracle.choices import POINTS, Choices, parse_allowed
+from conformance.oracle.profile import Profile
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.run import Run
 from conformance.runner import Runner
 from conformance.shown import Probe, Shown
 from conformance.variants import variants
-from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS

@@ -21,7 +21,7 @@ from conformance.expected import (
     updated,
 )
 from conformance.expected_file import ExpectedFile
-from conformance.verdicts import Axis, CaseResult, Verdict
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from tests.robots import command, sentence
 
 FAIL = Verdict.FAIL

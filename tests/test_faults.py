@@ -12,7 +12,7 @@ from conformance.cases import Class
 from conformance.dut.operations import Heard, Listen, Send
 from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import all_faults, fault_bank
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.fields import Clauses
 from spec.protocol import Protocol, load
 from tests.conftest import ROOT

@@ -17,7 +17,7 @@ from conformance.dut.boards.libsimavr import Avr
 from conformance.dut.boards.simavr import SimavrBoard
 from conformance.dut.link import VirtualLink
 from conformance.dut.operations import Heard, Listen, See, Seen, Send
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.codec import judge
 from spec.motion import State, wheels
 from spec.protocol import Protocol

@@ -7,7 +7,7 @@ import pytest
 from conformance.api import Options, conform, select_cases
 from conformance.dut.link import Device
 from conformance.dut.simulator import MS, Simulator
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 
 FEW = Options(only=("wrong-length/Stop/*",))

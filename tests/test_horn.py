@@ -16,8 +16,8 @@ from conformance.cases import all_cases
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.levels import level_cases
+from conformance.oracle.verdicts import Verdict
 from conformance.steps import Class
-from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import command, failing, sentence, simulate
 from tests.wires import running

@@ -12,8 +12,8 @@ import pytest
 from msgspec.structs import replace
 
 from conformance.html_report import as_html
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import Report, reproduce
-from conformance.verdicts import CaseResult, Verdict
 from conformance.visible import visible
 from spec.protocol import Protocol
 from spec.readings import READINGS

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.cases import Case, all_cases
-from conformance.choices import Choices
 from conformance.dut.operations import Heard
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
-from conformance.judging import contradiction, judge_answers, judge_belief
-from conformance.model import FAULT, Belief, Deed, Model
+from conformance.oracle.choices import Choices
+from conformance.oracle.judge import contradiction, judge_answers, judge_belief
+from conformance.oracle.state_model import FAULT, Belief, Deed, Model
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from conformance.report import Report
-from conformance.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 from tests.vectors import READING_IDS

@@ -11,8 +11,8 @@ import pytest
 from msgspec.structs import replace
 
 from conformance.junit import as_junit, outcome
+from conformance.oracle.verdicts import Verdict
 from conformance.report import Report
-from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 

@@ -10,7 +10,7 @@ from markdown_it.token import Token
 from msgspec.structs import replace
 
 from conformance.markdown import as_markdown, code, prose
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 

@@ -18,8 +18,8 @@ import pytest
 from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
+from conformance.oracle.verdicts import Verdict
 from conformance.report import Report
-from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import MS, PATIENCE, command
 

@@ -10,7 +10,7 @@ from benchmarks.noise import LINES, Trial, noisy_run
 from conformance.api import Options, conform
 from conformance.dut.noisy_device import Noise, NoisyDevice
 from conformance.dut.simulator import Simulator
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 
 EACH = bytes(range(256)) * 40

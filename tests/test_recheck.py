@@ -17,7 +17,7 @@ from captures.reader import Message, open_capture
 from conformance.api import Options
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.limits import Eyes
+from conformance.oracle.timers import Eyes
 from conformance.recheck import recheck
 from conformance.report import as_json
 from conformance.run import Ended

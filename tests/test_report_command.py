@@ -16,11 +16,11 @@ from msgspec.structs import replace
 
 from analyzer.whole_file import write_whole
 from conformance.expected import Comparison
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.outputs import Output, require_writable
 from conformance.read_report import read_report
 from conformance.report import Report, as_json, reproduce
 from conformance.side_by_side import names, rows
-from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 from tests.robots import PATIENCE, command, sentence

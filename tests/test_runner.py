@@ -18,10 +18,10 @@ from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Fault, Simulator, answers
 from conformance.faults import fault_bank
-from conformance.limits import Eyes, Limits
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from conformance.run import Ended, Run
 from conformance.runner import Runner
-from conformance.verdicts import CaseResult, Verdict, exit_code
 from spec.protocol import Protocol
 from tests.robots import CountingLink, at_rest, cases_of, run_over
 

@@ -8,8 +8,8 @@ import pytest
 from conformance.api import conform
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
+from conformance.oracle.verdicts import Verdict
 from conformance.score import Caught, Score, _Spares, chosen_faults, group_of, score
-from conformance.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import command, sentence
 

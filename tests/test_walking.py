@@ -12,10 +12,10 @@ from captures.schemas import Look
 from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.levels import level_cases
-from conformance.limits import Eyes, Limits
-from conformance.profile import Profile
+from conformance.oracle.profile import Profile
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import Verdict
 from conformance.variants import find_variant
-from conformance.verdicts import Verdict
 from conformance.walks import Burst, Walk
 from spec.motion import Motion
 from spec.protocol import Protocol

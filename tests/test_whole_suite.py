@@ -13,8 +13,8 @@ from conformance.api import Options, conform
 from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import fault_bank
 from conformance.mixtures import mixtures
+from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report import Report
-from conformance.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol, load
 from tests.conftest import ROOT
 

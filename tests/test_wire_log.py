@@ -7,7 +7,7 @@ from conformance.api import Options, conform
 from conformance.dut.operations import Heard
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.verdicts import Verdict, WireEvent
+from conformance.oracle.verdicts import Verdict, WireEvent
 from conformance.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
 from spec.protocol import Protocol
 from tests.reports import a_case, a_run

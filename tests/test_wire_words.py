@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from conformance.verdicts import WireEvent
+from conformance.oracle.verdicts import WireEvent
 from conformance.wire_words import WireWords
 from spec.protocol import Protocol
 from tests.reports import every_verdict

@@ -9,11 +9,11 @@ from conformance.dut.link import drive
 from conformance.dut.operations import Script
 from conformance.dut.simulator import Event, Fault, React, Reaction
 from conformance.homing import home, see_motions
-from conformance.limits import Eyes, Limits
-from conformance.profile import Profile
+from conformance.oracle.profile import Profile
+from conformance.oracle.timers import Eyes, Limits
+from conformance.oracle.verdicts import CaseResult
 from conformance.run import Run
 from conformance.steps import Step, cut, whole
-from conformance.verdicts import CaseResult
 from conformance.walking import walk
 from conformance.walks import Burst, Mismatch, Walk
 from spec.protocol import Protocol

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from conformance.judging import MS
+from conformance.oracle.judge import MS
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from conformance.verdicts import Verdict
+from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from conformance.choices import Choices
 from conformance.dut.operations import Heard
+from conformance.oracle.choices import Choices
 
 
 @dataclass

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from conformance.choices import Choices
+from conformance.oracle.choices import Choices
 from spec.motion import WHEELS, Effect, Motion, State
 from spec.protocol import Protocol
 

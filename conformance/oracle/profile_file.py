@@ -12,9 +12,9 @@ from typing import Any
 
 import rich_click as click
 
-from conformance.choices import POINTS, Choices, parse_allowed
-from conformance.judging import MS
-from conformance.profile import Profile
+from conformance.oracle.choices import POINTS, Choices, parse_allowed
+from conformance.oracle.judge import MS
+from conformance.oracle.profile import Profile
 from spec.protocol import Protocol
 
 _TIMES = {

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from captures.schemas import Look
 from conformance.cases import Case
-from conformance.choices import POINTS, STATE_POINTS
 from conformance.dut.operations import Heard
-from conformance.model import Belief, Deed, Model
+from conformance.oracle.choices import POINTS, STATE_POINTS
+from conformance.oracle.state_model import Belief, Deed, Model
+from conformance.oracle.verdicts import Axis, Verdict
 from conformance.steps import Accepted, Class
-from conformance.verdicts import Axis, Verdict
 from spec.motion import WHEELS, State
 from spec.protocol import Protocol
 

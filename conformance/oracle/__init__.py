@@ -1,0 +1,1 @@
+"""What a conforming device does."""
