@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from conformance.cases import Case
+from conformance.cases.preamble import moving_to, setting
+from conformance.cases.single_frames import Case
+from conformance.cases.steps import Class
 from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import watch
 from conformance.oracle.judge import answer_words, differences, judge_belief, look_words
 from conformance.oracle.state_model import Deed
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.setup import moving_to, setting
-from conformance.steps import Class
 from spec.codec import judge
 from spec.fields import Outcome
 

@@ -11,8 +11,12 @@ from analyzer.grammar_file import load_protocol
 from analyzer.transport.errors import LinkError
 from analyzer.transport.line_settings import LineSettings
 from analyzer.transport.port import Port
-from conformance.budget import dropped, within
-from conformance.cases import Case
+from conformance.cases.budget import dropped, within
+from conformance.cases.duration import before_the_cases, seconds
+from conformance.cases.levels import LEVELS, AnyCase, level_cases
+from conformance.cases.opening import opening_cases, truncation_timeout
+from conformance.cases.selection import BY_THEMSELVES, matching, share
+from conformance.cases.single_frames import Case
 from conformance.circumstances import Circumstances
 from conformance.discovery import reading_cases
 from conformance.dut.checked_device import CheckedDevice
@@ -21,11 +25,8 @@ from conformance.dut.port_link import PortLink
 from conformance.dut.power import Power
 from conformance.dut.probes import Probe
 from conformance.dut.simulator import Simulator
-from conformance.estimate import before_the_cases, seconds
 from conformance.journal import Journal, journalled
-from conformance.levels import LEVELS, AnyCase, level_cases
 from conformance.meter import Meter
-from conformance.opening import opening_cases, truncation_timeout
 from conformance.oracle.choices import Choices, parse_allowed
 from conformance.oracle.judge import MS
 from conformance.oracle.profile import Profile
@@ -35,7 +36,6 @@ from conformance.oracle.verdicts import CaseResult
 from conformance.report import Report, make_report
 from conformance.run import Run
 from conformance.runner import Runner, Spare
-from conformance.selection import BY_THEMSELVES, matching, share
 from conformance.wire_log import WireLog
 from spec.protocol import Protocol as Grammar
 

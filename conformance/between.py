@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from conformance.cases import Case, special
+from conformance.cases.single_frames import Case, special
 from conformance.oracle.judge import answer_words
 from conformance.oracle.verdicts import Axis, Verdict
 from spec.protocol import Protocol

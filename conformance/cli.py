@@ -17,6 +17,8 @@ from analyzer.options import line_options, line_settings, note
 from analyzer.transport.ports import open_port
 from analyzer.whole_file import write_whole
 from conformance.api import Options, always, estimated_seconds, select_cases
+from conformance.cases.levels import LEVELS, STANDARD
+from conformance.cases.selection import matching, shard_named
 from conformance.device_option import named_device
 from conformance.dut.boards.target import board_named
 from conformance.dut.power import by_command
@@ -29,7 +31,6 @@ from conformance.expect_option import (
     with_expected,
 )
 from conformance.job import SIM, Job
-from conformance.levels import LEVELS, STANDARD
 from conformance.oracle.choices import parse_allowed
 from conformance.oracle.profile_file import profile_text, read_profile
 from conformance.outputs import (
@@ -39,7 +40,6 @@ from conformance.outputs import (
     require_writable,
     wanted,
 )
-from conformance.selection import matching, shard_named
 from conformance.summary import show
 
 Command = TypeVar("Command", bound=Callable[..., Any])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from conformance.cases import Case, special
+from conformance.cases.single_frames import Case, special
 from conformance.dut.operations import Script
 from conformance.first_bytes import first_frames_lost
 from conformance.homing import home

@@ -7,15 +7,15 @@ what it showed first is kept, and the probes of `discovery` are held against it.
 from __future__ import annotations
 
 from captures.schemas import Look
-from conformance.cases import special
+from conformance.cases.preamble import moves, moving_to
+from conformance.cases.single_frames import special
+from conformance.cases.steps import code_of
 from conformance.dut.operations import Script, listen, send
 from conformance.homing import set_up, watch
 from conformance.oracle.choices import POINTS, Choices
 from conformance.oracle.judge import differences, look_words
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.setup import moves, moving_to
-from conformance.steps import code_of
 from spec.fields import Outcome
 from spec.motion import Motion, State
 from spec.protocol import Protocol

@@ -11,8 +11,8 @@ import rich_click as click
 from analyzer.options import note
 from captures.errors import shown
 from conformance.api import Options, suite_ids
+from conformance.cases.levels import DEEP
 from conformance.expected_file import ExpectedFile
-from conformance.levels import DEEP
 from conformance.report import Report
 from spec.protocol import Protocol
 

@@ -19,8 +19,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from captures.errors import shown
+from conformance.cases.selection import BY_THEMSELVES, matching
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.selection import BY_THEMSELVES, matching
 
 _SEPARATOR = " : "
 _FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)

@@ -6,10 +6,10 @@ echo. The first byte is no Stop, because that would hide a robot that moves at p
 
 from __future__ import annotations
 
-from conformance.cases import Case, special
+from conformance.cases.opening import at_rest, link_check, motion_first
+from conformance.cases.single_frames import Case, special
 from conformance.dut.operations import Heard, Script, listen, power_cycle, see, send
 from conformance.homing import pad
-from conformance.opening import at_rest, link_check, motion_first
 from conformance.oracle.choices import LOSING
 from conformance.oracle.judge import (
     NOT_OBSERVABLE,

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.cases import special
+from conformance.cases.preamble import deed_of, frames_to
+from conformance.cases.single_frames import special
 from conformance.dut.operations import Script, Seen, listen, see, send
 from conformance.oracle.judge import MS, look_words
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Ended, GaveUp, Run
-from conformance.setup import deed_of, frames_to
 from spec.motion import Motion, State
 
 # So many times more answers than were due, so often, and the rest of a run would show no more.

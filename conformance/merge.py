@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 
 from captures.errors import shown
+from conformance.cases.levels import AnyCase
 from conformance.expected import Comparison
-from conformance.levels import AnyCase
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.parts import Part
 from conformance.report import (

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from conformance.chosen import as_chosen, led_instruction
+from conformance.cases.adaptation import as_chosen, led_instruction
+from conformance.cases.preamble import setting
+from conformance.cases.steps import Step, bad, code_of, cut, unused, valid, wrong_length
 from conformance.dut.operations import Heard, Script, listen, send
 from conformance.oracle.judge import MS, answer_words
 from conformance.run import Run
-from conformance.setup import setting
 from conformance.shown import Probe, Shown
-from conformance.steps import Step, bad, code_of, cut, unused, valid, wrong_length
 from spec.codec import bad_data
 from spec.fields import Outcome
 from spec.protocol import Protocol

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from captures.schemas import Look
+from conformance.cases.preamble import moves, setting
+from conformance.cases.steps import unused, wrong_length
 from conformance.dut.operations import Script, listen, see, send
 from conformance.homing import set_up, watch
 from conformance.oracle.judge import MS, look_words
 from conformance.oracle.state_model import rotates
 from conformance.run import Run
-from conformance.setup import moves, setting
 from conformance.shown import Probe, Shown
-from conformance.steps import unused, wrong_length
 from spec.motion import Motion, State
 from spec.protocol import InstructionSpec, Protocol
 

@@ -17,11 +17,11 @@ from analyzer.transport.errors import LinkError
 from captures.errors import shown
 from conformance.api import Options
 from conformance.bench import SIM, Bench
+from conformance.cases.levels import LEVELS, STANDARD
 from conformance.dut.boards.emulator import EmulatorError
 from conformance.dut.probes import ProbeError
 from conformance.dut.simulator import Fault
 from conformance.faults import fault_bank
-from conformance.levels import LEVELS, STANDARD
 from conformance.oracle.choices import parse_allowed
 from conformance.oracle.verdicts import Verdict
 from conformance.pytest_case import NAME, CaseItem, Conformance

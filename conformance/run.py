@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from conformance.between import Between
-from conformance.cases import Case
-from conformance.chosen import on_the_wire
+from conformance.cases.adaptation import on_the_wire
+from conformance.cases.sequence import Walk
+from conformance.cases.single_frames import Case
 from conformance.dut.operations import Heard, Script, listen
 from conformance.oracle.choices import LOSING, POINTS
 from conformance.oracle.judge import MS, NOT_OBSERVABLE, answer_words, matching
@@ -19,7 +20,6 @@ from conformance.oracle.profile import Profile
 from conformance.oracle.state_model import Model
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
-from conformance.walks import Walk
 from spec.codec import spaced
 from spec.motion import Motion
 from spec.protocol import Protocol

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from conformance.budget import within
+from conformance.cases.budget import within
+from conformance.cases.duration import answers_in, seconds
+from conformance.cases.levels import AnyCase
 from conformance.discovery import discover
 from conformance.dut.operations import Script
 from conformance.early import first_choices
-from conformance.estimate import answers_in, seconds
 from conformance.first_bytes import calibrate, first_bytes
 from conformance.homing import home, leave, see_motions
-from conformance.levels import AnyCase
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.replays import judge_case
 from conformance.run import Ended, GaveUp, Run

@@ -18,15 +18,15 @@ import msgspec
 
 from captures.schemas import Look
 from conformance.api import Options, conform
+from conformance.cases.levels import LEVELS
+from conformance.cases.steps import Class
 from conformance.dut.simulator import CONFORMING, Fault, Simulator
 from conformance.equivalence import MOST, Search, search
 from conformance.faults import fault_bank
 from conformance.faults.names import find_fault
 from conformance.faults.random_faults import PREFIX
-from conformance.levels import LEVELS
 from conformance.mixtures import mixtures
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.steps import Class
 from spec.protocol import Protocol
 
 RANDOM_FLOOR = 0.9  # of the random faults that can show

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from conformance.cases import Case
+from conformance.cases.opening import truncation_timeout
+from conformance.cases.sequence import Walk
+from conformance.cases.single_frames import Case
 from conformance.dut.operations import Heard, Script, listen, see, send
 from conformance.homing import home, set_up, watch
-from conformance.opening import truncation_timeout
 from conformance.oracle.judge import MS, judge_answers, look_words
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from conformance.run import Run
-from conformance.walks import Walk
 from spec.motion import State
 
 _STEP = 10 * MS

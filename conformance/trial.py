@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from conformance.aftermath import hold, recover, restart
-from conformance.cases import Case
-from conformance.chosen import as_chosen
+from conformance.cases.adaptation import as_chosen
+from conformance.cases.single_frames import Case
+from conformance.cases.steps import Class
 from conformance.dut.operations import Heard, Script, Seen, listen, see, send
 from conformance.homing import set_up, watch
 from conformance.oracle.judge import (
@@ -21,7 +22,6 @@ from conformance.oracle.judge import (
 )
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.steps import Class
 from spec.fields import Outcome
 
 

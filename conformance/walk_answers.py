@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from conformance.cases.sequence import Mismatch
+from conformance.cases.steps import Accepted, Class, Step
 from conformance.dut.operations import Heard, Script, listen
 from conformance.oracle.choices import LOSING, POINTS
 from conformance.oracle.judge import MS, answer_words, code_words
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.steps import Accepted, Class, Step
-from conformance.walks import Mismatch
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 """What came in each pause inside a burst, with how many of its bytes had gone."""

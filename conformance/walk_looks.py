@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from captures.schemas import Look
+from conformance.cases.sequence import Mismatch
+from conformance.cases.steps import Step
 from conformance.dut.operations import Script, listen, see
 from conformance.oracle.choices import POINTS
 from conformance.oracle.judge import MOVING, MS, contradiction, differences, look_words, state_words
 from conformance.oracle.state_model import Belief
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.steps import Step
 from conformance.walk_answers import unasked
-from conformance.walks import Mismatch
 
 _DWELL = 4 * MS  # between two looks at a robot that is left alone
 

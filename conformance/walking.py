@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.chosen import as_chosen
+from conformance.cases.adaptation import as_chosen
+from conformance.cases.sequence import Burst, Mismatch, Walk
+from conformance.cases.steps import Step
 from conformance.dut.operations import Heard, Script, listen, send
 from conformance.oracle.judge import MS
 from conformance.oracle.state_model import Belief
 from conformance.oracle.verdicts import Axis, Verdict
 from conformance.run import Run
-from conformance.steps import Step
 from conformance.walk_answers import Early, answered_early, flushes, judge_burst, unasked
 from conformance.walk_looks import dwell, look_after
-from conformance.walks import Burst, Mismatch, Walk
 
 
 def walk(run: Run, case: Walk) -> Script[Mismatch | None]:

@@ -20,7 +20,7 @@ from analyzer.transport.signals import Stopper
 from analyzer.transport.streams import parse_address
 from captures.schemas import Look
 from conformance.api import Unwatched
-from conformance.cases import Case, all_cases
+from conformance.cases.single_frames import Case, all_cases
 from conformance.dut.link import VirtualLink, drive
 from conformance.dut.operations import Ask, Heard, See, Seen
 from conformance.dut.simulator import Simulator

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from conformance.between import Between
-from conformance.cases import Case
+from conformance.cases.single_frames import Case
 from conformance.oracle.verdicts import Axis, Verdict
 from spec.protocol import Protocol
 

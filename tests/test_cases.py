@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from conformance.cases import Case, all_cases
+from conformance.cases.single_frames import Case, all_cases
+from conformance.cases.steps import Class
 from conformance.dut.simulator import Simulator
 from conformance.oracle.verdicts import Verdict
-from conformance.steps import Class
 from spec.codec import judge
 from spec.motion import Motion
 from spec.protocol import Protocol, load

@@ -27,12 +27,12 @@ from analyzer.transport.signals import Stopper
 from captures.reader import open_capture
 from captures.schemas import Look
 from conformance.api import Options, conform, conform_port
+from conformance.cases.levels import level_cases
+from conformance.cases.selection import BY_THEMSELVES
+from conformance.cases.sequence import Walk
 from conformance.dut.probes import TcpProbe
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.levels import level_cases
-from conformance.selection import BY_THEMSELVES
-from conformance.walks import Walk
 from spec.protocol import Protocol
 from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate
 from tests.vectors import FRAME_COUNTS, READING_IDS

@@ -8,7 +8,7 @@ from dataclasses import fields
 import pytest
 
 from conformance.api import Options, conform
-from conformance.cases import Class
+from conformance.cases.single_frames import Class
 from conformance.dut.operations import Heard, Listen, Send
 from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import all_faults, fault_bank

@@ -12,12 +12,12 @@ import pytest
 
 from analyzer.transport.pty import open_pty
 from conformance.api import Options, conform
-from conformance.cases import all_cases
+from conformance.cases.levels import level_cases
+from conformance.cases.single_frames import all_cases
+from conformance.cases.steps import Class
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.levels import level_cases
 from conformance.oracle.verdicts import Verdict
-from conformance.steps import Class
 from spec.protocol import Protocol
 from tests.robots import command, failing, sentence, simulate
 from tests.wires import running

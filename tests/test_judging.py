@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.cases import Case, all_cases
+from conformance.cases.single_frames import Case, all_cases
 from conformance.dut.operations import Heard
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.oracle.choices import Choices

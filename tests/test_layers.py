@@ -256,8 +256,12 @@ BROKEN = [
         "captures/writer.py",
         "if TYPE_CHECKING:\n    from analyzer.ports import Port",
     ),
-    (of_what_is_no_product, "conformance/cases.py", "from tests.vectors import FRAMES"),
-    (of_what_is_no_product, "conformance/cases.py", "import benchmarks.run"),
+    (
+        of_what_is_no_product,
+        "conformance/cases/single_frames.py",
+        "from tests.vectors import FRAMES",
+    ),
+    (of_what_is_no_product, "conformance/cases/single_frames.py", "import benchmarks.run"),
     (cli_outside_the_front_door, "conformance/demo.py", "from analyzer import cli"),
     (cli_outside_the_front_door, "conformance/demo.py", "def f():\n    import conformance.cli"),
     (
@@ -295,13 +299,21 @@ BROKEN = [
     (naming_an_instruction, "analyzer/decode/session.py", "if name == 'Stop': pass"),
     (naming_an_instruction, "analyzer/decode/session.py", "show('LED')"),
     (naming_an_instruction, "spec/codec.py", "def f(name: Literal['LED']): pass"),
-    (naming_an_instruction, "conformance/cases.py", "class A:\n    '''A.'''\n    x = {'Right': 1}"),
+    (
+        naming_an_instruction,
+        "conformance/cases/single_frames.py",
+        "class A:\n    '''A.'''\n    x = {'Right': 1}",
+    ),
 ]
 
 KEPT = [
-    (against_the_direction, "conformance/cases.py", "import spec.codec\nimport analyzer.ports"),
+    (
+        against_the_direction,
+        "conformance/cases/single_frames.py",
+        "import spec.codec\nimport analyzer.ports",
+    ),
     (against_the_direction, "captures/reader.py", "import captures.schemas, spec.codec, json"),
-    (of_what_is_no_product, "conformance/cases.py", "from spec import codec"),
+    (of_what_is_no_product, "conformance/cases/single_frames.py", "from spec import codec"),
     (cli_outside_the_front_door, "bilprov.py", "def f():\n    from analyzer.cli import info"),
     (cli_outside_the_front_door, "bilprov.py", "row = {'info': 'analyzer.cli.text_commands'}"),
     (cli_outside_the_front_door, "analyzer/taps/passive.py", "from analyzer.ports import client"),

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
+from conformance.cases.steps import Step, cut, whole
 from conformance.oracle.choices import POINTS, STATE_POINTS, Choices
 from conformance.oracle.state_model import FAULT, VARIABLES, Belief, Deed, Model
-from conformance.steps import Step, cut, whole
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 from tests.vectors import SEQUENCES, RobotState, Sequence

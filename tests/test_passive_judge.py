@@ -16,7 +16,7 @@ from analyzer.monitor.passive_judge import KEPT, MOVING, PassiveJudge
 from analyzer.replay.capture_session import capture_session
 from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line, Look
-from conformance.cases import all_cases
+from conformance.cases.single_frames import all_cases
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.variants import find_variant, variants

@@ -10,12 +10,12 @@ import pytest
 
 from captures.schemas import Look
 from conformance.api import Options, conform
-from conformance.cases import Case
+from conformance.cases.levels import AnyCase
+from conformance.cases.single_frames import Case
 from conformance.dut.link import VirtualLink
 from conformance.dut.operations import Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.faults import fault_bank
-from conformance.levels import AnyCase
 from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from conformance.run import Ended
 from spec.protocol import Protocol

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from captures.schemas import Look
 from conformance.api import Options, Unwatched, conform
-from conformance.cases import Case
+from conformance.cases.single_frames import Case
 from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Fault, Simulator, answers

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from conformance.api import Options, conform, estimated_seconds, select_cases
-from conformance.opening import opening_cases
-from conformance.selection import matching, shard_named, share
+from conformance.cases.opening import opening_cases
+from conformance.cases.selection import matching, shard_named, share
 from spec.protocol import Protocol
 from tests.robots import command, sentence
 

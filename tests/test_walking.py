@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from captures.schemas import Look
+from conformance.cases.levels import level_cases
+from conformance.cases.sequence import Burst, Walk
 from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
-from conformance.levels import level_cases
 from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import Verdict
 from conformance.variants import find_variant
-from conformance.walks import Burst, Walk
 from spec.motion import Motion
 from spec.protocol import Protocol
 from tests.robots import MS, CountingLink

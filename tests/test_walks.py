@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from conformance.levels import LEVELS, level_cases
-from conformance.steps import Class, Step
-from conformance.sweeps import soak
-from conformance.walks import Burst, Walk
+from conformance.cases.levels import LEVELS, level_cases
+from conformance.cases.sequence import Burst, Walk
+from conformance.cases.steps import Class, Step
+from conformance.cases.sweeps import soak
 from spec.codec import judge
 from spec.motion import Motion, State
 from spec.protocol import Protocol, load

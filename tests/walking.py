@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from conformance.cases.sequence import Burst, Mismatch, Walk
+from conformance.cases.steps import Step, cut, whole
 from conformance.dut.link import drive
 from conformance.dut.operations import Script
 from conformance.dut.simulator import Event, Fault, React, Reaction
@@ -13,9 +15,7 @@ from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult
 from conformance.run import Run
-from conformance.steps import Step, cut, whole
 from conformance.walking import walk
-from conformance.walks import Burst, Mismatch, Walk
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-from conformance.cases import moving_motions
+from conformance.cases.single_frames import moving_motions
 from conformance.dut.fault import Hear
 from conformance.dut.simulator import MS, Event, React, Reaction, Simulator
 from conformance.faults.words import (

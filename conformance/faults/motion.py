@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases import moving_motions
+from conformance.cases.single_frames import moving_motions
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from conformance.faults.words import (
     FOLLOWED,

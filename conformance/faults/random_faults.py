@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple, TypeVar
 
-from conformance.cases import moving_motions
+from conformance.cases.single_frames import moving_motions
 from conformance.dut.simulator import MS, Event, Fault
 from conformance.faults.effects import Effect, effects_on
 from conformance.faults.words import (

@@ -6,12 +6,12 @@ from collections.abc import Container, Iterator
 from dataclasses import replace
 
 from captures.schemas import Look
-from conformance.cases import Case
+from conformance.cases.single_frames import Case
+from conformance.cases.steps import Accepted, Class
 from conformance.dut.operations import Heard
 from conformance.oracle.choices import POINTS, STATE_POINTS
 from conformance.oracle.state_model import Belief, Deed, Model
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.steps import Accepted, Class
 from spec.motion import WHEELS, State
 from spec.protocol import Protocol
 

@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
-from conformance.cases import moving_motions
-from conformance.levels import AnyCase
-from conformance.setup import moves
-from conformance.steps import Class, Step
-from conformance.walks import Walk
+from conformance.cases.levels import AnyCase
+from conformance.cases.preamble import moves
+from conformance.cases.sequence import Walk
+from conformance.cases.single_frames import moving_motions
+from conformance.cases.steps import Class, Step
 from spec.codec import all_data, bad_data
 from spec.motion import Motion, State
 from spec.protocol import Protocol

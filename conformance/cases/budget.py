@@ -9,8 +9,8 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from conformance.coverage import Fact, facts
-from conformance.levels import AnyCase
+from conformance.cases.coverage import Fact, facts
+from conformance.cases.levels import AnyCase
 from spec.protocol import Protocol
 
 

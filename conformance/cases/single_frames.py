@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import cycle
 
+from conformance.cases.steps import Accepted, Class, Step, bad, cut, unused, valid, wrong_length
 from conformance.oracle.state_model import FAULT, NOTHING, Deed
-from conformance.steps import Accepted, Class, Step, bad, cut, unused, valid, wrong_length
 from spec.codec import all_data, bad_data, lying, spaced
 from spec.motion import WHEELS, Motion, State
 from spec.protocol import Protocol

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from conformance.cases.steps import Step
 from conformance.oracle.verdicts import Axis
-from conformance.steps import Step
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.cases import Case, special
+from conformance.cases.preamble import moves, setting
+from conformance.cases.single_frames import Case, special
+from conformance.cases.steps import Accepted
 from conformance.oracle.verdicts import Verdict
-from conformance.setup import moves, setting
-from conformance.steps import Accepted
 from spec.codec import judge
 from spec.protocol import Protocol
 

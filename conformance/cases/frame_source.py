@@ -10,7 +10,7 @@ import random
 from collections.abc import Iterator
 from itertools import cycle
 
-from conformance.steps import Class, Step, bad, cut, unused, valid, wrong_length
+from conformance.cases.steps import Class, Step, bad, cut, unused, valid, wrong_length
 from spec.codec import all_data, bad_data
 from spec.motion import Motion
 from spec.protocol import InstructionSpec, Protocol

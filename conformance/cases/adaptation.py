@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from conformance.cases.steps import Accepted, Class, Step, code_of, cut, unused
 from conformance.oracle.choices import Choices
 from conformance.oracle.state_model import FAULT, Deed
 from conformance.oracle.verdicts import Verdict
-from conformance.steps import Accepted, Class, Step, code_of, cut, unused
 from spec.fields import Outcome
 from spec.protocol import InstructionSpec, Protocol
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import cycle, islice
 from typing import TypeVar
 
-from conformance.cases import moving_motions
-from conformance.inputs import FILLS, Inputs, fill
-from conformance.setup import frames_to, moving_to, setting
-from conformance.steps import Step, bad, valid, whole
-from conformance.walks import Burst, Walk
+from conformance.cases.frame_source import FILLS, Inputs, fill
+from conformance.cases.preamble import frames_to, moving_to, setting
+from conformance.cases.sequence import Burst, Walk
+from conformance.cases.single_frames import moving_motions
+from conformance.cases.steps import Step, bad, valid, whole
 from spec.codec import all_data, bad_data
 from spec.motion import Motion, State
 from spec.protocol import Protocol

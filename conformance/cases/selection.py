@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
 
-from conformance.levels import AnyCase
+from conformance.cases.levels import AnyCase
 
 BY_THEMSELVES = (
     "line/unsolicited",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from conformance.levels import AnyCase
+from conformance.cases.levels import AnyCase
+from conformance.cases.sequence import Walk
+from conformance.cases.steps import Class
 from conformance.oracle.judge import MS
 from conformance.oracle.timers import Limits
-from conformance.steps import Class
-from conformance.walks import Walk
 from spec.protocol import Protocol
 
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line

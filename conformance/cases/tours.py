@@ -11,10 +11,10 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from conformance.inputs import Inputs
-from conformance.setup import frames_to
-from conformance.steps import Class, Step, whole
-from conformance.walks import Burst, Walk
+from conformance.cases.frame_source import Inputs
+from conformance.cases.preamble import frames_to
+from conformance.cases.sequence import Burst, Walk
+from conformance.cases.steps import Class, Step, whole
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from conformance.cases import Case, all_cases
-from conformance.steps import Class
-from conformance.sweeps import (
+from conformance.cases.sequence import Walk
+from conformance.cases.single_frames import Case, all_cases
+from conformance.cases.steps import Class
+from conformance.cases.sweeps import (
     bad_data_sweep,
     data_sweep,
     dense,
@@ -21,8 +22,7 @@ from conformance.sweeps import (
     header_sweep,
     soak,
 )
-from conformance.tours import Tours
-from conformance.walks import Walk
+from conformance.cases.tours import Tours
 from spec.protocol import Protocol
 
 AnyCase = Case | Walk

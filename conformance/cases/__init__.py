@@ -1,0 +1,1 @@
+"""Every test case as a value."""
