@@ -33,7 +33,7 @@ from conformance.oracle.profile import Profile
 from conformance.oracle.profile_file import profile_from
 from conformance.oracle.timers import Eyes
 from conformance.oracle.verdicts import CaseResult
-from conformance.report import Report, make_report
+from conformance.report.run_report import Report, make_report
 from conformance.run import Run
 from conformance.runner import Runner, Spare
 from conformance.wire_log import WireLog

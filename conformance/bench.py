@@ -33,7 +33,7 @@ from conformance.dut.power import Power
 from conformance.dut.probes import Probe, ProbeError, open_probe
 from conformance.dut.simulator import Fault, Simulator
 from conformance.oracle.verdicts import CaseResult
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 
 SIM = "sim"

@@ -40,7 +40,7 @@ from conformance.outputs import (
     require_writable,
     wanted,
 )
-from conformance.summary import show
+from conformance.report.summary import show
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

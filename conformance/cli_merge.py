@@ -15,11 +15,11 @@ from analyzer.grammar_file import load_protocol
 from captures.errors import shown
 from conformance.api import Options, select_cases
 from conformance.expect_option import expect_failures_option, expected_file, with_expected
-from conformance.expected_file import replace_file
-from conformance.merge import merge
-from conformance.parts import MergeError, Part, part_from, require_together
-from conformance.report import Report, expected_failures
-from conformance.summary import show
+from conformance.report.expected_file import replace_file
+from conformance.report.merge import merge
+from conformance.report.run_report import Report, expected_failures
+from conformance.report.shard import MergeError, Part, part_from, require_together
+from conformance.report.summary import show
 
 _MOST = 1 << 28  # bytes of a report
 

@@ -11,7 +11,7 @@ from analyzer.options import note
 from captures.errors import shown
 from conformance.recheck import Difference, Recheck
 from conformance.recheck import recheck as judged_again
-from conformance.report import as_json
+from conformance.report.run_report import as_json
 
 
 @click.command()

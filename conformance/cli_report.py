@@ -7,11 +7,11 @@ import rich_click as click
 from rich.console import Console
 
 from analyzer.grammar_file import load_protocol
-from conformance.compared import show_compared
 from conformance.outputs import STANDARD_OUTPUT, deliver, report_options, require_writable, wanted
-from conformance.read_report import read_report
-from conformance.report import Report
-from conformance.summary import show
+from conformance.report.json_report import read_report
+from conformance.report.run_report import Report
+from conformance.report.side_by_side_table import show_compared
+from conformance.report.summary import show
 from conformance.visible import all_visible
 
 

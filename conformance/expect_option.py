@@ -12,8 +12,8 @@ from analyzer.options import note
 from captures.errors import shown
 from conformance.api import Options, suite_ids
 from conformance.cases.levels import DEEP
-from conformance.expected_file import ExpectedFile
-from conformance.report import Report
+from conformance.report.expected_file import ExpectedFile
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 
 _SHOWN = 8  # changed lines

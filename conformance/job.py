@@ -19,7 +19,7 @@ from conformance.dut.probes import Probe
 from conformance.dut.simulator import CONFORMING, Simulator
 from conformance.progress import Progress
 from conformance.recording import RunRecorder
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 
 SIM = "sim"

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 from conformance.circumstances import Circumstances
 from conformance.dut.link import Link, Tap, interruption
 from conformance.dut.operations import Ask, Heard, Seen
-from conformance.report import Report
+from conformance.report.run_report import Report
 from conformance.run import Ended
 from spec.protocol import Protocol as Grammar
 

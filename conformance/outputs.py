@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import rich_click as click
 
 from analyzer.whole_file import write_whole
-from conformance.report import Report, as_json
+from conformance.report.run_report import Report, as_json
 from spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -35,15 +35,15 @@ FORMATS = {
         "--json", "The report as JSON, for machines.", "conformance.outputs", "_as_json"
     ),
     "junit": Format(
-        "--junit", "JUnit XML, for a CI's list of tests.", "conformance.junit", "as_junit"
+        "--junit", "JUnit XML, for a CI's list of tests.", "conformance.report.junit", "as_junit"
     ),
     "markdown": Format(
-        "--markdown", "A summary for a CI's page.", "conformance.markdown", "as_markdown"
+        "--markdown", "A summary for a CI's page.", "conformance.report.markdown", "as_markdown"
     ),
     "html": Format(
         "--html",
         "One page with matrix, wire logs and timing pictures.",
-        "conformance.html_report",
+        "conformance.report.html.page",
         "as_html",
     ),
 }

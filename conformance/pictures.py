@@ -26,10 +26,10 @@ from conformance.api import Options, conform
 from conformance.demo import examples
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.html_report import as_html
 from conformance.oracle.judge import MS
 from conformance.oracle.verdicts import Verdict
-from conformance.summary import show
+from conformance.report.html.page import as_html
+from conformance.report.summary import show
 from spec.protocol import Protocol
 
 _LATENCY = int(0.4 * MS)

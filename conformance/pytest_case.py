@@ -13,7 +13,7 @@ from captures.errors import shown
 from conformance.bench import Bench
 from conformance.oracle.profile import Profile
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import evidence, make_report, reproduce
+from conformance.report.run_report import evidence, make_report, reproduce
 
 NAME = "conformance"
 

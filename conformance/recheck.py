@@ -24,7 +24,7 @@ from conformance.circumstances import Circumstances
 from conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from conformance.oracle.verdicts import CaseResult, worst
 from conformance.recording import GRAMMAR, RUN, VERDICT
-from conformance.report import Report, as_json
+from conformance.report.run_report import Report, as_json
 from spec.protocol import GrammarError, Protocol, load
 from spec.safe_grammar import NotDeclared, require_declarations
 

@@ -23,7 +23,7 @@ from captures.schemas import Asked, CaseMark, Chunk, Line, Look
 from conformance.circumstances import Circumstances
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.oracle.verdicts import CaseResult
-from conformance.report import Report, as_json
+from conformance.report.run_report import Report, as_json
 from conformance.run import Ended
 from spec.protocol import Protocol
 

@@ -23,7 +23,7 @@ from conformance.dut.simulator import Simulator
 from conformance.oracle.timers import Eyes
 from conformance.oracle.verdicts import CaseResult
 from conformance.recording import RunRecorder
-from conformance.report import Report
+from conformance.report.run_report import Report
 from conformance.run import Ended
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS

@@ -8,7 +8,7 @@ from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 
 EVIL = (

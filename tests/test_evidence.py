@@ -20,7 +20,7 @@ from captures.storage.limits import ATTACHMENT_BYTES
 from captures.storage.seal import SEAL_NAME
 from captures.writer import CaptureWriter
 from conformance.recheck import recheck
-from conformance.report import as_json
+from conformance.report.run_report import as_json
 from spec.protocol import Protocol
 from tests.conftest import ROOT
 from tests.recordings import WALL, attachments_of, recorded

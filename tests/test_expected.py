@@ -11,7 +11,8 @@ import pytest
 
 from analyzer.grammar_file import load_protocol
 from conformance.api import suite_ids
-from conformance.expected import (
+from conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from conformance.report.expected import (
     Entry,
     ExpectedError,
     compare,
@@ -20,8 +21,7 @@ from conformance.expected import (
     require_known,
     updated,
 )
-from conformance.expected_file import ExpectedFile
-from conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from conformance.report.expected_file import ExpectedFile
 from tests.robots import command, sentence
 
 FAIL = Verdict.FAIL

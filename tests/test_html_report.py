@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from conformance.html_report import as_html
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import Report, reproduce
+from conformance.report.html.page import as_html
+from conformance.report.run_report import Report, reproduce
 from conformance.visible import visible
 from spec.protocol import Protocol
 from spec.readings import READINGS

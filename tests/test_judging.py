@@ -24,7 +24,7 @@ from conformance.oracle.choices import Choices
 from conformance.oracle.judge import contradiction, judge_answers, judge_belief
 from conformance.oracle.state_model import FAULT, Belief, Deed, Model
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 from tests.vectors import READING_IDS

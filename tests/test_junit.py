@@ -10,9 +10,9 @@ import junitparser
 import pytest
 from msgspec.structs import replace
 
-from conformance.junit import as_junit, outcome
 from conformance.oracle.verdicts import Verdict
-from conformance.report import Report
+from conformance.report.junit import as_junit, outcome
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 

@@ -9,8 +9,8 @@ from markdown_it import MarkdownIt
 from markdown_it.token import Token
 from msgspec.structs import replace
 
-from conformance.markdown import as_markdown, code, prose
 from conformance.oracle.verdicts import Verdict
+from conformance.report.markdown import as_markdown, code, prose
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 

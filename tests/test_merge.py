@@ -12,9 +12,9 @@ import pytest
 from conformance.api import Options, conform, select_cases
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
-from conformance.merge import merge
-from conformance.parts import MergeError, Part, part_from, require_together
-from conformance.report import as_json
+from conformance.report.merge import merge
+from conformance.report.run_report import as_json
+from conformance.report.shard import MergeError, Part, part_from, require_together
 from spec.protocol import Protocol
 from tests.robots import command, sentence, simulate
 

@@ -19,7 +19,7 @@ from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
 from conformance.oracle.verdicts import Verdict
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.protocol import Protocol
 from tests.robots import MS, PATIENCE, command
 

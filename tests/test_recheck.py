@@ -19,7 +19,7 @@ from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.oracle.timers import Eyes
 from conformance.recheck import recheck
-from conformance.report import as_json
+from conformance.report.run_report import as_json
 from conformance.run import Ended
 from spec.protocol import GrammarError, Protocol, load
 from tests.recordings import attachments_of, forged, recorded

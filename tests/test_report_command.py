@@ -15,12 +15,12 @@ import rich_click as click
 from msgspec.structs import replace
 
 from analyzer.whole_file import write_whole
-from conformance.expected import Comparison
 from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.outputs import Output, require_writable
-from conformance.read_report import read_report
-from conformance.report import Report, as_json, reproduce
-from conformance.side_by_side import names, rows
+from conformance.report.expected import Comparison
+from conformance.report.json_report import read_report
+from conformance.report.run_report import Report, as_json, reproduce
+from conformance.report.side_by_side import names, rows
 from spec.protocol import Protocol
 from tests.reports import EVIL, a_case, a_run, every_verdict, hostile
 from tests.robots import PATIENCE, command, sentence

@@ -14,7 +14,7 @@ from conformance.dut.simulator import Fault, Simulator
 from conformance.faults import fault_bank
 from conformance.mixtures import mixtures
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.protocol import Protocol, load
 from tests.conftest import ROOT
 

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from conformance.oracle.verdicts import WireEvent
-from conformance.wire_words import WireWords
+from conformance.report.wire_words import WireWords
 from spec.protocol import Protocol
 from tests.reports import every_verdict
 

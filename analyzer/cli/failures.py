@@ -20,8 +20,8 @@ SENTENCES = (
     ("captures.errors", "CaptureError"),
     ("conformance.dut.probes", "ProbeError"),
     ("conformance.dut.boards.emulator", "EmulatorError"),
-    ("conformance.expected", "ExpectedError"),
-    ("conformance.parts", "MergeError"),
+    ("conformance.report.expected", "ExpectedError"),
+    ("conformance.report.shard", "MergeError"),
 )
 
 

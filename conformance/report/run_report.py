@@ -14,10 +14,10 @@ from analyzer.version import kit_version
 from conformance.cases.coverage import covered
 from conformance.cases.levels import AnyCase
 from conformance.cases.sequence import Walk
-from conformance.expected import Comparison
 from conformance.oracle.judge import MS
 from conformance.oracle.profile import Profile
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from conformance.report.expected import Comparison
 from spec.protocol import Protocol
 
 AXES = ("answer", "stop", "state")

@@ -8,7 +8,7 @@ from itertools import groupby
 
 from conformance.oracle.judge import MS, code_words
 from conformance.oracle.verdicts import WireEvent
-from conformance.report import Report
+from conformance.report.run_report import Report
 from spec.codec import judge
 from spec.framing import Framer
 from spec.protocol import Protocol

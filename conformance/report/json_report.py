@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from conformance.expected import Comparison
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
-from conformance.report import AXES, NO_AXIS, Report
+from conformance.report.expected import Comparison
+from conformance.report.run_report import AXES, NO_AXIS, Report
 
 LABELS = {verdict.label: verdict for verdict in Verdict}
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import AXES, Report, reproduce
-from conformance.summary import conclusion
+from conformance.report.run_report import AXES, Report, reproduce
+from conformance.report.summary import conclusion
 from conformance.visible import visible
 from spec.protocol import Protocol
 

@@ -14,16 +14,10 @@ import msgspec
 
 from captures.errors import shown
 from conformance.cases.levels import AnyCase
-from conformance.expected import Comparison
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.parts import Part
-from conformance.report import (
-    Report,
-    case_as_json,
-    compared,
-    coverage,
-    decided_exit,
-)
+from conformance.report.expected import Comparison
+from conformance.report.run_report import Report, case_as_json, compared, coverage, decided_exit
+from conformance.report.shard import Part
 from spec.codec import spaced
 from spec.protocol import Protocol
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from conformance.html_text import Safe, tag, text
 from conformance.oracle.choices import default_of
-from conformance.report import Report
+from conformance.report.html.markup import Safe, tag, text
+from conformance.report.run_report import Report
 from spec.readings import READINGS
 
 _POINTS = {reading.id: reading for reading in READINGS}

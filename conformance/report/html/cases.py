@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from conformance.html_text import Safe, joined, tag
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import AXES, Report, reproduce
-from conformance.side_by_side import Row
+from conformance.report.html.markup import Safe, joined, tag
+from conformance.report.run_report import AXES, Report, reproduce
+from conformance.report.side_by_side import Row
+from conformance.report.wire_words import WireWords
 from conformance.visible import visible
-from conformance.wire_words import WireWords
 from spec.protocol import Protocol
 from spec.readings import READINGS
 

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import Report, reproduce
-from conformance.summary import conclusion
+from conformance.report.run_report import Report, reproduce
+from conformance.report.summary import conclusion
 from conformance.visible import visible
 from spec.protocol import Protocol
 

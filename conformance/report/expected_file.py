@@ -10,7 +10,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from captures.errors import shown
-from conformance.expected import (
+from conformance.report.expected import (
     Comparison,
     ExpectedError,
     Update,
@@ -19,7 +19,7 @@ from conformance.expected import (
     require_known,
     updated,
 )
-from conformance.report import Report, compared
+from conformance.report.run_report import Report, compared
 
 _MOST = 1 << 20  # bytes
 

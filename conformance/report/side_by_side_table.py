@@ -9,9 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from conformance.oracle.verdicts import CaseResult
-from conformance.report import Report
-from conformance.side_by_side import Row, names, rows, tally
-from conformance.summary import STYLES, conclusion
+from conformance.report.run_report import Report
+from conformance.report.side_by_side import Row, names, rows, tally
+from conformance.report.summary import STYLES, conclusion
 
 _SHOWN = 20
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import Report
+from conformance.report.run_report import Report
 
 
 class Row(NamedTuple):

@@ -10,7 +10,7 @@ import msgspec
 
 from captures.errors import shown
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
-from conformance.report import NO_AXIS
+from conformance.report.run_report import NO_AXIS
 from spec.protocol import Protocol
 
 _VERDICTS = {verdict.label: verdict for verdict in Verdict}

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from conformance.oracle.choices import default_of
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report import Report, evidence, reproduce
+from conformance.report.run_report import Report, evidence, reproduce
 
 STYLES = {
     Verdict.PASS: "green",

@@ -10,18 +10,18 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from conformance.html_cases import case_data, case_rows
-from conformance.html_facts import coverage, facts, profile
-from conformance.html_matrix import matrix
-from conformance.html_text import Safe, joined, json_block, tag
 from conformance.oracle.verdicts import Verdict
-from conformance.report import Report
-from conformance.side_by_side import Row, names, rows, tally
-from conformance.summary import conclusion
+from conformance.report.html.cases import case_data, case_rows
+from conformance.report.html.facts import coverage, facts, profile
+from conformance.report.html.markup import Safe, joined, json_block, tag
+from conformance.report.html.matrix import matrix
+from conformance.report.run_report import Report
+from conformance.report.side_by_side import Row, names, rows, tally
+from conformance.report.summary import conclusion
 from conformance.visible import visible
 from spec.protocol import Protocol
 
-_PAGE = Path(__file__).parent / "page"
+_PAGE = Path(__file__).parents[2] / "page"
 _EXIT_LOOK = {0: "pass", 1: "fail", 2: "error", 3: "inconclusive"}
 
 

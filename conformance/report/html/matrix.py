@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from conformance.html_text import Safe, joined, tag
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.side_by_side import Row, tally
+from conformance.report.html.markup import Safe, joined, tag
+from conformance.report.side_by_side import Row, tally
 
 _BAR = 160  # units of a bar's width
 
