@@ -17,16 +17,12 @@ from conformance.cases.levels import LEVELS, AnyCase, level_cases
 from conformance.cases.opening import opening_cases, truncation_timeout
 from conformance.cases.selection import BY_THEMSELVES, matching, share
 from conformance.cases.single_frames import Case
-from conformance.circumstances import Circumstances
-from conformance.discovery import reading_cases
 from conformance.dut.checked_device import CheckedDevice
 from conformance.dut.link import Device, Link, Tap, VirtualLink, drive
 from conformance.dut.port_link import PortLink
 from conformance.dut.power import Power
 from conformance.dut.probes import Probe
 from conformance.dut.simulator import Simulator
-from conformance.journal import Journal, journalled
-from conformance.meter import Meter
 from conformance.oracle.choices import Choices, parse_allowed
 from conformance.oracle.judge import MS
 from conformance.oracle.profile import Profile
@@ -34,9 +30,13 @@ from conformance.oracle.profile_file import profile_from
 from conformance.oracle.timers import Eyes
 from conformance.oracle.verdicts import CaseResult
 from conformance.report.run_report import Report, make_report
-from conformance.run import Run
-from conformance.runner import Runner, Spare
-from conformance.wire_log import WireLog
+from conformance.runner.discovery.discover import reading_cases
+from conformance.runner.environment import Circumstances
+from conformance.runner.executor import Runner, Spare
+from conformance.runner.listeners.journal import Journal, journalled
+from conformance.runner.listeners.meter import Meter
+from conformance.runner.listeners.wire_log import WireLog
+from conformance.runner.run import Run
 from spec.protocol import Protocol as Grammar
 
 

@@ -14,7 +14,7 @@ from analyzer.transport.wire import Heard as Answers
 from captures.schemas import Look
 from conformance.dut.link import Link
 from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from spec.protocol import Protocol
 
 _SETTLE = 2 * MILLISECOND

@@ -18,8 +18,8 @@ from conformance.dut.power import Power
 from conformance.dut.probes import Probe
 from conformance.dut.simulator import CONFORMING, Simulator
 from conformance.progress import Progress
-from conformance.recording import RunRecorder
 from conformance.report.run_report import Report
+from conformance.runner.listeners.recorder import RunRecorder
 from spec.protocol import Protocol
 
 SIM = "sim"

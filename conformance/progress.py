@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.recording import RunRecorder
+from conformance.runner.listeners.recorder import RunRecorder
 
 
 class Progress:

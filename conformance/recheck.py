@@ -20,11 +20,11 @@ from captures.errors import CaptureError, shown
 from captures.evidence import Evidence, open_evidence
 from captures.schemas import CaseMark
 from conformance.api import Options, run_on
-from conformance.circumstances import Circumstances
 from conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from conformance.oracle.verdicts import CaseResult, worst
-from conformance.recording import GRAMMAR, RUN, VERDICT
 from conformance.report.run_report import Report, as_json
+from conformance.runner.environment import Circumstances
+from conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
 from spec.protocol import GrammarError, Protocol, load
 from spec.safe_grammar import NotDeclared, require_declarations
 

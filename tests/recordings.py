@@ -16,15 +16,15 @@ from captures.reader import Message, open_capture
 from captures.schemas import Chunk
 from captures.writer import CaptureWriter
 from conformance.api import Options, run_on
-from conformance.circumstances import Circumstances
 from conformance.dut.link import VirtualLink
 from conformance.dut.operations import Ask, Heard, Seen
 from conformance.dut.simulator import Simulator
 from conformance.oracle.timers import Eyes
 from conformance.oracle.verdicts import CaseResult
-from conformance.recording import RunRecorder
 from conformance.report.run_report import Report
-from conformance.run import Ended
+from conformance.runner.environment import Circumstances
+from conformance.runner.listeners.recorder import RunRecorder
+from conformance.runner.run import Ended
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS
 

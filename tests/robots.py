@@ -26,8 +26,8 @@ from conformance.dut.operations import Ask, Heard, See, Seen
 from conformance.dut.simulator import Simulator
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.run import Run
-from conformance.runner import Runner
+from conformance.runner.executor import Runner
+from conformance.runner.run import Run
 from spec.protocol import Protocol
 
 ROOT = Path(__file__).resolve().parent.parent

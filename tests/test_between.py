@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.between import Between
 from conformance.cases.single_frames import Case
 from conformance.oracle.verdicts import Axis, Verdict
+from conformance.runner.stray_answers import Between
 from spec.protocol import Protocol
 
 FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE

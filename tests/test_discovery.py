@@ -8,9 +8,7 @@ from typing import Any
 
 import pytest
 
-from conformance import discovery
 from conformance.api import Options, conform
-from conformance.discovery import reading_cases
 from conformance.dut.fault import React
 from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Script, Seen, listen
@@ -20,9 +18,11 @@ from conformance.oracle.choices import POINTS, Choices, parse_allowed
 from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.run import Run
-from conformance.runner import Runner
-from conformance.shown import Probe, Shown
+from conformance.runner.discovery import discover as discovery
+from conformance.runner.discovery.discover import reading_cases
+from conformance.runner.discovery.experiment import Probe, Shown
+from conformance.runner.executor import Runner
+from conformance.runner.run import Run
 from conformance.variants import variants
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink, run_over

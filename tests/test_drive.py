@@ -27,7 +27,7 @@ from conformance.dut.operations import (
 from conformance.dut.port_link import PortLink
 from conformance.dut.probes import open_probe
 from conformance.dut.simulator import Fault, Simulator, answers
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
 

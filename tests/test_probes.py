@@ -21,7 +21,7 @@ from captures.schemas import Look
 from conformance.dut.operations import See, Seen
 from conformance.dut.port_link import PortLink
 from conformance.dut.probes import ExecProbe, Probe, ProbeError, TcpProbe, open_probe, parse_look
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from tests.robots import PATIENCE, ROOT, ProbeServer, command, sentence, simulate
 
 

@@ -20,7 +20,7 @@ from conformance.faults import fault_bank
 from conformance.oracle.timers import Eyes
 from conformance.recheck import recheck
 from conformance.report.run_report import as_json
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from spec.protocol import GrammarError, Protocol, load
 from tests.recordings import attachments_of, forged, recorded
 from tests.robots import FEW_LOOKS, command, sentence, simulate

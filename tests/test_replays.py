@@ -17,7 +17,7 @@ from conformance.dut.operations import Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from conformance.faults import fault_bank
 from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from spec.protocol import Protocol
 from tests.robots import BYTE_TIME, MS, CountingLink, at_rest, case_of, cases_of, run_over
 from tests.walking import RESPONSES, SAFETY, burst, hand_made

@@ -23,7 +23,7 @@ from conformance.client import Client
 from conformance.dut.operations import Ask
 from conformance.dut.simulator import CONFORMING, MS, Fault, Simulator
 from conformance.faults import fault_bank
-from conformance.run import Ended
+from conformance.runner.run import Ended
 from spec.protocol import Protocol, load
 from spec.python_names import RESERVED
 from tests.robots import PATIENCE, ROOT, served_here, simulate

@@ -20,8 +20,8 @@ from conformance.dut.simulator import Fault, Simulator, answers
 from conformance.faults import fault_bank
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
-from conformance.run import Ended, Run
-from conformance.runner import Runner
+from conformance.runner.executor import Runner
+from conformance.runner.run import Ended, Run
 from spec.protocol import Protocol
 from tests.robots import CountingLink, at_rest, cases_of, run_over
 

@@ -8,7 +8,7 @@ from conformance.dut.operations import Heard
 from conformance.dut.simulator import Simulator
 from conformance.faults import fault_bank
 from conformance.oracle.verdicts import Verdict, WireEvent
-from conformance.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
+from conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
 from spec.protocol import Protocol
 from tests.reports import a_case, a_run
 

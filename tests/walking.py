@@ -10,12 +10,12 @@ from conformance.cases.steps import Step, cut, whole
 from conformance.dut.link import drive
 from conformance.dut.operations import Script
 from conformance.dut.simulator import Event, Fault, React, Reaction
-from conformance.homing import home, see_motions
 from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult
-from conformance.run import Run
-from conformance.walking import walk
+from conformance.runner.homing import home, see_motions
+from conformance.runner.run import Run
+from conformance.runner.sequence import walk
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink
 

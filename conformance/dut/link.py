@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar
 
 from captures.schemas import Look
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, Script, See, Seen, Send
-from conformance.run import Ended
+from conformance.runner.run import Ended
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from conformance.dut.link import HELD, Tap
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.dut.power import Power, PowerError
 from conformance.dut.probes import Probe, ProbeError
-from conformance.run import Ended
+from conformance.runner.run import Ended
 
 
 class PortLink:

@@ -17,8 +17,8 @@ from captures.reader import Message
 from captures.schemas import Asked, Look
 from conformance.dut.link import HELD
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.recording import NAMES
-from conformance.run import Ended
+from conformance.runner.listeners.recorder import NAMES
+from conformance.runner.run import Ended
 from spec.codec import spaced
 
 TOPICS = frozenset({topics.HOST_RAW, topics.DEVICE_RAW, topics.LOOKS, topics.ASKS})

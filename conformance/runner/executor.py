@@ -11,15 +11,15 @@ from collections.abc import Callable, Sequence
 from conformance.cases.budget import within
 from conformance.cases.duration import answers_in, seconds
 from conformance.cases.levels import AnyCase
-from conformance.discovery import discover
 from conformance.dut.operations import Script
-from conformance.early import first_choices
-from conformance.first_bytes import calibrate, first_bytes
-from conformance.homing import home, leave, see_motions
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.replays import judge_case
-from conformance.run import Ended, GaveUp, Run
-from conformance.timeout import measure_timeout, needs_timeout
+from conformance.runner.discovery.discover import discover
+from conformance.runner.first_choices import first_choices
+from conformance.runner.homing import home, leave, see_motions
+from conformance.runner.power_on import calibrate, first_bytes
+from conformance.runner.retry import judge_case
+from conformance.runner.run import Ended, GaveUp, Run
+from conformance.runner.truncation_timeout import measure_timeout, needs_timeout
 
 _SLOW = 0.005  # s for an answer
 Spare = Callable[[str, Sequence[CaseResult]], bool]

@@ -12,7 +12,7 @@ from conformance.cases.single_frames import special
 from conformance.dut.operations import Script, Seen, listen, see, send
 from conformance.oracle.judge import MS, look_words
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Ended, GaveUp, Run
+from conformance.runner.run import Ended, GaveUp, Run
 from spec.motion import Motion, State
 
 # So many times more answers than were due, so often, and the rest of a run would show no more.

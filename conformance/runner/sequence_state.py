@@ -10,8 +10,8 @@ from conformance.oracle.choices import POINTS
 from conformance.oracle.judge import MOVING, MS, contradiction, differences, look_words, state_words
 from conformance.oracle.state_model import Belief
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
-from conformance.walk_answers import unasked
+from conformance.runner.run import Run
+from conformance.runner.sequence_answers import unasked
 
 _DWELL = 4 * MS  # between two looks at a robot that is left alone
 

@@ -9,8 +9,8 @@ from conformance.cases.preamble import setting
 from conformance.cases.steps import Step, bad, code_of, cut, unused, valid, wrong_length
 from conformance.dut.operations import Heard, Script, listen, send
 from conformance.oracle.judge import MS, answer_words
-from conformance.run import Run
-from conformance.shown import Probe, Shown
+from conformance.runner.discovery.experiment import Probe, Shown
+from conformance.runner.run import Run
 from spec.codec import bad_data
 from spec.fields import Outcome
 from spec.protocol import Protocol

@@ -9,7 +9,6 @@ from __future__ import annotations
 from conformance.cases.opening import at_rest, link_check, motion_first
 from conformance.cases.single_frames import Case, special
 from conformance.dut.operations import Heard, Script, listen, power_cycle, see, send
-from conformance.homing import pad
 from conformance.oracle.choices import LOSING
 from conformance.oracle.judge import (
     NOT_OBSERVABLE,
@@ -21,7 +20,8 @@ from conformance.oracle.judge import (
 )
 from conformance.oracle.state_model import Belief
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
+from conformance.runner.homing import pad
+from conformance.runner.run import Run
 from spec.motion import State
 
 _STOPPED = "stopped"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from conformance.dut.operations import Script
-from conformance.run import Run
+from conformance.runner.run import Run
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,14 @@ from collections.abc import Iterator
 
 from conformance.cases.single_frames import Case, special
 from conformance.dut.operations import Script
-from conformance.first_bytes import first_frames_lost
-from conformance.homing import home
 from conformance.oracle.choices import LOSING, POINTS
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.probing_answers import DEFAULT, answer_probes
-from conformance.probing_state import state_probes
-from conformance.run import Run
-from conformance.shown import Probe, Shown
+from conformance.runner.discovery.answers import DEFAULT, answer_probes
+from conformance.runner.discovery.experiment import Probe, Shown
+from conformance.runner.discovery.state import state_probes
+from conformance.runner.homing import home
+from conformance.runner.power_on import first_frames_lost
+from conformance.runner.run import Run
 from spec.protocol import Protocol
 
 _AGREE, _TRIES = 2, 6

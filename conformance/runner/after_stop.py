@@ -8,11 +8,11 @@ from conformance.cases.preamble import moving_to, setting
 from conformance.cases.single_frames import Case
 from conformance.cases.steps import Class
 from conformance.dut.operations import Heard, Script, listen, see, send
-from conformance.homing import watch
 from conformance.oracle.judge import answer_words, differences, judge_belief, look_words
 from conformance.oracle.state_model import Deed
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
+from conformance.runner.homing import watch
+from conformance.runner.run import Run
 from spec.codec import judge
 from spec.fields import Outcome
 

@@ -11,10 +11,10 @@ from conformance.cases.opening import truncation_timeout
 from conformance.cases.sequence import Walk
 from conformance.cases.single_frames import Case
 from conformance.dut.operations import Heard, Script, listen, see, send
-from conformance.homing import home, set_up, watch
 from conformance.oracle.judge import MS, judge_answers, look_words
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.run import Run
+from conformance.runner.homing import home, set_up, watch
+from conformance.runner.run import Run
 from spec.motion import State
 
 _STEP = 10 * MS

@@ -9,11 +9,11 @@ from captures.schemas import Look
 from conformance.cases.preamble import moves, setting
 from conformance.cases.steps import unused, wrong_length
 from conformance.dut.operations import Script, listen, see, send
-from conformance.homing import set_up, watch
 from conformance.oracle.judge import MS, look_words
 from conformance.oracle.state_model import rotates
-from conformance.run import Run
-from conformance.shown import Probe, Shown
+from conformance.runner.discovery.experiment import Probe, Shown
+from conformance.runner.homing import set_up, watch
+from conformance.runner.run import Run
 from spec.motion import Motion, State
 from spec.protocol import InstructionSpec, Protocol
 

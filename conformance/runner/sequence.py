@@ -15,9 +15,9 @@ from conformance.dut.operations import Heard, Script, listen, send
 from conformance.oracle.judge import MS
 from conformance.oracle.state_model import Belief
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
-from conformance.walk_answers import Early, answered_early, flushes, judge_burst, unasked
-from conformance.walk_looks import dwell, look_after
+from conformance.runner.run import Run
+from conformance.runner.sequence_answers import Early, answered_early, flushes, judge_burst, unasked
+from conformance.runner.sequence_state import dwell, look_after
 
 
 def walk(run: Run, case: Walk) -> Script[Mismatch | None]:

@@ -20,11 +20,11 @@ from analyzer.version import kit_version
 from captures.closing import Closing
 from captures.errors import CaptureError
 from captures.schemas import Asked, CaseMark, Chunk, Line, Look
-from conformance.circumstances import Circumstances
 from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
 from conformance.oracle.verdicts import CaseResult
 from conformance.report.run_report import Report, as_json
-from conformance.run import Ended
+from conformance.runner.environment import Circumstances
+from conformance.runner.run import Ended
 from spec.protocol import Protocol
 
 GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"

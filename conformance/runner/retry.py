@@ -17,11 +17,11 @@ import msgspec
 from conformance.cases.sequence import Burst, Mismatch, Walk
 from conformance.cases.single_frames import Case
 from conformance.dut.operations import Script
-from conformance.homing import home
 from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.run import Run
-from conformance.trial import try_case
-from conformance.walking import walk
+from conformance.runner.homing import home
+from conformance.runner.run import Run
+from conformance.runner.sequence import walk
+from conformance.runner.single_frame import try_case
 from spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2

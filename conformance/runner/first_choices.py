@@ -11,11 +11,11 @@ from conformance.cases.preamble import moves, moving_to
 from conformance.cases.single_frames import special
 from conformance.cases.steps import code_of
 from conformance.dut.operations import Script, listen, send
-from conformance.homing import set_up, watch
 from conformance.oracle.choices import POINTS, Choices
 from conformance.oracle.judge import differences, look_words
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
+from conformance.runner.homing import set_up, watch
+from conformance.runner.run import Run
 from spec.fields import Outcome
 from spec.motion import Motion, State
 from spec.protocol import Protocol

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from conformance.aftermath import hold, recover, restart
 from conformance.cases.adaptation import as_chosen
 from conformance.cases.single_frames import Case
 from conformance.cases.steps import Class
 from conformance.dut.operations import Heard, Script, Seen, listen, see, send
-from conformance.homing import set_up, watch
 from conformance.oracle.judge import (
     MOVING,
     MS,
@@ -21,7 +19,9 @@ from conformance.oracle.judge import (
     unseen,
 )
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
+from conformance.runner.after_stop import hold, recover, restart
+from conformance.runner.homing import set_up, watch
+from conformance.runner.run import Run
 from spec.fields import Outcome
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from conformance.between import Between
 from conformance.cases.adaptation import on_the_wire
 from conformance.cases.sequence import Walk
 from conformance.cases.single_frames import Case
@@ -20,6 +19,7 @@ from conformance.oracle.profile import Profile
 from conformance.oracle.state_model import Model
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
+from conformance.runner.stray_answers import Between
 from spec.codec import spaced
 from spec.motion import Motion
 from spec.protocol import Protocol

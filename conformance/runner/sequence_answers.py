@@ -8,7 +8,7 @@ from conformance.dut.operations import Heard, Script, listen
 from conformance.oracle.choices import LOSING, POINTS
 from conformance.oracle.judge import MS, answer_words, code_words
 from conformance.oracle.verdicts import Axis, Verdict
-from conformance.run import Run
+from conformance.runner.run import Run
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 """What came in each pause inside a burst, with how many of its bytes had gone."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from conformance.circumstances import Circumstances
 from conformance.dut.link import Link, Tap, interruption
 from conformance.dut.operations import Ask, Heard, Seen
 from conformance.report.run_report import Report
-from conformance.run import Ended
+from conformance.runner.environment import Circumstances
+from conformance.runner.run import Ended
 from spec.protocol import Protocol as Grammar
 
 

@@ -1,0 +1,1 @@
+"""Executes cases over a link."""
