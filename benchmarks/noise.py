@@ -31,7 +31,7 @@ from conformance.dut.boards.simavr import SimavrBoard
 from conformance.dut.link import Device
 from conformance.dut.noisy_device import Noise, NoisyDevice
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import Verdict
 
 RATE = 1e-4

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from analyzer.grammar_file import load_protocol
-from conformance.score import Score, chosen_faults, levels, score
+from conformance.mutation.score import Score, chosen_faults, levels, score
 
 _SHOWN = 4  # faults named behind a case group
 

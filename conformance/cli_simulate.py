@@ -9,7 +9,7 @@ from analyzer.transport.server import serve
 from analyzer.transport.signals import Stopper
 from conformance.device_option import named_device
 from conformance.dut.simulator import Simulator
-from conformance.faults.names import listed_faults, listed_variants
+from conformance.mutation.catalogue import listed_faults, listed_variants
 
 
 @click.command()

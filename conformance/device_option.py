@@ -5,8 +5,8 @@ from __future__ import annotations
 import rich_click as click
 
 from conformance.dut.simulator import Fault
-from conformance.faults.names import find_fault
-from conformance.variants import find_variant
+from conformance.mutation.catalogue import find_fault
+from conformance.mutation.variants import find_variant
 from spec.protocol import Protocol
 
 

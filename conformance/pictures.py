@@ -25,7 +25,7 @@ from captures.schemas import Chunk
 from conformance.api import Options, conform
 from conformance.demo import examples
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.judge import MS
 from conformance.oracle.verdicts import Verdict
 from conformance.report.html.page import as_html

@@ -21,7 +21,7 @@ from conformance.cases.levels import LEVELS, STANDARD
 from conformance.dut.boards.emulator import EmulatorError
 from conformance.dut.probes import ProbeError
 from conformance.dut.simulator import Fault
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.choices import parse_allowed
 from conformance.oracle.verdicts import Verdict
 from conformance.pytest_case import NAME, CaseItem, Conformance

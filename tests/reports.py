@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
 from conformance.report.run_report import Report
 from spec.protocol import Protocol

@@ -32,7 +32,7 @@ from conformance.cases.selection import BY_THEMSELVES
 from conformance.cases.sequence import Walk
 from conformance.dut.probes import TcpProbe
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from spec.protocol import Protocol
 from tests.robots import PATIENCE, ROOT, Served, command, sentence, served_here, simulate
 from tests.vectors import FRAME_COUNTS, READING_IDS

@@ -11,7 +11,7 @@ import pytest
 
 from conformance.api import Options, conform, select_cases
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import TIMED_PROBES, command, served_here, simulate, unwell

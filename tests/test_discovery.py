@@ -13,7 +13,8 @@ from conformance.dut.fault import React
 from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Script, Seen, listen
 from conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from conformance.mixtures import find_mixture
+from conformance.mutation.mixtures import find_mixture
+from conformance.mutation.variants import variants
 from conformance.oracle.choices import POINTS, Choices, parse_allowed
 from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
@@ -23,7 +24,6 @@ from conformance.runner.discovery.discover import reading_cases
 from conformance.runner.discovery.experiment import Probe, Shown
 from conformance.runner.executor import Runner
 from conformance.runner.run import Run
-from conformance.variants import variants
 from spec.protocol import Protocol
 from tests.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS

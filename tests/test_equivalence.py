@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.alphabet import alphabet
 from conformance.dut.fault import CONFORMING, MS, Fault, React
 from conformance.dut.fault_reads import Count, Reads, Watched
 from conformance.dut.simulator import Simulator
-from conformance.equivalence import search, walk_to_difference
-from conformance.faults import fault_bank
-from conformance.faults.random_faults import random_fault
-from conformance.faults.words import drives_on, every, faulty, is_named, twice, when
-from conformance.readings_taken import one_at_a_time
+from conformance.mutation.equivalence import search, walk_to_difference
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.faults.vocabulary import drives_on, every, faulty, is_named, twice, when
+from conformance.mutation.random_faults import random_fault
+from conformance.mutation.search_inputs import alphabet
+from conformance.mutation.variant_behaviour import one_at_a_time
 from spec.codec import judge
 from spec.fields import Outcome
 from spec.motion import Motion

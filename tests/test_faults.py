@@ -11,7 +11,7 @@ from conformance.api import Options, conform
 from conformance.cases.single_frames import Class
 from conformance.dut.operations import Heard, Listen, Send
 from conformance.dut.simulator import Fault, Simulator
-from conformance.faults import all_faults, fault_bank
+from conformance.mutation.faults import all_faults, fault_bank
 from conformance.oracle.verdicts import Verdict
 from spec.fields import Clauses
 from spec.protocol import Protocol, load

@@ -16,7 +16,7 @@ from conformance.cases.levels import level_cases
 from conformance.cases.single_frames import all_cases
 from conformance.cases.steps import Class
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import Verdict
 from spec.protocol import Protocol
 from tests.robots import command, failing, sentence, simulate

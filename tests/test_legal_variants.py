@@ -11,9 +11,9 @@ import pytest
 from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.dut.simulator import Event, Fault, Reaction, Simulator
-from conformance.faults.words import faulty, sets, stands_still, when
+from conformance.mutation.faults.vocabulary import faulty, sets, stands_still, when
+from conformance.mutation.variants import find_variant, variants
 from conformance.oracle.verdicts import Verdict
-from conformance.variants import find_variant, variants
 from spec.protocol import Protocol
 from spec.readings import READINGS
 from tests.robots import CountingLink, cases_of, run_over

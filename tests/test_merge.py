@@ -11,7 +11,7 @@ import pytest
 
 from conformance.api import Options, conform, select_cases
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.report.merge import merge
 from conformance.report.run_report import as_json
 from conformance.report.shard import MergeError, Part, part_from, require_together

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from conformance.dut.simulator import Simulator
-from conformance.faults.names import find_fault
-from conformance.mixtures import find_mixture, mixtures
-from conformance.variants import variants
+from conformance.mutation.catalogue import find_fault
+from conformance.mutation.mixtures import find_mixture, mixtures
+from conformance.mutation.variants import variants
 from spec.codec import build, lying
 from spec.protocol import Protocol
 from tests.conftest import ROOT

@@ -18,8 +18,8 @@ from captures.reader import open_capture
 from captures.schemas import Chunk, Direction, Line, Look
 from conformance.cases.single_frames import all_cases
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
-from conformance.variants import find_variant, variants
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.variants import find_variant, variants
 from spec.codec import judge
 from spec.legal_answers import other_choices
 from spec.protocol import Protocol, load

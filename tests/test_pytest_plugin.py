@@ -14,7 +14,7 @@ import pytest
 
 from conformance.api import Options, conform
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from spec.protocol import Protocol
 from tests.firmware import AVR, QEMU, built
 from tests.robots import PATIENCE, ROOT, TIMED_PROBES, simulate

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from conformance.dut.simulator import Simulator
-from conformance.faults.names import find_fault
-from conformance.faults.random_faults import Draw, random_fault
+from conformance.mutation.catalogue import find_fault
+from conformance.mutation.random_faults import Draw, random_fault
 from spec.protocol import Protocol
 from tests.conftest import ROOT
 from tests.robots import command, sentence

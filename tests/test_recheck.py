@@ -16,7 +16,7 @@ from captures.errors import CaptureError
 from captures.reader import Message, open_capture
 from conformance.api import Options
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.timers import Eyes
 from conformance.recheck import recheck
 from conformance.report.run_report import as_json

@@ -15,7 +15,7 @@ from conformance.cases.single_frames import Case
 from conformance.dut.link import VirtualLink
 from conformance.dut.operations import Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from conformance.runner.run import Ended
 from spec.protocol import Protocol

@@ -22,7 +22,7 @@ from bilprov import LinkError, NoAnswer, Refused, Robot, RobotError
 from conformance.client import Client
 from conformance.dut.operations import Ask
 from conformance.dut.simulator import CONFORMING, MS, Fault, Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.runner.run import Ended
 from spec.protocol import Protocol, load
 from spec.python_names import RESERVED

@@ -17,7 +17,7 @@ from conformance.cases.single_frames import Case
 from conformance.dut.link import drive
 from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
 from conformance.dut.simulator import Fault, Simulator, answers
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from conformance.runner.executor import Runner

@@ -7,9 +7,9 @@ import pytest
 
 from conformance.api import conform
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.score import Caught, Score, _Spares, chosen_faults, group_of, score
 from conformance.oracle.verdicts import Verdict
-from conformance.score import Caught, Score, _Spares, chosen_faults, group_of, score
 from spec.protocol import Protocol
 from tests.robots import command, sentence
 
@@ -109,7 +109,7 @@ def test_what_a_group_catches_alone(protocol: Protocol) -> None:
 
 
 def test_what_is_proven_equivalent_does_not_count() -> None:
-    from conformance.equivalence import Search
+    from conformance.mutation.equivalence import Search
 
     proof = Search((), "", True, 60, 440, 5)
     open_end = Search((), "", False, 60, 440, 5)

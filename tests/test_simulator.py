@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.dut.simulator import Fault, Simulator, answers
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from spec.motion import Motion, State
 from spec.protocol import Protocol
 from tests.vectors import (

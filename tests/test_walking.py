@@ -13,10 +13,10 @@ from conformance.cases.levels import level_cases
 from conformance.cases.sequence import Burst, Walk
 from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
+from conformance.mutation.variants import find_variant
 from conformance.oracle.profile import Profile
 from conformance.oracle.timers import Eyes, Limits
 from conformance.oracle.verdicts import Verdict
-from conformance.variants import find_variant
 from spec.motion import Motion
 from spec.protocol import Protocol
 from tests.robots import MS, CountingLink

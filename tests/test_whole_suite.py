@@ -11,8 +11,8 @@ import pytest
 
 from conformance.api import Options, conform
 from conformance.dut.simulator import Fault, Simulator
-from conformance.faults import fault_bank
-from conformance.mixtures import mixtures
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.mixtures import mixtures
 from conformance.oracle.verdicts import CaseResult, Verdict
 from conformance.report.run_report import Report
 from spec.protocol import Protocol, load

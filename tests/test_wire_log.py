@@ -6,7 +6,7 @@ from captures.schemas import Look
 from conformance.api import Options, conform
 from conformance.dut.operations import Heard
 from conformance.dut.simulator import Simulator
-from conformance.faults import fault_bank
+from conformance.mutation.faults import fault_bank
 from conformance.oracle.verdicts import Verdict, WireEvent
 from conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
 from spec.protocol import Protocol

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from conformance.cases.single_frames import moving_motions
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     FOLLOWED,
     WATCHED_FAULTS,
     drives_on,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from conformance.faults.words import CASES, CUT, EVERYTHING, is_outcome, when
+from conformance.mutation.faults.vocabulary import CASES, CUT, EVERYTHING, is_outcome, when
 from spec.codec import bad_data
 from spec.fields import Outcome
 from spec.protocol import Protocol

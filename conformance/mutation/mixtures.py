@@ -11,8 +11,8 @@ from functools import cache
 
 from conformance.dut.fault import MS, Fault
 from conformance.dut.simulator import Simulator
-from conformance.readings_taken import Chooses
-from conformance.variants import MIXTURE, Variant, variants
+from conformance.mutation.variant_behaviour import Chooses
+from conformance.mutation.variants import MIXTURE, Variant, variants
 from spec.codec import bad_data
 from spec.motion import Motion, State
 from spec.protocol import Protocol

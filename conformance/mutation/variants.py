@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
-from conformance import readings_taken as take
 from conformance.dut.fault import MS, Event, Fault, React
-from conformance.faults.codes import under_other_ids
-from conformance.faults.words import (
+from conformance.mutation import variant_behaviour as take
+from conformance.mutation.faults.codes import under_other_ids
+from conformance.mutation.faults.vocabulary import (
     Condition,
     answers_with,
     faulty,
@@ -25,7 +25,7 @@ from conformance.faults.words import (
     then,
     when,
 )
-from conformance.readings_taken import Chooses, always, code_of, only
+from conformance.mutation.variant_behaviour import Chooses, always, code_of, only
 from spec.fields import Outcome
 from spec.protocol import Protocol
 
@@ -77,7 +77,7 @@ def find_variant(protocol: Protocol, name: str) -> Fault:
     if name in known:
         return known[name].fault
     if name.startswith(MIXTURE):
-        from conformance.mixtures import find_mixture
+        from conformance.mutation.mixtures import find_mixture
 
         return find_mixture(protocol, name)
     near = [one for one in known if name and name.split("=")[0].lower() in one.lower()][:3]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from conformance.dut.fault import Fault
-from conformance.faults import fault_bank
-from conformance.faults.random_faults import PREFIX, random_fault
-from conformance.variants import MIXTURE, find_variant, variants
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.random_faults import PREFIX, random_fault
+from conformance.mutation.variants import MIXTURE, find_variant, variants
 from spec.protocol import Protocol
 
 
@@ -51,7 +51,7 @@ def listed_faults(protocol: Protocol) -> str:
 
 def listed_variants(protocol: Protocol) -> str:
     """Every legal variant with what it does, then the mixtures, which are faults; as text."""
-    from conformance.mixtures import mixtures
+    from conformance.mutation.mixtures import mixtures
 
     known = variants(protocol)
     mixed = mixtures(protocol)

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import msgspec
 
-from conformance.alphabet import Symbol, alphabet
 from conformance.dut.fault import MS, Fault
 from conformance.dut.fault_reads import Reads
 from conformance.dut.simulator import Simulator
-from conformance.faults.random_faults import Draw
+from conformance.mutation.random_faults import Draw
+from conformance.mutation.search_inputs import Symbol, alphabet
 from spec.protocol import Protocol
 
 MOST = 250_000  # inputs that are tried, unless told otherwise

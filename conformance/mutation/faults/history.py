@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from conformance.dut.simulator import Fault
-from conformance.faults.words import EVERYTHING, WATCHED_FAULTS, answers_with, drives_on, when
+from conformance.mutation.faults.vocabulary import (
+    EVERYTHING,
+    WATCHED_FAULTS,
+    answers_with,
+    drives_on,
+    when,
+)
 from spec.protocol import Protocol
 
 

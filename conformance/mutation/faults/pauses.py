@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from conformance.dut.simulator import MS, Event, Fault, React, Reaction, Simulator
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     CUT,
     SEQUENCE,
     SPLIT,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from conformance.dut.simulator import MS, Event, Fault, Reaction, Simulator
 from conformance.dut.simulator import answers as answered
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     ALL_FAULTY,
     CASES,
     CUT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from conformance.dut.simulator import Fault, Simulator
-from conformance.faults.words import EVERYTHING
+from conformance.mutation.faults.vocabulary import EVERYTHING
 from spec.protocol import Protocol
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from conformance.cases.single_frames import moving_motions
 from conformance.dut.simulator import Event, Fault, React
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     READING,
     SEQUENCE,
     Change,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     SEQUENCE,
     Change,
     Condition,

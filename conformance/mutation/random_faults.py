@@ -12,8 +12,7 @@ from typing import NamedTuple, TypeVar
 
 from conformance.cases.single_frames import moving_motions
 from conformance.dut.simulator import MS, Event, Fault
-from conformance.faults.effects import Effect, effects_on
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     Condition,
     after,
     every,
@@ -25,6 +24,7 @@ from conformance.faults.words import (
     ordinal,
     when,
 )
+from conformance.mutation.random_effects import Effect, effects_on
 from spec.fields import Outcome
 from spec.motion import Motion
 from spec.protocol import InstructionSpec, Protocol

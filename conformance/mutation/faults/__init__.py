@@ -10,20 +10,20 @@ from dataclasses import replace
 from functools import cache
 
 from conformance.dut.simulator import Fault
-from conformance.faults.answers import answer_faults
-from conformance.faults.codes import code_faults
-from conformance.faults.counts import count_faults
-from conformance.faults.delivery import delivery_faults
-from conformance.faults.history import history_faults
-from conformance.faults.lines import line_faults
-from conformance.faults.motion import motion_faults
-from conformance.faults.narrow import narrow_faults
-from conformance.faults.pairs import pair_faults
-from conformance.faults.parsing import parsing_faults
-from conformance.faults.pauses import pause_faults
-from conformance.faults.settings import setting_faults
-from conformance.faults.stops import stop_faults
-from conformance.faults.times import timing_faults
+from conformance.mutation.faults.answers import answer_faults
+from conformance.mutation.faults.codes import code_faults
+from conformance.mutation.faults.counts import count_faults
+from conformance.mutation.faults.delivery import delivery_faults
+from conformance.mutation.faults.history import history_faults
+from conformance.mutation.faults.line import line_faults
+from conformance.mutation.faults.motion import motion_faults
+from conformance.mutation.faults.narrow import narrow_faults
+from conformance.mutation.faults.pairs import pair_faults
+from conformance.mutation.faults.parsing import parsing_faults
+from conformance.mutation.faults.pauses import pause_faults
+from conformance.mutation.faults.settings import setting_faults
+from conformance.mutation.faults.stops import stop_faults
+from conformance.mutation.faults.timing import timing_faults
 from spec.protocol import Protocol
 
 

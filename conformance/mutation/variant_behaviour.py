@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from conformance.dut.fault import MS, Event, Hear, React, Reaction, answers
 from conformance.dut.simulator import Simulator
-from conformance.faults.words import Condition, is_truncated, sets
+from conformance.mutation.faults.vocabulary import Condition, is_truncated, sets
 from spec.fields import Outcome
 from spec.motion import WHEELS, Motion
 from spec.protocol import Protocol

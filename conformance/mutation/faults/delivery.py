@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from conformance.dut.fault import Hear
 from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     PIPELINED,
     after_a_fault,
     answers_with,

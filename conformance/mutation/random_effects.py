@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from conformance.cases.single_frames import moving_motions
 from conformance.dut.fault import Hear
 from conformance.dut.simulator import MS, Event, React, Reaction, Simulator
-from conformance.faults.words import (
+from conformance.mutation.faults.vocabulary import (
     Change,
     answers_with,
     becomes,

@@ -21,11 +21,11 @@ from conformance.api import Options, conform
 from conformance.cases.levels import LEVELS
 from conformance.cases.steps import Class
 from conformance.dut.simulator import CONFORMING, Fault, Simulator
-from conformance.equivalence import MOST, Search, search
-from conformance.faults import fault_bank
-from conformance.faults.names import find_fault
-from conformance.faults.random_faults import PREFIX
-from conformance.mixtures import mixtures
+from conformance.mutation.catalogue import find_fault
+from conformance.mutation.equivalence import MOST, Search, search
+from conformance.mutation.faults import fault_bank
+from conformance.mutation.mixtures import mixtures
+from conformance.mutation.random_faults import PREFIX
 from conformance.oracle.verdicts import CaseResult, Verdict
 from spec.protocol import Protocol
 

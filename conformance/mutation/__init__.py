@@ -1,0 +1,1 @@
+"""Faulty devices, legal variants, the score."""
