@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from conformance.client import Client
+    from conformance.pytest_plugin.robot_client import Client
 
 _SESSION = "bilprov-robot"
 MARKER = "conformance: one case of the robot's conformance suite (bilprov)"
@@ -59,7 +59,7 @@ def pytest_configure(config: pytest.Config) -> None:
         if given:
             raise pytest.UsageError(f"--robot-{given[0]} needs --robot-port PORT, or sim")
         return
-    from conformance.pytest_session import RobotSession
+    from conformance.pytest_plugin.session import RobotSession
 
     config.pluginmanager.register(RobotSession(config), _SESSION)
 

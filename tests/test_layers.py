@@ -33,8 +33,8 @@ HOMES = {
     # The kit runs without it: these are imported by pytest alone.
     "pytest": (
         "conformance/pytest_plugin.py",
-        "conformance/pytest_session.py",
-        "conformance/pytest_case.py",
+        "conformance/pytest_plugin/session.py",
+        "conformance/pytest_plugin/case_item.py",
     ),
     "_pytest": (),
 }
@@ -284,7 +284,7 @@ BROKEN = [
     (library_away_from_home, "spec/explain.py", "from rich.table import Table"),
     (library_away_from_home, "captures/info.py", "import rich_click as click"),
     (library_away_from_home, "captures/info.py", "def f():\n    import click"),
-    (library_away_from_home, "conformance/bench.py", "def f():\n    import pytest"),
+    (library_away_from_home, "conformance/pytest_plugin/bench.py", "def f():\n    import pytest"),
     (relative, "spec/codec.py", "from . import fields"),
     (relative, "spec/codec.py", "from .fields import Outcome"),
     (relative, "analyzer/api.py", "import_module('.ports', 'analyzer')"),
@@ -321,7 +321,7 @@ KEPT = [
     (library_away_from_home, "analyzer/transport/ports.py", "import serial.tools.list_ports"),
     (library_away_from_home, "captures/reader.py", "import mcap.reader"),
     (library_away_from_home, "analyzer/cli/text_commands.py", "import rich.table, rich_click"),
-    (library_away_from_home, "conformance/pytest_case.py", "import pytest"),
+    (library_away_from_home, "conformance/pytest_plugin/case_item.py", "import pytest"),
     (relative, "spec/codec.py", "from spec import fields\nimport_module('spec.fields')"),
     (impure, "spec/codec.py", "import hashlib\nfrom dataclasses import dataclass"),
     (impure, "analyzer/transport/ports.py", "import time\nopen('x')"),

@@ -19,10 +19,10 @@ import pytest
 from analyzer.transport.ports import open_port
 from analyzer.transport.signals import ending_in_order, undisturbed
 from bilprov import LinkError, NoAnswer, Refused, Robot, RobotError
-from conformance.client import Client
 from conformance.dut.operations import Ask
 from conformance.dut.simulator import CONFORMING, MS, Fault, Simulator
 from conformance.mutation.faults import fault_bank
+from conformance.pytest_plugin.robot_client import Client
 from conformance.runner.run import Ended
 from spec.protocol import Protocol, load
 from spec.python_names import RESERVED

@@ -10,9 +10,9 @@ from typing import NoReturn
 import pytest
 
 from captures.errors import shown
-from conformance.bench import Bench
 from conformance.oracle.profile import Profile
 from conformance.oracle.verdicts import CaseResult, Verdict
+from conformance.pytest_plugin.bench import Bench
 from conformance.report.run_report import evidence, make_report, reproduce
 
 NAME = "conformance"

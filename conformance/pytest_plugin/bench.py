@@ -25,7 +25,6 @@ from conformance.api import (
     estimated_seconds,
     select_cases,
 )
-from conformance.client import Client
 from conformance.dut.boards.target import board_named
 from conformance.dut.link import Device, Link, VirtualLink
 from conformance.dut.port_link import PortLink
@@ -33,6 +32,7 @@ from conformance.dut.power import Power
 from conformance.dut.probes import Probe, ProbeError, open_probe
 from conformance.dut.simulator import Fault, Simulator
 from conformance.oracle.verdicts import CaseResult
+from conformance.pytest_plugin.robot_client import Client
 from conformance.report.run_report import Report
 from spec.protocol import Protocol
 

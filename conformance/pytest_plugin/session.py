@@ -16,7 +16,6 @@ from analyzer.options import line_settings
 from analyzer.transport.errors import LinkError
 from captures.errors import shown
 from conformance.api import Options
-from conformance.bench import SIM, Bench
 from conformance.cases.levels import LEVELS, STANDARD
 from conformance.dut.boards.emulator import EmulatorError
 from conformance.dut.probes import ProbeError
@@ -24,7 +23,8 @@ from conformance.dut.simulator import Fault
 from conformance.mutation.faults import fault_bank
 from conformance.oracle.choices import parse_allowed
 from conformance.oracle.verdicts import Verdict
-from conformance.pytest_case import NAME, CaseItem, Conformance
+from conformance.pytest_plugin.bench import SIM, Bench
+from conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
 from spec.protocol import GrammarError, Protocol
 
 _GONE = (signal.SIGTERM, signal.SIGHUP)

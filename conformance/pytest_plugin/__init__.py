@@ -1,0 +1,1 @@
+"""Each case as a pytest test."""
