@@ -106,18 +106,20 @@ COMMANDS = {
     "ports": Row(
         "Analyze", "analyzer.cli.text_commands", "ports", "List the serial ports of this machine."
     ),
-    "conform": Row("Conform", "conformance.cli", "conform", "Run the suite against a device."),
-    "report": Row("Conform", "conformance.cli_report", "report", "Compare and show past runs."),
-    "simulate": Row(
-        "Conform", "conformance.cli_simulate", "simulate", "Serve the reference device."
+    "conform": Row(
+        "Conform", "conformance.cli.conform", "conform", "Run the suite against a device."
     ),
-    "emulate": Row("Conform", "conformance.cli_emulate", "emulate", "Serve a board's firmware."),
+    "report": Row("Conform", "conformance.cli.report", "report", "Compare and show past runs."),
+    "simulate": Row(
+        "Conform", "conformance.cli.simulate", "simulate", "Serve the reference device."
+    ),
+    "emulate": Row("Conform", "conformance.cli.emulate", "emulate", "Serve a board's firmware."),
     "line": Row("Conform", "analyzer.cli.line", "line", "Join two ends by a bad line."),
     "score": Row(
-        "Conform", "conformance.cli_score", "command", "Score the suite against faulty devices."
+        "Conform", "conformance.cli.score", "command", "Score the suite against faulty devices."
     ),
-    "recheck": Row("Conform", "conformance.cli_recheck", "recheck", "Judge a recorded run again."),
-    "merge": Row("Conform", "conformance.cli_merge", "merge_reports", "Put shards together."),
+    "recheck": Row("Conform", "conformance.cli.recheck", "recheck", "Judge a recorded run again."),
+    "merge": Row("Conform", "conformance.cli.merge", "merge_reports", "Put shards together."),
     "explain": Row(
         "Protocol", "analyzer.cli.text_commands", "explain", "Explain every bit of some bytes."
     ),

@@ -15,8 +15,8 @@ import rich_click as click
 from msgspec.structs import replace
 
 from analyzer.whole_file import write_whole
+from conformance.cli.outputs import Output, require_writable
 from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.outputs import Output, require_writable
 from conformance.report.expected import Comparison
 from conformance.report.json_report import read_report
 from conformance.report.run_report import Report, as_json, reproduce

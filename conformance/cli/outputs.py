@@ -32,7 +32,7 @@ class Format(NamedTuple):
 
 FORMATS = {
     "json": Format(
-        "--json", "The report as JSON, for machines.", "conformance.outputs", "_as_json"
+        "--json", "The report as JSON, for machines.", "conformance.cli.outputs", "_as_json"
     ),
     "junit": Format(
         "--junit", "JUnit XML, for a CI's list of tests.", "conformance.report.junit", "as_junit"

@@ -7,7 +7,7 @@ import rich_click as click
 from analyzer.grammar_file import load_protocol
 from analyzer.transport.server import serve
 from analyzer.transport.signals import Stopper
-from conformance.device_option import named_device
+from conformance.cli.options import named_device
 from conformance.dut.simulator import Simulator
 from conformance.mutation.catalogue import listed_faults, listed_variants
 

@@ -12,12 +12,12 @@ from analyzer.transport.port import Port
 from analyzer.transport.signals import Stopper
 from captures.errors import CaptureError
 from conformance.api import Options, conform, conform_port
+from conformance.cli.progress import Progress
 from conformance.dut.boards.target import BoardName
 from conformance.dut.link import Device
 from conformance.dut.power import Power
 from conformance.dut.probes import Probe
 from conformance.dut.simulator import CONFORMING, Simulator
-from conformance.progress import Progress
 from conformance.report.run_report import Report
 from conformance.runner.listeners.recorder import RunRecorder
 from spec.protocol import Protocol

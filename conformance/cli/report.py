@@ -7,7 +7,13 @@ import rich_click as click
 from rich.console import Console
 
 from analyzer.grammar_file import load_protocol
-from conformance.outputs import STANDARD_OUTPUT, deliver, report_options, require_writable, wanted
+from conformance.cli.outputs import (
+    STANDARD_OUTPUT,
+    deliver,
+    report_options,
+    require_writable,
+    wanted,
+)
 from conformance.report.json_report import read_report
 from conformance.report.run_report import Report
 from conformance.report.side_by_side_table import show_compared

@@ -19,7 +19,15 @@ from analyzer.whole_file import write_whole
 from conformance.api import Options, always, estimated_seconds, select_cases
 from conformance.cases.levels import LEVELS, STANDARD
 from conformance.cases.selection import matching, shard_named
-from conformance.device_option import named_device
+from conformance.cli.job import SIM, Job
+from conformance.cli.options import named_device
+from conformance.cli.outputs import (
+    STANDARD_OUTPUT,
+    deliver,
+    report_options,
+    require_writable,
+    wanted,
+)
 from conformance.dut.boards.target import board_named
 from conformance.dut.power import by_command
 from conformance.dut.probes import open_probe
@@ -30,16 +38,8 @@ from conformance.expect_option import (
     update_expected_option,
     with_expected,
 )
-from conformance.job import SIM, Job
 from conformance.oracle.choices import parse_allowed
 from conformance.oracle.profile_file import profile_text, read_profile
-from conformance.outputs import (
-    STANDARD_OUTPUT,
-    deliver,
-    report_options,
-    require_writable,
-    wanted,
-)
 from conformance.report.summary import show
 
 Command = TypeVar("Command", bound=Callable[..., Any])
