@@ -3,13 +3,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
-SOURCES := analyzer benchmarks captures conformance spec tests bilprov.py
+SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
 PYTEST_ARGS ?= -n 3 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
 	gcc-arm-none-eabi qemu-system-arm ser2net socat
 
-.PHONY: help setup packages demo test check format lint types bench noise pictures clean
+.PHONY: help setup packages demo test quick whole slow mutants check format lint types bench noise pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,7 +26,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 demo: setup ## simulator, sniff, conform and replay, end to end
-	@$(BIN)/python -m conformance.demo
+	@$(BIN)/python -m examples.demo
 
 packages: ## what the tests run beside Python, installed where that is allowed
 	@dpkg -s $(PACKAGES) >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && apt-get update && \
@@ -35,6 +35,20 @@ packages: ## what the tests run beside Python, installed where that is allowed
 
 test: setup packages ## the whole test suite
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+quick: setup ## what needs no real time and no other program: under a minute, before every commit
+	$(BIN)/ruff check -q $(SOURCES)
+	$(BIN)/ruff format -q --check $(SOURCES)
+	$(BIN)/python -m pytest --quick -m "not slow and not waits" -n 2 --dist worksteal
+
+whole: setup packages ## every row of the tests of which make test runs a seeded sample
+	$(BIN)/python -m pytest $(PYTEST_ARGS) --whole
+
+slow: setup packages ## make test, and the slowest 20 tests of it
+	$(BIN)/python -m pytest $(PYTEST_ARGS) --durations=20
+
+mutants: setup ## seeded mutations of the kit's own code, each against the tests of its room
+	$(BIN)/python -m benchmarks.mutants
 
 check: setup format lint types test ## format, lint, strict types and tests
 
@@ -55,7 +69,7 @@ bench: setup ## does sniffing keep up with a full line?
 	$(BIN)/python -m benchmarks.full_line
 
 pictures: setup ## draw the README's pictures anew
-	$(BIN)/python -m conformance.pictures docs
+	$(BIN)/python -m docs.pictures docs
 
 clean: ## remove what was made
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,1 +1,1 @@
-"""The analyzer: ports, taps, pairing, decoding sessions, and how they are shown."""
+"""The protocol analyzer: ports, taps, decoding, recording, replay, and the output of results."""

@@ -1,29 +1,34 @@
-"""What `from bilprov import ...` offers for bytes and captures; the protocol comes last and is the
-kit's own unless another is given (see `load_protocol`).
+"""The public functions of `from bilprov import ...` for bytes, captures and taps.
+
+`protocol` is always the last argument; it is the kit's own unless given (see `load_protocol`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
-from analyzer.decode.records import DeviceRecord, HostRecord, Record
-from analyzer.decode.session import Session
-from analyzer.grammar_file import load_protocol
-from analyzer.replay.capture_session import capture_session
-from captures.reader import open_capture
-from captures.schemas import Chunk, Direction
-from spec import codec
-from spec import explain as explaining
-from spec.codec import Judgement
-from spec.explain import Explanation
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.session import BOTH, Session
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.analyzer.taps.passive import Taps, require_two_lines
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Direction
+from bilprov.spec import codec
+from bilprov.spec import explain as explaining
+from bilprov.spec.codec import Judgement
+from bilprov.spec.explain import Explanation
+from bilprov.spec.protocol import Protocol
 
 
 def judge(frame: bytes, protocol: Protocol | None = None) -> Judgement:
-    """What a conforming device makes of one frame.
+    """Judge one frame as a conforming device does.
 
-    Raises ValueError for no bytes or for more than the header announces.
+    Raises ValueError for no bytes, and for more bytes than the header announces.
     """
     return codec.judge(protocol or load_protocol(), frame)
 
@@ -31,7 +36,7 @@ def judge(frame: bytes, protocol: Protocol | None = None) -> Judgement:
 def encode(
     instruction: str, fields: Mapping[str, int] | None = None, protocol: Protocol | None = None
 ) -> bytes:
-    """The bytes of an instruction: `encode("LED", {"rgb": 5})`.
+    """Encode an instruction as bytes, like `encode("LED", {"rgb": 5})`.
 
     Raises ValueError, in one sentence, for an unknown instruction or field, a missing field or a
     value out of its range.
@@ -42,7 +47,7 @@ def encode(
 def explain(
     data: bytes, direction: Direction = "host", protocol: Protocol | None = None
 ) -> Explanation:
-    """What every bit of some bytes means, and what a conforming device answers and does."""
+    """Explain every bit of the bytes, and what a conforming device answers and does."""
     if direction == "host":
         return explaining.explain(protocol or load_protocol(), data)
     return explaining.explain_responses(protocol or load_protocol(), data)
@@ -51,10 +56,10 @@ def explain(
 def decode(
     data: bytes, direction: Direction = "host", protocol: Protocol | None = None
 ) -> list[HostRecord | DeviceRecord]:
-    """The frames in some bytes of the host, or the responses in some of the device.
+    """Decode host bytes into frames, or device bytes into responses.
 
-    The bytes count as sent in one go: times are 0, and a last frame that is not whole is reported
-    as cut short.
+    The bytes count as sent without a pause: all times are 0, and an incomplete last frame is
+    reported as cut short.
     """
     session = Session(protocol or load_protocol(), heard=frozenset({direction}))
     records = [*session.feed(Chunk(0, direction, data)), *session.finish()]
@@ -62,7 +67,9 @@ def decode(
 
 
 def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator[Record]:
-    """A capture's records in order, decoded anew: frames, answers, line events and faults.
+    """Decode a capture from its raw bytes and yield the records in order.
+
+    Records are frames, answers, line events and anomalies.
 
     Times are ns since the capture's start. Raises CaptureError, in one sentence, when the file
     cannot be read as a capture.
@@ -72,3 +79,41 @@ def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator
     for event in capture:
         yield from session.feed(event)
     yield from session.finish()
+
+
+_LONGEST_WAIT = 0.2  # s, so that Ctrl-C is never held up
+
+
+def sniff(
+    host: str,
+    device: str | None = None,
+    *,
+    settings: LineSettings | None = None,
+    protocol: Protocol | None = None,
+) -> Iterator[Record]:
+    """Listen to two taps, `host` and `device` (or to the host alone), and yield decoded records.
+
+    Ports are paths or pyserial URLs; `settings` are the protocol's own line unless given. The
+    iterator ends when both lines are unplugged, and closes the ports when it is closed. Times are
+    ns since the start. Raises LinkError for a port that cannot be opened, ValueError where both
+    names mean one line.
+    """
+    protocol = protocol or load_protocol()
+    line = protocol.line
+    settings = settings or LineSettings(line.baud, line.parity, line.stopbits)
+    if device is not None:
+        require_two_lines(host, device)
+    with ExitStack() as opened:
+        taps = Taps(
+            opened.enter_context(open_port(host, settings)),
+            opened.enter_context(open_port(device, settings)) if device is not None else None,
+        )
+        heard: frozenset[Direction] = frozenset({"host"}) if device is None else BOTH
+        session = Session(protocol, heard=heard, attached=True)
+        while not taps.ended:
+            now, due = taps.now(), session.deadline
+            wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)
+            for event in taps.poll(wait):
+                yield from session.feed(event)
+            yield from session.advance(now)
+        yield from session.finish(taps.now())

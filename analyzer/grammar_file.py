@@ -1,21 +1,21 @@
-"""Reads a grammar file: the edge between `spec`, which opens no file, and the disk."""
+"""Reads a grammar file from disk; `spec` itself opens no file."""
 
 from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
 
-import spec
-from spec.protocol import GrammarError, Protocol, load
+import bilprov.spec
+from bilprov.spec.protocol import GrammarError, Protocol, load
 
 
 @cache
 def load_protocol(path: str | None = None) -> Protocol:
-    """The protocol of a grammar file, the kit's own where `path` is None.
+    """Load the protocol of a grammar file, the kit's own where `path` is None.
 
     Raises GrammarError, in one sentence, for a file that cannot be read or is no grammar.
     """
-    file = Path(path) if path else Path(spec.__path__[0]) / "grammar.py"
+    file = Path(path) if path else Path(bilprov.spec.__path__[0]) / "grammar.py"
     try:
         source = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,23 +1,23 @@
-"""One event in, and it is kept, decoded, counted and shown: the same for sniffing and replaying."""
+"""The processing of each event, shared by sniffing and replaying: record, decode, count, show."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from analyzer.decode.records import Record
-from analyzer.decode.session import Session
-from analyzer.monitor.passive_judge import PassiveJudge
-from analyzer.output.outputs import Output, Shown
-from analyzer.output.statistics import Statistics
-from analyzer.replay.recorder import Recorder
-from captures.schemas import Chunk, Line
+from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+from bilprov.analyzer.output.outputs import Output, Shown
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.replay.recorder import Recorder
+from bilprov.captures.schemas import Chunk, Line
 
 
 class Pipeline:
-    """Joins a session to what is done with its records.
+    """Connects a session to its recorder, statistics, output and passive judge.
 
-    The raw bytes reach the capture before anything is made of them. `wanted` decides which records
-    may be shown and judged at all (a replay's window), None for all.
+    The raw bytes are written to the capture before they are decoded. `wanted` selects the records
+    that may be shown and judged (a replay's window), None for all.
     """
 
     def __init__(
@@ -40,16 +40,16 @@ class Pipeline:
 
     @property
     def full(self) -> bool:
-        """Whether as many frames were shown as were asked for."""
+        """Whether the requested number of frames was shown."""
         return self._shown.full
 
     @property
     def deadline(self) -> int | None:
-        """When (ns) something falls due without an event, None if nothing does."""
+        """The time (ns) at which `advance` is next needed without an event, None if it is not."""
         return self._session.deadline
 
     def event(self, event: Chunk | Line) -> list[Record]:
-        """Take an event; gives the records that it decided."""
+        """Process an event and return the records it completes."""
         if self._recorder:
             self._recorder.event(event)
         self._statistics.event(event)
@@ -58,7 +58,7 @@ class Pipeline:
         return self._records(self._session.feed(event))
 
     def advance(self, now: int) -> list[Record]:
-        """Let time pass: no event before `now` (ns) is still to come."""
+        """Let time pass to `now` (ns) and return the records due; no earlier event may follow."""
         records = self._records(self._session.advance(now))
         if self._recorder:
             self._recorder.tick(now)
@@ -66,7 +66,7 @@ class Pipeline:
         return records
 
     def finish(self) -> list[Record]:
-        """The last event has come: what was waiting comes out."""
+        """End the session after its last event and return the last records."""
         return self._records(self._session.finish())
 
     def _records(self, records: Iterable[Record]) -> list[Record]:

@@ -1,4 +1,4 @@
-"""The kit's version, as the package was built with."""
+"""The version of the installed kit."""
 
 from __future__ import annotations
 

@@ -22,12 +22,12 @@ import threading
 import time
 from pathlib import Path
 
-from analyzer.grammar_file import load_protocol
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.pty import open_pty
-from captures.reader import open_capture
-from captures.summary import summary
-from spec.codec import all_data, lying
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.reader import open_capture
+from bilprov.captures.topics import HOST_RAW
+from bilprov.spec.codec import all_data, raw_frame
 
 
 def _terminal() -> tuple[int, int]:
@@ -52,7 +52,7 @@ def measure(style: str, seconds: float, folder: Path) -> str:
     line = protocol.line
     rate = 1e9 / LineSettings(line.baud, line.parity, line.stopbits).byte_time
     frames = [
-        lying(protocol, spec.id, spec.length, data)
+        raw_frame(protocol, spec.id, spec.length, data)
         for spec in protocol.instructions
         for data in all_data(spec)
     ]
@@ -86,7 +86,7 @@ def measure(style: str, seconds: float, folder: Path) -> str:
         os.close(fd)
     host.close()
     device.close()
-    captured = summary(open_capture(capture)).host_bytes
+    captured = open_capture(capture).contents.sizes.get(HOST_RAW, 0)
     return (
         f"{style:6} sent {sent}, captured {captured}, finished {late:.2f} s after the last byte, "
         f"{used / seconds:.2f} of a core"

@@ -25,14 +25,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
-from analyzer.grammar_file import load_protocol
-from conformance.api import Options, conform
-from conformance.dut.boards.simavr import SimavrBoard
-from conformance.dut.link import Device
-from conformance.dut.noisy_device import Noise, NoisyDevice
-from conformance.dut.simulator import Simulator
-from conformance.mutation.faults import fault_bank
-from conformance.oracle.verdicts import Verdict
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.taps.noise import Noise
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.link import Device
+from bilprov.conformance.dut.noisy_device import NoisyDevice
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
 
 RATE = 1e-4
 LINES = {
@@ -108,7 +109,7 @@ def _built(folder: Path, bug: str) -> Path:
     if not out.exists():
         words = ["make", "-s", "-C", str(FIRMWARE), f"OUT={out}", f"BUGS={bug and '-D' + bug}"]
         words.append(f"BILPROV={sys.executable} -m bilprov")
-        subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
     return out / "uno.elf"
 
 

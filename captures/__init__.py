@@ -1,1 +1,1 @@
-"""Captures: what was on the line and when, in MCAP. Knows files, not ports, cases or colour."""
+"""Captures: MCAP files of the traffic on a line, with times. Uses no ports and no test cases."""

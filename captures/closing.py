@@ -1,4 +1,4 @@
-"""What is closed when its `with` block is left, whichever way."""
+"""A base class for objects that are closed at the end of their `with` block."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """A base of everything whose way out is `close`, which may be called more than once."""
+    """A context manager that calls `close` on every way out; `close` may be called repeatedly."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give up what is held."""
+        """Release the resources; further calls do nothing."""
 
     def __enter__(self) -> Self:
         return self

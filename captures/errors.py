@@ -1,25 +1,9 @@
-"""What goes wrong with a capture, in one sentence: what came, what was allowed, what to do."""
+"""The error of capture files; its one sentence says what came, what was allowed, what to do."""
 
 from __future__ import annotations
 
-SHOWN_CHARACTERS = 200
+from bilprov.spec.errors import UserError
 
 
-class CaptureError(Exception):
+class CaptureError(UserError):
     """A capture file cannot be written or read. The message is one sentence for the user."""
-
-
-def shown(text: object) -> str:
-    """Foreign text as one harmless line: control, bidi and broken characters become escapes.
-
-    At most 200 characters are kept; what was cut is marked with an ellipsis.
-    """
-    line = str(text)
-    clipped = line[:SHOWN_CHARACTERS]
-    safe = "".join(
-        character if character.isprintable() else f"\\x{ord(character):02x}"
-        for character in clipped
-    )
-    if len(line) > SHOWN_CHARACTERS or len(safe) > SHOWN_CHARACTERS:
-        return safe[: SHOWN_CHARACTERS - 1] + "…"
-    return safe

@@ -1,7 +1,7 @@
-"""A capture as evidence: every byte vouched for by a hash or a checksum, and what is attached.
+"""Opens a capture as evidence: checks every byte by a hash or a checksum, and reads attachments.
 
-A finished file of ours is covered without a gap: the seal's sha256 covers all before the seal, the
-seal and the end of the data must be as they are written, the CRC of the summary covers the rest.
+A finished file of bilprov is covered without a gap: the seal's sha256 covers all before the seal,
+the seal and the end of the data have a fixed form, and the CRC of the summary covers the rest.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 
-from captures.errors import CaptureError, shown
-from captures.reader import Capture, open_capture
-from captures.storage import records
-from captures.storage.limits import ATTACHMENT_BYTES
-from captures.storage.records import MAGIC, RECORD_HEAD, Damaged
-from captures.storage.recovery import RecordFile
-from captures.storage.seal import SEAL_BYTES, SEAL_HASH, SEAL_NAME
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.storage import records
+from bilprov.captures.storage.limits import ATTACHMENT_BYTES
+from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged
+from bilprov.captures.storage.recovery import RecordFile
+from bilprov.captures.storage.seal import SEAL_BYTES, SEAL_HASH, SEAL_NAME
+from bilprov.captures.text import printable
 
 _SEAL = re.compile(rb"\x0c.{8}\x0c\x00{3}" + re.escape(SEAL_NAME.encode()), re.DOTALL)
 _DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)
@@ -32,10 +33,10 @@ _END = len(_FOOTER) + records.FOOTER_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """A capture whose content is as it was written, and the attachments that were asked for.
+    """A capture whose content is unchanged, and the requested attachments by name.
 
-    `sealed` is false for a file that was never finished: what is whole of it is vouched for by the
-    checksums of its chunks and attachments.
+    `sealed` is false for a file that was never finished; its complete records are then covered by
+    the checksums of its chunks and attachments.
     """
 
     capture: Capture
@@ -44,16 +45,16 @@ class Evidence:
 
 
 def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
-    """Open a capture of ours, check every byte, and take out the attachments of these names.
+    """Open a capture of bilprov, check every byte, and read the attachments named in `wanted`.
 
-    Raises CaptureError, in one sentence that says which hash or checksum told, for a damaged file;
-    also for one without a seal that does not end as an unfinished one does.
+    Raises CaptureError for a damaged file, in one sentence that says which hash or checksum is
+    wrong; also for a finished file without a seal.
     """
     path = Path(path)
     content = _content(path)
     if content is None:
-        capture = open_capture(path)  # says what is wrong with a file that is empty or none
-        raise CaptureError(f"{shown(capture.path)} changed while it was read: open it again")
+        capture = open_capture(path)  # raises the proper error for an empty or missing file
+        raise CaptureError(f"{printable(capture.path)} changed while it was read: open it again")
     with content:
         seals = [found.start() for found in _SEAL.finditer(content)]
         finished = len(content) > len(MAGIC) and content[-len(MAGIC) :] == MAGIC
@@ -61,7 +62,8 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
             _check_sealed(path, content, seals[-1])
         elif finished and content[: len(MAGIC)] == MAGIC:
             raise CaptureError(
-                f"{shown(path)} has no seal, which is the hash (sha256) over its content: it was "
+                f"{printable(path)} has no seal, which is the hash (sha256) "
+                "over its content: it was "
                 "recorded by an older kit, saved by another program, or is damaged"
             )
         capture = open_capture(path)
@@ -72,7 +74,7 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
 
 
 def _content(path: Path) -> mmap.mmap | None:
-    """The file's content, None where there is none that can be read."""
+    """The file's content, None if it is empty or cannot be read."""
     try:
         if not path.is_file():
             return None
@@ -91,7 +93,8 @@ def _check_sealed(path: Path, content: mmap.mmap, seal: int) -> None:
         name, pairs = records.metadata_record(content[seal + RECORD_HEAD.size : end], own=True)
     except Damaged as damage:
         raise CaptureError(
-            f"{shown(path)} is damaged: the seal, which holds its hash (sha256), cannot be read "
+            f"{printable(path)} is damaged: the seal, which holds its hash "
+            "(sha256), cannot be read "
             f"({damage})"
         ) from damage
     with memoryview(content) as view, view[:seal] as before:
@@ -101,14 +104,18 @@ def _check_sealed(path: Path, content: mmap.mmap, seal: int) -> None:
         raise CaptureError(_damaged(path, told, _first_damage(path, seal)))
     if content[end : end + len(_DATA_END)] != _DATA_END:
         raise CaptureError(
-            f"{shown(path)} is damaged behind its seal: the hash (sha256) fits, but the data do "
+            f"{printable(path)} is damaged behind its seal: the hash (sha256) "
+            "fits, but the data do "
             f"not end at byte {end}, where they have to"
         )
     _check_end(path, content, end + len(_DATA_END))
 
 
 def _check_end(path: Path, content: mmap.mmap, start: int) -> None:
-    """The summary, which begins at `start`, the footer and the last bytes."""
+    """Check the summary, which begins at `start`, the footer and the last bytes.
+
+    Raises CaptureError.
+    """
     at = len(content) - _END
     footer = content[max(at, 0) : len(content) - len(MAGIC)]
     fits = at >= start and footer.startswith(_FOOTER) and content[-len(MAGIC) :] == MAGIC
@@ -118,13 +125,14 @@ def _check_end(path: Path, content: mmap.mmap, start: int) -> None:
             fits = summary == start and zlib.crc32(covered) == crc
     if not fits:
         raise CaptureError(
-            f"{shown(path)} is damaged behind its seal: the hash (sha256) fits, but the checksum "
+            f"{printable(path)} is damaged behind its seal: the hash (sha256) "
+            "fits, but the checksum "
             f"(CRC) of the summary from byte {start} on does not, or the file is cut off there"
         )
 
 
 def _first_damage(path: Path, seal: int) -> tuple[str, ...]:
-    """The first record before the seal that shows the damage too, if one does."""
+    """A sentence about the first damaged record before the seal, if one is found."""
     at = len(MAGIC)
     with path.open("rb") as file:
         if file.read(at) != MAGIC:
@@ -140,12 +148,12 @@ def _first_damage(path: Path, seal: int) -> tuple[str, ...]:
 
 
 def _damaged(path: Path, told: str, notes: tuple[str, ...]) -> str:
-    where = f"; {shown(notes[0])}" if notes else ""
-    return f"{shown(path)} is damaged: {told}{where}"
+    where = f"; {printable(notes[0])}" if notes else ""
+    return f"{printable(path)} is damaged: {told}{where}"
 
 
 def _attachments(content: mmap.mmap, end: int, wanted: Collection[str]) -> dict[str, bytes]:
-    """The first attachment of each wanted name; every record was found whole before."""
+    """The first attachment of each wanted name; all records are known to be complete here."""
     found: dict[str, bytes] = {}
     at = len(MAGIC)
     while at + RECORD_HEAD.size <= end:

@@ -1,4 +1,4 @@
-"""Recorded events in, the same events out at recorded, faster or slower time. Owns no clock."""
+"""Paces recorded events at recorded, faster or slower time. The clock is passed in."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def paced(
     start: int | None = None,
     end: int | None = None,
 ) -> Iterator[Event]:
-    """Give each event when its time has come.
+    """Yield each event when its time has come.
 
-    `rate` 1 is recorded time, 2 twice as fast, 0 as fast as it goes. `clock` and `sleep` are in
+    `rate` 1 is recorded time, 2 twice as fast, 0 without delays. `clock` and `sleep` are in
     seconds, like `time.monotonic` and `time.sleep`. `start` and `end` (ns since the capture's
-    start) cut out `start <= t < end`; playing begins at `start`, and stops at the first event at
-    or after `end`. Delays do not add up: each event is due by the clock, not by the last one.
+    start) select `start <= t < end`; playing begins at `start`, and stops at the first event at or
+    after `end`. Delays do not add up, since each due time counts from the beginning of playing.
 
-    Raises ValueError at once for a rate below 0 or NaN.
+    Raises ValueError for a rate below 0 or NaN, when called and not at the first event.
     """
     if math.isnan(rate) or rate < 0:
         raise ValueError(f"rate is {rate}, allowed are 0 (as fast as it goes) and above")

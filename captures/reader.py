@@ -1,4 +1,4 @@
-"""A capture file in, its events out in order: from any MCAP writer, damaged or unfinished too."""
+"""Reads the events of a capture file in order, from any MCAP writer, also damaged or unfinished."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from captures import topics
-from captures.errors import CaptureError, shown
-from captures.schemas import Chunk, Direction, Line, Look
-from captures.storage.contents import Contents
-from captures.storage.messages import Stored, stored_messages
-from captures.storage.records import MAGIC, Damaged
-from captures.storage.survey import JSON_ERRORS, surveyed
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Chunk, Direction, Line, Look
+from bilprov.captures.storage.contents import Contents
+from bilprov.captures.storage.messages import Stored, stored_messages
+from bilprov.captures.storage.records import MAGIC, Damaged
+from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
+from bilprov.captures.text import printable
 
 TOPICS_SHOWN = 10
 
@@ -26,9 +27,9 @@ TOPICS_SHOWN = 10
 class Message(msgspec.Struct, frozen=True):
     """One message of any topic.
 
-    `t` is ns since the capture's start; `value` is the decoded JSON object, with None for what a
-    bilprov message left out, or the bytes where the message is not a JSON object. Foreign text:
-    show it only through `errors.shown`.
+    `t` is ns since the capture's start; `value` is the decoded JSON object, with None for fields
+    that a bilprov message left out, or the bytes if the message is not a JSON object. Its text is
+    foreign: show it only through `captures.text.printable`.
     """
 
     topic: str
@@ -39,11 +40,11 @@ class Message(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """An opened capture; it can be read any number of times and holds no file open in between.
+    """An opened capture; it can be read any number of times, and the file is closed in between.
 
-    `start` is the wall clock in ns where `t` is 0; `metadata` the record `bilprov`, empty if there
-    is none; `library` the writer. `unfinished` tells that the writer never closed the file: what
-    is whole is read. `damage` holds a sentence for each thing that is left out.
+    `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov`, empty if there
+    is none; `library` names the writer. `unfinished` is true if the writer never closed the file:
+    then the complete records are read. `damage` has a sentence for each part that is left out.
     """
 
     path: Path
@@ -59,15 +60,15 @@ class Capture:
         return self.events()
 
     def events(self) -> Iterator[Chunk | Line]:
-        """Chunks and line events in order, for decoding.
+        """Yield the chunks and line events in order, for decoding.
 
-        Where messages are lost to damage in the file a Line `gap` is put in. Raises CaptureError
+        Where messages are lost by damage to the file, a Line `gap` is inserted. Raises CaptureError
         if the file changed since it was opened or cannot be read.
         """
         return (event for event in self.sights() if not isinstance(event, Look))
 
     def sights(self) -> Iterator[Chunk | Line | Look]:
-        """The events, and the looks of a conformance run among them, in order.
+        """Yield the events and the looks of a conformance run, in order.
 
         Raises CaptureError as `events` does.
         """
@@ -93,7 +94,7 @@ class Capture:
                     continue
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
-        """Every message of every topic that the file describes, in order; only of those `wanted`.
+        """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
 
         Raises CaptureError if the file changed since it was opened or cannot be read.
         """
@@ -111,24 +112,24 @@ class Capture:
                 yield from stored_messages(file, self.contents)
         except Damaged as error:
             raise CaptureError(
-                f"{shown(self.path)} changed while it was read ({error}): open it again"
+                f"{printable(self.path)} changed while it was read ({error}): open it again"
             ) from error
         except OSError as error:
             raise _unreadable(self.path, error) from error
 
 
 def open_capture(path: str | Path) -> Capture:
-    """Open a capture and survey it in one pass of bounded memory.
+    """Open a capture and survey it in one pass with bounded memory.
 
-    Raises CaptureError if there is no such file, it is no MCAP file or it has neither a
-    `/host/raw` nor a `/device/raw` topic.
+    Raises CaptureError if the file does not exist, is no MCAP file, or has neither a `/host/raw`
+    nor a `/device/raw` topic.
     """
     path = Path(path)
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
-            raise CaptureError(f"{shown(path)} is {kind}: name an MCAP file")
+            raise CaptureError(f"{printable(path)} is {kind}: name an MCAP file")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             _check_magic(path, file.read(len(MAGIC)))
@@ -149,17 +150,19 @@ def open_capture(path: str | Path) -> Capture:
 
 def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
     if isinstance(error, FileNotFoundError):
-        return CaptureError(f"{shown(path)} does not exist: name an MCAP file")
+        return CaptureError(f"{printable(path)} does not exist: name an MCAP file")
     why = error.strerror if isinstance(error, OSError) else error
-    return CaptureError(f"{shown(path)} cannot be read ({shown(why)}): name a readable MCAP file")
+    return CaptureError(
+        f"{printable(path)} cannot be read ({printable(why)}): name a readable MCAP file"
+    )
 
 
 def _check_magic(path: Path, front: bytes) -> None:
     if not front:
-        raise CaptureError(f"{shown(path)} is empty: name an MCAP file")
+        raise CaptureError(f"{printable(path)} is empty: name an MCAP file")
     if front != MAGIC:
         raise CaptureError(
-            f"{shown(path)} is not MCAP (first bytes {front.hex(' ')}, MCAP has "
+            f"{printable(path)} is not MCAP (first bytes {front.hex(' ')}, MCAP has "
             f"{MAGIC.hex(' ')}): name an MCAP file"
         )
 
@@ -170,7 +173,7 @@ def _check_topics(path: Path, contents: Contents) -> None:
         return
     listed = ", ".join(held[:TOPICS_SHOWN]) + (", ..." if len(held) > TOPICS_SHOWN else "")
     raise CaptureError(
-        f"{shown(path)} holds {'topics ' + shown(listed) if held else 'no topics'}; "
+        f"{printable(path)} holds {'topics ' + printable(listed) if held else 'no topics'}; "
         f"bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
     )
 

@@ -1,4 +1,4 @@
-"""What a capture holds: raw chunks and line events as they came, and the values decoded from them.
+"""The values stored in a capture: raw chunks and line events, and the values decoded from them.
 
 Times in these values are integers in nanoseconds since the capture's start (monotonic), named `t`
 or `end`. In the file the same moment is `log_time` = wall clock at the start + `t`.
@@ -15,7 +15,7 @@ FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
 
 
 class Chunk(msgspec.Struct, frozen=True):
-    """The bytes of one read: the raw truth that everything else is decoded from."""
+    """The bytes of one read from a port; all records are decoded from chunks."""
 
     t: int
     direction: Direction
@@ -145,3 +145,6 @@ class Look(msgspec.Struct, frozen=True):
     led: int | None = None
     left: int | None = None
     right: int | None = None
+
+
+MS = 1_000_000  # ns

@@ -1,8 +1,8 @@
-"""The topics of a capture: what each is called, how it is encoded and which value it carries.
+"""The topics of a capture: their names, encodings, channel ids and the values they carry.
 
 The channel ids are fixed, so that a file whose channel table is lost can still be read. The JSON
-Schemas are drawn from the values and flattened to what Foxglove's parser takes: the top is an
-object, nothing is a reference, every property has one plain type, every object names its
+Schemas are made from the values and flattened to what Foxglove's parser accepts: the top level is
+an object, there are no references, every property has one plain type, every object lists its
 properties. A property that may be None is therefore optional, and left out of the message when it
 is None.
 """
@@ -16,7 +16,17 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from captures.schemas import Asked, CaseMark, Chunk, Instruction, Line, Log, Look, Response, State
+from bilprov.captures.schemas import (
+    Asked,
+    CaseMark,
+    Chunk,
+    Instruction,
+    Line,
+    Log,
+    Look,
+    Response,
+    State,
+)
 
 Written: TypeAlias = Instruction | Response | State | Log | Line | CaseMark | Look | Asked
 
@@ -47,7 +57,7 @@ TIMES = {
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One row of the contract's table: a topic and the messages that it carries.
+    """One row of the topic table: a topic and the messages that it carries.
 
     `channel` is the fixed channel id, from 1; `schema` is the schema's name, empty for raw bytes.
     """
@@ -76,7 +86,7 @@ BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 
 
 def encoded(value: Written) -> bytes:
-    """The value as the JSON of its message; what is None is left out."""
+    """Encode a value as the JSON of its message; fields that are None are left out."""
     return msgspec.json.encode(
         {
             name: item
@@ -88,7 +98,7 @@ def encoded(value: Written) -> bytes:
 
 @cache
 def optional_fields(topic: str) -> tuple[str, ...]:
-    """Names of the fields that a message on `topic` leaves out when they are None."""
+    """The names of the fields that a message on `topic` leaves out when they are None."""
     for row in TOPICS:
         if row.name == topic and row.schema:
             return tuple(
@@ -101,7 +111,7 @@ def optional_fields(topic: str) -> tuple[str, ...]:
 
 @cache
 def json_schema(value: type[msgspec.Struct]) -> bytes:
-    """The JSON Schema of a value's messages, flattened as this module promises."""
+    """The JSON Schema of a value's messages, flattened as the module's docstring says."""
     schema = msgspec.json.schema(value)
     return msgspec.json.encode(_flat(schema, schema["$defs"]))
 

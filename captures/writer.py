@@ -1,7 +1,7 @@
-"""Values in, an MCAP file out that a kill, a full disk or a lost first chunk cannot empty.
+"""Writes a capture file (MCAP) that stays readable after a kill, a full disk or a lost first chunk.
 
-What is written reaches the operating system at most 0.1 s later. The channel table stands in front
-of the chunks, in the first chunk (where its checksum guards it) and at the end.
+Written data reaches the operating system at most 0.1 s later. The channel table is stored before
+the chunks, in the first chunk (where the chunk's checksum protects it) and at the end.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from captures import topics
-from captures.closing import Closing
-from captures.errors import CaptureError, shown
-from captures.schemas import Chunk, Log, Time
-from captures.storage.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
-from captures.storage.seal import SEAL_NAME, HashedFile
+from bilprov.captures import topics
+from bilprov.captures.closing import Closing
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Chunk, Log, Time
+from bilprov.captures.storage.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
+from bilprov.captures.storage.seal import SEAL_NAME, HashedFile
+from bilprov.captures.text import printable
 
 FLUSH_AFTER = 100_000_000  # ns
-CHUNK_MESSAGES = 2_000  # a seek costs in proportion to this
+CHUNK_MESSAGES = 2_000  # the cost of a seek is proportional to this
 CHUNK_BYTES = 256 * 1024
 U64 = 1 << 64
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
@@ -34,12 +35,12 @@ FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 class CaptureWriter(Closing):
     """Writes one new capture file; a context manager, for one thread.
 
-    `start_wall` is the wall clock in ns at the capture's start: every `t` counts from there.
+    `start_wall` is the wall clock in ns at the capture's start, from which every `t` counts.
     `metadata` becomes the record `bilprov`, to which `start` (= `start_wall`) is added; it is in
     the file before the constructor returns. `version` is the kit's.
 
-    Raises CaptureError if the file exists or cannot be made, later if it cannot be written on.
-    Raises ValueError for a time that is not in 0 to 2^64 - 1 ns and metadata over 64 KiB.
+    Raises CaptureError if the file exists or cannot be created, and later if it cannot be written.
+    Raises ValueError for a time that is not in 0 to 2^64 - 1 ns and for metadata over 64 KiB.
     """
 
     def __init__(
@@ -61,14 +62,14 @@ class CaptureWriter(Closing):
         for name, text in about.items():
             if max(len(name.encode()), len(text.encode())) > STRING_BYTES:
                 raise ValueError(
-                    f"metadata {shown(name)} is longer than the {STRING_BYTES} bytes allowed"
+                    f"metadata {printable(name)} is longer than the {STRING_BYTES} bytes allowed"
                 )
         self._file = _new_file(self._path)
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
         self._hashed = HashedFile(self._file)
         self._mcap = Writer(
-            self._hashed,  # type: ignore[arg-type]  # it writes, tells and flushes; no more is met
+            self._hashed,  # type: ignore[arg-type]  # only its write, tell and flush are used
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_crcs=True,
@@ -76,7 +77,7 @@ class CaptureWriter(Closing):
         self._guarded(lambda: self._open(about, f"bilprov {version}"))
 
     def chunk(self, chunk: Chunk) -> None:
-        """Write the bytes of one read; more than 64 KiB become several messages of the same time.
+        """Write a chunk; more than 64 KiB become several messages with the same time.
 
         Raises CaptureError if the file cannot be written.
         """
@@ -88,8 +89,8 @@ class CaptureWriter(Closing):
     def write(self, value: topics.Written, t: int) -> None:
         """Write a value on the topic of its type; `t` is ns since the capture's start.
 
-        A value whose JSON is over 64 KiB is left out, and `/faults` says so: a reader would refuse
-        it, and the raw bytes still hold what it was made from. Raises CaptureError if the file
+        A value whose JSON is over 64 KiB is left out and reported on `/faults`: a reader would
+        refuse it, and it can be decoded again from the raw bytes. Raises CaptureError if the file
         cannot be written.
         """
         topic = topics.BY_VALUE[type(value)]
@@ -101,10 +102,10 @@ class CaptureWriter(Closing):
         self._leave_out(left_out, t)
 
     def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
-        """Attach a file's content beside the messages, at `t` ns; it is handed on at once.
+        """Attach a file's content at `t` (ns since the capture's start) and flush it.
 
-        One of more than 64 MiB is left out, and `/faults` says so. Raises CaptureError if the file
-        cannot be written.
+        Content of more than 64 MiB is left out and reported on `/faults`. Raises CaptureError if
+        the file cannot be written.
         """
         log_time = self._log_time(t)
         if len(data) > ATTACHMENT_BYTES:
@@ -115,7 +116,7 @@ class CaptureWriter(Closing):
         self.flush()
 
     def tick(self, now: int) -> None:
-        """Flush if anything has waited for 0.1 s; `now` is ns since the capture's start.
+        """Flush if data have waited for 0.1 s; `now` is ns since the capture's start.
 
         Raises CaptureError if the file cannot be written.
         """
@@ -125,14 +126,14 @@ class CaptureWriter(Closing):
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system.
+        """Pass all data written so far to the operating system.
 
         Raises CaptureError if the disk is full, the file is gone or cannot be written.
         """
         self._guarded(self._mcap.flush)
         if self._counts_links and os.fstat(self._file.fileno()).st_nlink == 0:
             self._fail(
-                f"the capture file {shown(self._path)} was deleted while recording: what was "
+                f"the capture file {printable(self._path)} was deleted while recording: what was "
                 "captured is lost, record again"
             )
         self._kept_bytes = self._file.tell()
@@ -141,7 +142,7 @@ class CaptureWriter(Closing):
         self._in_chunk = 0
 
     def close(self) -> None:
-        """Finish the file. Once is enough; after a failure there is nothing left to finish.
+        """Finish the file; further calls, and a call after a failure, do nothing.
 
         Raises CaptureError if the end cannot be written.
         """
@@ -156,11 +157,11 @@ class CaptureWriter(Closing):
     def _open(self, about: dict[str, str], library: str) -> None:
         self._mcap.start(profile="", library=library)
         self._mcap.add_metadata(topics.METADATA_NAME, about)
-        # The library puts the table into the first chunk only. This copy in front of it serves
-        # other people's streaming readers when that chunk is lost or never came.
+        # The library writes the table into the first chunk only. This copy before it lets the
+        # streaming readers of other programs work when that chunk is lost or was never written.
         table = RecordBuilder()
-        # A flipped bit in the metadata record goes unseen, and would shift every time: the start
-        # stands in the channels too, which a chunk's checksum guards.
+        # A flipped bit in the metadata record is not detected, and would shift all times: the
+        # start is in the channels too, which a chunk's checksum protects.
         guarded = {topics.CHANNEL_START_KEY: about[topics.START_KEY]}
         for topic in topics.TOPICS:
             schema = 0
@@ -184,7 +185,7 @@ class CaptureWriter(Closing):
         self._newest = max(self._newest, t)
         self._in_chunk += 1
         if self._waiting_since is None:
-            # What comes late (a frame's `t` is its first byte) waits from now on, not from `t`.
+            # A message may come late (a frame's `t` is its first byte): it waits from now, not `t`.
             self._waiting_since = self._newest
         if self._in_chunk >= CHUNK_MESSAGES:
             self.flush()
@@ -205,22 +206,22 @@ class CaptureWriter(Closing):
         if self._failure:
             raise CaptureError(self._failure)
         if self._closed:
-            raise ValueError(f"the capture {shown(self._path)} is closed")
+            raise ValueError(f"the capture {printable(self._path)} is closed")
         try:
             act()
         except OSError as error:
-            why = "disk full" if error.errno in FULL else shown(error.strerror or error)
+            why = "disk full" if error.errno in FULL else printable(error.strerror or error)
             self._fail(
                 f"{why}: what was captured until {self._kept_until / 1e9:.1f} s is kept in "
-                f"{shown(self._path)}",
+                f"{printable(self._path)}",
                 error,
             )
 
     def _fail(self, sentence: str, cause: OSError | None = None) -> None:
         self._failure = sentence
         self._closed = True
-        # Closing the raw file first lets the buffer forget what it cannot write; cutting off the
-        # half-written chunk leaves whole records only.
+        # Closing the raw file discards the buffered data that cannot be written; truncating the
+        # half-written chunk leaves complete records only.
         with suppress(OSError):
             os.ftruncate(self._file.fileno(), self._kept_bytes)
         with suppress(OSError):
@@ -238,10 +239,11 @@ def _new_file(path: Path) -> BufferedWriter:
         return path.open("xb")
     except FileExistsError as error:
         raise CaptureError(
-            f"{shown(path)} exists and captures are never overwritten: choose another name"
+            f"{printable(path)} exists and captures are never overwritten: choose another name"
         ) from error
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise CaptureError(
-            f"{shown(path)} cannot be made ({shown(why)}): choose a folder that can be written to"
+            f"{printable(path)} cannot be made ({printable(why)}): choose a "
+            "folder that can be written to"
         ) from error

@@ -1,1 +1,1 @@
-"""The conformance suite: cases, the runner that asks, the drive that does, and the simulator."""
+"""The conformance test suite: test cases, oracle, runner, links to devices, reports, simulator."""

@@ -7,48 +7,53 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
-from analyzer.grammar_file import load_protocol
-from analyzer.transport.errors import LinkError
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.port import Port
-from conformance.cases.budget import dropped, within
-from conformance.cases.duration import before_the_cases, seconds
-from conformance.cases.levels import LEVELS, AnyCase, level_cases
-from conformance.cases.opening import opening_cases, truncation_timeout
-from conformance.cases.selection import BY_THEMSELVES, matching, share
-from conformance.cases.single_frames import Case
-from conformance.dut.checked_device import CheckedDevice
-from conformance.dut.link import Device, Link, Tap, VirtualLink, drive
-from conformance.dut.port_link import PortLink
-from conformance.dut.power import Power
-from conformance.dut.probes import Probe
-from conformance.dut.simulator import Simulator
-from conformance.oracle.choices import Choices, parse_allowed
-from conformance.oracle.judge import MS
-from conformance.oracle.profile import Profile
-from conformance.oracle.profile_file import profile_from
-from conformance.oracle.timers import Eyes
-from conformance.oracle.verdicts import CaseResult
-from conformance.report.run_report import Report, make_report
-from conformance.runner.discovery.discover import reading_cases
-from conformance.runner.environment import Circumstances
-from conformance.runner.executor import Runner, Spare
-from conformance.runner.listeners.journal import Journal, journalled
-from conformance.runner.listeners.meter import Meter
-from conformance.runner.listeners.wire_log import WireLog
-from conformance.runner.run import Run
-from spec.protocol import Protocol as Grammar
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
+from bilprov.analyzer.transport.port import Port
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.budget import dropped, within
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.duration import before_the_cases, seconds
+from bilprov.conformance.cases.levels import LEVELS, AnyCase, level_cases
+from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, share
+from bilprov.conformance.dut.checked_device import CheckedDevice
+from bilprov.conformance.dut.link import Device, Link, LinkListener, drive
+from bilprov.conformance.dut.port_link import PortLink
+from bilprov.conformance.dut.power import Power
+from bilprov.conformance.dut.probes import Probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.oracle.choices import Choices, parse_allowed
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.profile_file import profile_from
+from bilprov.conformance.oracle.timers import Observability
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.report.run_report import Report, make_report
+from bilprov.conformance.runner.discovery.discover import reading_cases
+from bilprov.conformance.runner.environment import Environment
+from bilprov.conformance.runner.executor import Runner, SkipPolicy
+from bilprov.conformance.runner.listeners.journal import RunJournal, journalled
+from bilprov.conformance.runner.listeners.meter import Meter
+from bilprov.conformance.runner.listeners.wire_log import WireLog
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.protocol import Protocol as Grammar
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a run may be told; times in milliseconds, None where the grammar's or the kit's holds.
+    """Options of a run; times are in milliseconds, None for the grammar's or the kit's own.
 
     `only` are globs of case ids in which * crosses /; none means all. `seed` governs how data and
     motions rotate through the cases. `strict` counts non-strict as failed, `fail_fast` ends the run
-    after the first failure. `deadline` is how soon an answer is due, `silence` how long the line is
-    listened to after one, `truncation_timeout` the pause that ends a frame (measured if None).
-    `shard` (I, N) runs the I-th of N shares of the cases.
+    after the first failure. `deadline` is how soon an answer is due: what is later is slow, what is
+    later than the grammar's longest fails. `silence` is how long the line is listened to after an
+    answer, `truncation_timeout` the pause that ends a frame (measured if None). `level` names the
+    suite's level, `soak` how many faults more are sent at its end. `allow` are the choices
+    (NAME=VALUE) that would fail otherwise. `budget` (s) keeps the cases that add most a second,
+    `profile` is the text of a device's profile, "" for none. `shard` (I, N) runs the I-th of N
+    shares of the cases.
     """
 
     only: tuple[str, ...] = ()
@@ -66,8 +71,8 @@ class Options:
     shard: tuple[int, int] | None = None
 
 
-class Watcher(Protocol):
-    """Is told how a run goes."""
+class RunListener(Protocol):
+    """Receives the begin and the result of each case of a run."""
 
     def begin(self, ident: str) -> None:
         """A case begins."""
@@ -76,8 +81,8 @@ class Watcher(Protocol):
         """A case is final."""
 
 
-class Unwatched:
-    """Nobody watches."""
+class SilentListener:
+    """A run listener that does nothing."""
 
     def begin(self, ident: str) -> None:
         """A case begins."""
@@ -86,40 +91,57 @@ class Unwatched:
         """A case is final."""
 
 
-def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
+def select_cases(
+    grammar: Grammar, options: Options, line: LineSettings | None = None
+) -> tuple[AnyCase, ...]:
     """The cases of a run, besides those that open every run.
 
-    Raises ValueError when `only` leaves none, and names none of the opening ones either, and for a
-    shard that there is not.
+    `line` are the line's settings, which decide what a budget and a shard hold; the grammar's own
+    if None. Raises ValueError when `only` matches none of these cases and none of the opening ones,
+    and for a shard that there is not.
     """
     cases = level_cases(grammar, options.level, options.seed, options.soak)
     if options.only:
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))
-        if not chosen and not any(wanted(case.id) for case in always(grammar)):
+        if not chosen and not any(wanted(case.id) for case in opening_and_reading_cases(grammar)):
             raise ValueError(
                 f"no case matches {' or '.join(options.only)}; see the ids with --list, for "
                 f"example --only '{cases[0].id.split('/')[0]}/*'"
             )
         cases = chosen
+
+    def cost(case: AnyCase) -> float:
+        return estimated_seconds(grammar, [case], options, line)
+
     if options.budget is not None:
         left = options.budget - before_the_cases(grammar.timing.truncation_timeout / 1000)
-        cases = within(grammar, cases, left, lambda c: estimated_seconds(grammar, [c], options))
-    if options.shard is None:
-        return cases
-    return share(cases, options.shard, lambda case: estimated_seconds(grammar, [case], options))
+        cases = within(grammar, cases, left, cost)
+    return cases if options.shard is None else share(cases, options.shard, cost)
 
 
-def always(grammar: Grammar) -> tuple[Case, ...]:
+def opening_and_reading_cases(grammar: Grammar) -> tuple[Case, ...]:
     """The cases that every run has: the opening, and the probes of the device's choices."""
     return (*opening_cases(grammar), *reading_cases(grammar))
 
 
-def suite_ids(grammar: Grammar, options: Options) -> tuple[str, ...]:
+def planned(grammar: Grammar, options: Options, cases: Sequence[AnyCase]) -> int:
+    """How many cases a run of `cases` has with the opening ones, before a fault adds more.
+
+    What a profile or an option already states about the device is not measured again.
+    """
+    opening = opening_cases(grammar) if options.profile else opening_and_reading_cases(grammar)
+    known = bool(options.profile or options.truncation_timeout)
+    return len(opening) + len(cases) - (known and truncation_timeout(grammar) is not None)
+
+
+def suite_ids(
+    grammar: Grammar, options: Options, line: LineSettings | None = None
+) -> tuple[str, ...]:
     """The ids of every case that a run has with these options if nothing is left out."""
     whole = replace(options, only=(), shard=None)
-    cases = (*always(grammar), *select_cases(grammar, whole))
-    return (*(case.id for case in cases), *BY_THEMSELVES)
+    cases = (*opening_and_reading_cases(grammar), *select_cases(grammar, whole, line))
+    return (*(case.id for case in cases), *CONDITIONAL_CASES)
 
 
 def conform(
@@ -127,21 +149,21 @@ def conform(
     *,
     grammar: Grammar | None = None,
     options: Options | None = None,
-    watcher: Watcher | None = None,
-    tap: Tap | None = None,
+    listener: RunListener | None = None,
+    tap: LinkListener | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
     name: str = "sim",
     probe: str = "sim",
     fault: str | None = None,
-    spare: Spare | None = None,
+    spare: SkipPolicy | None = None,
     logged: bool = True,
 ) -> Report:
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
-    `device` is anything with the four methods of `conformance.drive.Device` (times in ns), the
-    kit's own simulator if None; one without `look` is judged by its answers alone. `name`,
-    `probe` and `fault` only say in the report what it was and what saw it. `spare` is asked before
-    each case, with its id and the results so far, whether to skip it. Without `logged` no case
+    `device` is anything with the four methods of `conformance.dut.link.Device` (times in ns), the
+    kit's own simulator if None; one without `look` is judged by its answers alone. `name`, `probe`
+    and `fault` only name the device, its probe and its fault in the report. `spare` decides before
+    each case, from its id and the results so far, whether to skip it. Without `logged` no case
     keeps its wire log. Raises ValueError when no case is left to run, and DeviceError, in one
     sentence, for a device object that does not keep to its four methods.
     """
@@ -152,19 +174,19 @@ def conform(
     settings = LineSettings(line.baud, line.parity, line.stopbits)
     own = isinstance(device, Simulator)
     link = VirtualLink(device if own else CheckedDevice(device), settings.byte_time, tap)
-    eyes = Eyes(hasattr(device, "look"), why="the device object has no look")
+    observability = Observability(hasattr(device, "look"), why="the device object has no look")
     about = {
         "kind": "virtual",
         "line": str(settings),
-        "probe": probe if eyes.open else "none",
+        "probe": probe if observability.available else "none",
         "fault": fault,
     }
     return run_on(
         link,
-        Circumstances(True, eyes, hasattr(device, "power_cycle"), name, about),
+        Environment(True, observability, hasattr(device, "power_cycle"), name, about),
         grammar=grammar,
         options=options,
-        watcher=watcher,
+        listener=listener,
         interrupted=interrupted,
         tap=tap,
         spare=spare,
@@ -181,8 +203,8 @@ def conform_port(
     options: Options,
     stop: int,
     interrupted: Callable[[], bool | str],
-    watcher: Watcher | None = None,
-    tap: Tap | None = None,
+    listener: RunListener | None = None,
+    tap: LinkListener | None = None,
     power: Power | None = None,
     name: str | None = None,
 ) -> Report:
@@ -193,9 +215,11 @@ def conform_port(
     the port's own name unless given. Raises ValueError when no case is left to run.
     """
     if probe is None:
-        eyes = Eyes(open=False)
+        observability = Observability(available=False)
     else:
-        eyes = Eyes(True, probe.sparse, f"{probe_name} is asked only about a few cases")
+        observability = Observability(
+            True, probe.costly, f"{probe_name} is asked only about a few cases"
+        )
     about = {
         "kind": "port",
         "line": str(port.settings),
@@ -205,54 +229,53 @@ def conform_port(
     try:
         return run_on(
             PortLink(port, probe, stop, tap, power),
-            Circumstances(False, eyes, power is not None, name or port.name, about),
+            Environment(False, observability, power is not None, name or port.name, about),
             grammar=grammar,
             options=options,
-            watcher=watcher,
+            listener=listener,
             interrupted=interrupted,
             tap=tap,
         )
     except BaseException:
         # A fault of the kit itself must not leave the robot driving.
         with contextlib.suppress(LinkError):
-            port.write(bytes([grammar.filler]) * grammar.longest_frame)
+            port.write(bytes([grammar.pad_byte]) * grammar.longest_frame)
         raise
 
 
 def run_on(
     link: Link,
-    circumstances: Circumstances,
+    environment: Environment,
     *,
     grammar: Grammar,
     options: Options,
-    watcher: Watcher | None = None,
+    listener: RunListener | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
-    tap: Tap | None = None,
-    spare: Spare | None = None,
+    tap: LinkListener | None = None,
+    spare: SkipPolicy | None = None,
     logged: bool = True,
 ) -> Report:
-    """Run the cases over a link, live or recorded: every run is made here.
+    """Run the cases over a link, live or recorded; every run goes through this function.
 
     Raises ValueError when no case is left to run.
     """
-    cases = select_cases(grammar, options)
-    journal = tap if isinstance(tap, Journal) else None
+    line = line_named(grammar, str(environment.link.get("line", "")))
+    cases = select_cases(grammar, options, line)
+    journal = tap if isinstance(tap, RunJournal) else None
     if journal:
-        journal.begins(grammar, options, circumstances)
+        journal.begins(grammar, options, environment)
         link, interrupted = journalled(link, interrupted, journal)
     log = WireLog()
-    line = grammar.line
-    baud = circumstances.link.get("baud", line.baud)
-    meter = Meter(LineSettings(baud, line.parity, line.stopbits).byte_time)
+    meter = Meter(line.byte_time)
     link = meter.over(log.over(link) if logged else link)
-    watcher = watcher or Unwatched()
-    limits = circumstances.limits(grammar)
+    listener = listener or SilentListener()
     deadline = options.deadline or grammar.timing.answer_deadline
-    limits = replace(limits, deadline=int(deadline * MS), idle=LEVELS[options.level].idle * MS)
-    if options.budget is not None and limits.whole is not None:
-        limits = replace(limits, whole=int(options.budget * 1e9))
+    timers = environment.timers(grammar).due_within(int(deadline * MS))
+    timers = replace(timers, idle=LEVELS[options.level].idle * MS)
+    if options.budget is not None and timers.run_budget is not None:
+        timers = replace(timers, run_budget=int(options.budget * 1e9))
     if options.silence:
-        limits = replace(limits, silence=int(options.silence * MS))
+        timers = replace(timers, silence=int(options.silence * MS))
     timeout = options.truncation_timeout
     allowed = parse_allowed(grammar, options.allow)
     profile = Profile(choices=Choices(allowed=allowed))
@@ -262,22 +285,22 @@ def run_on(
     def begin(ident: str) -> None:
         if logged:
             log.begin(ident)
-        watcher.begin(ident)
+        listener.begin(ident)
 
-    books = Run(
+    state = RunState(
         grammar,
-        limits,
-        circumstances.eyes,
+        timers,
+        environment.observability,
         begin=begin,
-        report=lambda result: watcher.end(log.attached(result)),
+        report=lambda result: listener.end(log.attached(result)),
         truncation_timeout=None if timeout is None else int(timeout * MS),
-        power=circumstances.power,
+        power=environment.power,
         profile=profile,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)
     runner = Runner(
-        books,
+        state,
         cases,
         fail_fast=options.fail_fast,
         measure=asked,
@@ -288,17 +311,17 @@ def run_on(
     ended = runner.ended
     report = make_report(
         grammar,
-        [log.attached(result) for result in books.results],
+        [log.attached(result) for result in state.results],
         cases,
-        books.profile,
-        device=circumstances.device,
-        link=circumstances.link,
+        state.profile,
+        device=environment.device,
+        link=environment.link,
         options=asdict(options),
         seed=options.seed,
         unusable=runner.unusable,
         ended=str(ended) if ended else "",
-        timing=meter.report(books.timeouts),
-        dropped=_dropped(grammar, options, cases),
+        timing=meter.report(state.timeouts),
+        dropped=_dropped(grammar, options, cases, line),
         error=bool(ended and ended.error),
         interrupted=bool(ended and not ended.error),
     )
@@ -307,16 +330,26 @@ def run_on(
     return report
 
 
-def _dropped(grammar: Grammar, options: Options, cases: Sequence[AnyCase]) -> dict[str, int]:
+def _dropped(
+    grammar: Grammar, options: Options, cases: Sequence[AnyCase], line: LineSettings
+) -> dict[str, int]:
     """How many cases of each group the budget has left out."""
     if options.budget is None:
         return {}
-    return dropped(select_cases(grammar, replace(options, budget=None, shard=None)), cases)
+    return dropped(select_cases(grammar, replace(options, budget=None, shard=None), line), cases)
 
 
-def estimated_seconds(grammar: Grammar, cases: Sequence[AnyCase], options: Options) -> float:
-    """About how long the cases take on a port, in s: the wire, silences and time-outs, looks."""
+def estimated_seconds(
+    grammar: Grammar,
+    cases: Sequence[AnyCase],
+    options: Options,
+    line: LineSettings | None = None,
+) -> float:
+    """About how long the cases take on a port, in s: the wire, silences and time-outs, looks.
+
+    `line` are the line's settings, the grammar's own if None.
+    """
     timeout = (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000
-    line = LineSettings(grammar.line.baud, grammar.line.parity, grammar.line.stopbits)
+    line = line or line_settings(grammar, None, None, None)
     byte_time = line.byte_time / 1e9
     return sum(seconds(grammar, case, byte_time, timeout) for case in cases)

@@ -1,8 +1,8 @@
 """Judges a recorded run again from its bytes and looks alone, and compares the verdicts.
 
 The run is made as every run is made (`conformance.api.run_on`), over the recording instead of a
-device. Recorded verdicts are compared with and never used. The seal and the checksums tell damage,
-not forgery: whoever writes a whole recording anew can make it say anything that fits together.
+device. Recorded verdicts are only compared with. The seal and the checksums reveal damage, not
+forgery: a recording that is written anew as a whole can hold anything that is consistent.
 """
 
 from __future__ import annotations
@@ -13,28 +13,32 @@ from typing import Any
 
 import msgspec
 
-from analyzer.grammar_file import load_protocol
-from analyzer.version import kit_version
-from captures import topics
-from captures.errors import CaptureError, shown
-from captures.evidence import Evidence, open_evidence
-from captures.schemas import CaseMark
-from conformance.api import Options, run_on
-from conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
-from conformance.oracle.verdicts import CaseResult, worst
-from conformance.report.run_report import Report, as_json
-from conformance.runner.environment import Circumstances
-from conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
-from spec.protocol import GrammarError, Protocol, load
-from spec.safe_grammar import NotDeclared, require_declarations
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.version import kit_version
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.evidence import Evidence, open_evidence
+from bilprov.captures.schemas import CaseMark
+from bilprov.captures.text import printable
+from bilprov.conformance.api import Options, run_on
+from bilprov.conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
+from bilprov.conformance.oracle.verdicts import CaseResult, worst
+from bilprov.conformance.report.run_report import Report, as_json
+from bilprov.conformance.runner.environment import Environment
+from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
+from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.safe_grammar import NotDeclared, require_declarations
 
 SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""
 
+# Keys that were added to the cases of a report later: older recordings lack them.
+_LATER = ("planned_clause",)
+
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Something that was judged otherwise than the recording says.
+    """A result that differs from the recorded one.
 
     `about` is the case's id or the part of the report, `what` says which of its values differ.
     """
@@ -47,11 +51,11 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
-    """What came out. `report` is None where the run strayed from the recording.
+    """The result of a recheck. `report` is None where the run strayed from the recording.
 
-    `cases` is how many were judged again and compared, `verdict` the worst of them as it came out
-    now. `notes` say what else the reader should know; `whole` is false where the recording ends
-    before its run did.
+    `cases` is how many were judged again and compared, `verdict` the worst of their new verdicts.
+    `notes` say what else the reader should know; `whole` is false where the recording ends before
+    its run did.
     """
 
     report: Report | None
@@ -71,11 +75,11 @@ class _Run(msgspec.Struct, frozen=True):
     kit: str
     grammar: dict[str, str]
     options: Options
-    circumstances: Circumstances
+    environment: Environment = msgspec.field(name="circumstances")
 
 
 class _Results:
-    """A watcher that keeps the results, also of a run that strays."""
+    """A run listener that keeps the results, also of a run that strays from the recording."""
 
     def __init__(self) -> None:
         self.results: list[CaseResult] = []
@@ -91,23 +95,23 @@ class _Results:
 def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     """Judge a recorded run again; by its own grammar unless another is given.
 
-    Raises CaptureError, in one sentence, for a file that is damaged (it says which checksum or hash
-    told), is no recording of a run, or cannot be judged again; GrammarError where its grammar is
-    not run because it does more than declare.
+    Raises CaptureError, in one sentence, for a file that is damaged (it names the checksum or hash
+    that does not fit), is no recording of a run, or cannot be judged again; GrammarError where its
+    grammar is not run because it does more than declare.
     """
     evidence = open_evidence(path, (GRAMMAR, RUN, VERDICT))
     run = _run(path, evidence)
     grammar = grammar or _grammar(path, evidence, run)
-    watcher = _Results()
+    listener = _Results()
     report, strayed = None, ""
     try:
         link = RecordedLink(evidence.capture.messages(TOPICS))
         report = run_on(
             link,
-            run.circumstances,
+            run.environment,
             grammar=grammar,
             options=run.options,
-            watcher=watcher,
+            listener=listener,
             interrupted=link.interrupted,
         )
         cut = link.cut
@@ -116,17 +120,19 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     except Strayed as error:
         strayed, cut = str(error), False
     except (ArithmeticError, ValueError) as error:
-        raise CaptureError(f"{shown(path)} cannot be judged again: {shown(error)}") from error
+        raise CaptureError(
+            f"{printable(path)} cannot be judged again: {printable(error)}"
+        ) from error
     marks = tuple(_marks(evidence))
-    differences = [*_against_marks(marks, watcher.results)]
+    differences = [*_against_marks(marks, listener.results)]
     if strayed:
-        differences.append(Difference(watcher.last, "what is done", "another step", strayed))
+        differences.append(Difference(listener.last, "what is done", "another step", strayed))
     verdict = evidence.attachments.get(VERDICT)
     if verdict is not None and report is not None and not cut:
         known = {difference.about for difference in differences}
         against = _against_report(path, verdict, report)
         differences += [d for d in against if d.about not in known]
-    judged = watcher.results[: len(marks)] if cut else watcher.results
+    judged = listener.results[: len(marks)] if cut else listener.results
     # A line that cannot be used is an error although no case was judged.
     whole = report.verdict if report and not cut else worst(r.verdict for r in judged)
     return Recheck(
@@ -143,17 +149,23 @@ def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(
-            f"{shown(path)} is no recording of a conformance run that can be judged again: make "
+            f"{printable(path)} is no recording of a conformance run that can "
+            "be judged again: make "
             "one with bilprov conform PORT --record FILE.mcap"
         )
     try:
         return msgspec.json.decode(evidence.attachments[RUN], type=_Run)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{shown(path)}: {RUN} cannot be read: {shown(error)}") from error
+        raise CaptureError(
+            f"{printable(path)}: {RUN} cannot be read: {printable(error)}"
+        ) from error
 
 
 def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
-    """The grammar that the recording carries; a stranger's is run only if it merely declares."""
+    """The grammar in the recording; one that is not the kit's own is run only if it just declares.
+
+    Raises GrammarError.
+    """
     text = evidence.attachments.get(GRAMMAR, b"").decode("utf-8", "replace")
     own = load_protocol()
     if text == own.source:
@@ -162,10 +174,10 @@ def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
         require_declarations(text)
     except NotDeclared as error:
         raise GrammarError(
-            f"the grammar in {shown(path)} is not run, because it does more than declare "
-            f"({shown(error)}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
+            f"the grammar in {printable(path)} is not run, because it does more than declare "
+            f"({printable(error)}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
         ) from error
-    return load(text, shown(run.grammar.get("file", GRAMMAR)))
+    return load(text, printable(run.grammar.get("file", GRAMMAR)))
 
 
 def _marks(evidence: Evidence) -> Iterator[CaseMark]:
@@ -173,13 +185,13 @@ def _marks(evidence: Evidence) -> Iterator[CaseMark]:
         try:
             mark = msgspec.convert(message.value, CaseMark)
         except msgspec.ValidationError:
-            continue  # then a case has no mark, which differs
+            continue  # the case then has no mark, which counts as a difference
         if mark.phase == "end":
             yield mark
 
 
 def _against_marks(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> Iterator[Difference]:
-    """Each case that was final in the recording against the same one now."""
+    """The differences between the results now and those that the recording has marked final."""
     for number, mark in enumerate(marks):
         if number >= len(results):
             yield Difference(mark.id, "verdict", str(mark.verdict), "not judged")
@@ -198,7 +210,9 @@ def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Diff
         was = msgspec.json.decode(recorded, type=dict[str, Any])
         cases = {case["id"]: case for case in was["cases"]}
     except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{shown(path)}: {VERDICT} cannot be read: {shown(error)}") from error
+        raise CaptureError(
+            f"{printable(path)}: {VERDICT} cannot be read: {printable(error)}"
+        ) from error
     now = msgspec.json.decode(as_json(report), type=dict[str, Any])
     for case in now["cases"]:
         yield from _parts(case["id"], cases.pop(case["id"], {}), case)
@@ -209,8 +223,10 @@ def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Diff
 
 
 def _parts(about: str, was: dict[str, Any], now: dict[str, Any]) -> Iterator[Difference]:
-    """The first part that differs; one is enough."""
+    """The first of the values that differs; one is enough."""
     for name in ("verdict", *now):
+        if name in _LATER and name not in was:
+            continue  # an older kit recorded it
         if was.get(name) != now[name]:
             yield Difference(about, name, _text(was.get(name)), _text(now[name]))
             return
@@ -225,14 +241,15 @@ def _notes(
 ) -> Iterator[str]:
     if run.kit != kit_version():
         yield (
-            f"it was recorded by bilprov {shown(run.kit)}, this is {kit_version()}: what differs "
+            f"it was recorded by bilprov {printable(run.kit)}, this is "
+            f"{kit_version()}: what differs "
             "may be the kit's"
         )
     if run.grammar.get("sha256") != grammar.sha256:
-        yield f"it was recorded with another grammar than {shown(grammar.origin)}"
+        yield f"it was recorded with another grammar than {printable(grammar.origin)}"
     if not evidence.sealed:
         yield "it was never finished, so no hash vouches for it: checksums (CRC) vouch for the rest"
     if cut:
         yield "it ends before its run did: what is there was judged again"
     elif report is not None and report.ended:
-        yield f"the run ended early: {shown(report.ended)}"
+        yield f"the run ended early: {printable(report.ended)}"

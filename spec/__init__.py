@@ -1,1 +1,1 @@
-"""The protocol, said once and read out of one grammar. No port, file, clock, thread or colour."""
+"""The protocol, read from one grammar. Pure code: no port, file, clock, thread or colour."""

@@ -1,17 +1,17 @@
-"""A judged frame in, its bits out: which of them belong together, and what each group means."""
+"""Splits a judged frame into groups of bits and says what each group means."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from spec.codec import Judgement
-from spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.codec import Judgement
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 
 
 @dataclass(frozen=True, slots=True)
 class BitGroup:
-    """Neighbouring bits that mean one thing.
+    """Neighbouring bits that have one meaning.
 
     `byte` is the index in the frame of the first byte they lie in, `size` how many bytes that is.
     `high` and `low` are bit positions, counted from 0 at the right end of those bytes. `fault`
@@ -30,7 +30,7 @@ class BitGroup:
 
 
 def bit_groups(protocol: Protocol, judgement: Judgement) -> tuple[BitGroup, ...]:
-    """Every bit of the frame in exactly one group, in order."""
+    """Return groups that hold every bit of the frame exactly once, in order."""
     return *_header_groups(protocol, judgement), *_data_groups(judgement)
 
 

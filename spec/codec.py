@@ -1,7 +1,7 @@
-"""Build a frame (a lying header included), judge a frame, find the nearest valid one.
+"""Builds frames (valid and raw ones), judges a frame, and finds the nearest valid frame.
 
-The judgement is what a conforming device makes of the bytes: which response it gives, and why. It
-is the kit's own reading of the document, so nothing here knows what some device answered.
+A judgement says which response a conforming device gives to the bytes, and why. It is the kit's own
+reading of the document and does not depend on what any device answered.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from spec.fields import Outcome
-from spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a conforming device makes of one frame.
+    """The judgement of one frame: the response of a conforming device, and the reason.
 
     `frame` is the bytes as they came, `length` what the header announces, `instruction` is None
     for an unused ID, `fields` are the decoded data (empty unless the lengths are right). `valid` is
-    true only for a whole frame without fault. `clause` and `reading` say what the reason rests on.
+    true only for a complete frame without fault. `clause` and `reading` are what the reason rests
+    on.
     """
 
     frame: bytes
@@ -46,11 +47,11 @@ class Judgement:
 
     @property
     def name(self) -> str:
-        """The instruction's name, or what its ID is."""
+        """The instruction's name, or `unused` and the ID."""
         return self.instruction.name if self.instruction else f"unused {self.id}"
 
     def describe(self) -> str:
-        """The frame in words: `Speed speed=255`, `LED rgb=5 (R B)`, `unused 9, 2 data bytes`."""
+        """Return the frame in words: `LED rgb=5 (R B)`, `Stop`, `unused 9, 2 data bytes`."""
         if self.instruction and self.fields:
             specs = self.instruction.fields
             shown = [
@@ -66,7 +67,7 @@ class Judgement:
 
 
 def spaced(data: bytes) -> str:
-    """Bytes in hex as the kit shows them everywhere: `81 05`."""
+    """Return bytes in hex as the kit shows them everywhere: `81 05`."""
     return data.hex(" ")
 
 
@@ -75,7 +76,7 @@ def _bytes(count: int) -> str:
 
 
 def bit_names(spec: FieldSpec, value: int) -> tuple[str, ...]:
-    """The names of the field's bits that are set, most significant first."""
+    """Return the names of the field's set bits, most significant first."""
     top = len(spec.bits) - 1
     return tuple(name for i, name in enumerate(spec.bits) if value >> (top - i) & 1)
 
@@ -87,7 +88,7 @@ def _value(spec: FieldSpec, value: int) -> str:
 
 
 def judge(protocol: Protocol, frame: bytes) -> Judgement:
-    """Judge one frame: a header with as many data bytes as it announces, or with fewer (cut short).
+    """Judge one frame: a header with as many data bytes as it announces, or fewer (truncated).
 
     The header is judged first, then the length, then the data (R-unused-length,
     R-competing-errors). Raises ValueError for no bytes or for more than the header announces.
@@ -144,7 +145,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
 
 
 def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None) -> bytes:
-    """A valid frame. `name` is an instruction's name in any case, `fields` its values by name.
+    """Build a valid frame. `name` is an instruction in any case, `fields` its values by name.
 
     Raises ValueError, in one sentence, for an unknown instruction, a missing or unknown field, or
     a value out of its range.
@@ -179,11 +180,11 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None
     if given:
         takes = ", ".join(part.name for part in spec.fields) or "no fields"
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
-    return lying(protocol, spec.id, len(data), data)
+    return raw_frame(protocol, spec.id, len(data), data)
 
 
-def lying(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:
-    """A header that says whatever one wants, followed by any data: the raw material of cases.
+def raw_frame(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:
+    """Build a raw frame, valid or not: a header of any ID and length, followed by any data.
 
     Raises ValueError for an ID or a length that no header can carry.
     """
@@ -198,7 +199,7 @@ def lying(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> 
 
 
 def all_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
-    """Valid data of an instruction, over the whole range of each field.
+    """Return valid data of an instruction, over the whole range of each field.
 
     One field takes each of its values while the others stay at their lowest; a field with more than
     `most` values is sampled evenly, both ends included.
@@ -214,7 +215,10 @@ def all_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
 
 
 def bad_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
-    """Data of the right length with one field out of its range, over all values it can carry."""
+    """Return data of the right length with one field out of its range, over all values of it.
+
+    A field with more than `most` (at least 256) values is sampled evenly, both ends included.
+    """
     seen: dict[bytes, None] = {}
     for index, part in enumerate(spec.fields):
         head = b"".join(p.build(p.low) for p in spec.fields[:index])
@@ -234,11 +238,11 @@ def _spread(low: int, high: int, most: int) -> Iterable[int]:
 
 
 def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
-    """The valid frame that the sender most likely meant.
+    """Return the valid frame that the sender most likely meant.
 
-    `following` are bytes that came after the frame and may be its missing data. Fewest changed
-    bits first, then the nearest ID; missing data are zeros, values out of range are cut to the
-    bits that mean something or to the nearest end of the range.
+    `following` are bytes that came after the frame and may be its missing data. The frame with the
+    fewest changed header bits is chosen, then that with the nearest ID. Missing data become zeros;
+    values out of range are reduced to their named bits or to the nearest end of the range.
     """
     identity, _ = protocol.headers[frame[0]]
     if judge(protocol, frame).valid:

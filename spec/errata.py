@@ -1,21 +1,21 @@
-"""Runs the document's own examples through the grammar and names what contradicts it."""
+"""Judges the document's own examples by the grammar and reports those that contradict it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from spec.codec import judge, nearest
-from spec.framing import Framer
-from spec.protocol import Protocol
-from spec.readings import ERRATA, EXAMPLES, Erratum, Example
+from bilprov.spec.codec import judge, nearest
+from bilprov.spec.framing import Framer
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import ERRATA, EXAMPLES, Erratum, Example
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """An example line that a conforming device refuses.
 
-    `sent` is the line's bytes, `meant` the nearest valid frame, `erratum` the entry that knows of
-    it (None if the document has a fault that nobody wrote down yet).
+    `sent` is the line's bytes, `meant` the nearest valid frame, `erratum` the entry that records
+    the contradiction (None if no entry does yet).
     """
 
     example: Example
@@ -26,7 +26,7 @@ class Finding:
 
 
 def check(protocol: Protocol, examples: tuple[Example, ...] = EXAMPLES) -> tuple[Finding, ...]:
-    """Every example line in which the grammar finds a fault. One line is one instruction."""
+    """Return every example line that the grammar finds faulty. One line is one instruction."""
     findings = []
     for example in examples:
         sent = bytes(int(bits, 2) for bits in example.bits.split())

@@ -1,28 +1,29 @@
-"""Explains bytes: what they mean, what a conforming device answers and does, and why."""
+"""Explains bytes: their meaning, what a conforming device answers and does, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from spec.bits import BitGroup, bit_groups
-from spec.codec import Judgement, judge, nearest, spaced
-from spec.errata import Finding, check
-from spec.fields import Outcome
-from spec.framing import Framer
-from spec.motion import VARIABLES, Effect, Motion
-from spec.protocol import Protocol, ResponseSpec
-from spec.readings import READINGS, Erratum, Reading
+from bilprov.spec.bits import BitGroup, bit_groups
+from bilprov.spec.codec import Judgement, judge, nearest, spaced
+from bilprov.spec.errata import Finding, check
+from bilprov.spec.fields import Outcome
+from bilprov.spec.framing import Framer
+from bilprov.spec.motion import VARIABLES, Effect, Motion
+from bilprov.spec.protocol import Protocol, ResponseSpec
+from bilprov.spec.readings import READINGS, Erratum, Reading
 
 
 @dataclass(frozen=True, slots=True)
 class FrameExplanation:
     """One frame of the host: its bits, its judgement, and what a conforming device does.
 
-    `offset` is the index of its first byte in what was explained, `missing` how many data bytes
-    never came. `answer` and `action` are sentences; `changes` pairs each state variable that is set
-    with its new value in words, `keeps` names the others. `nearest` is the judgement of the nearest
-    valid frame (None if this one is valid), `differences` how that differs from this frame.
+    `offset` is the index of its first byte in the explained bytes, `missing` the number of data
+    bytes that did not come. `answer` and `action` are sentences; `changes` pairs each state
+    variable that is set with its new value in words, `keeps` names the others. `nearest` is the
+    judgement of the nearest valid frame (None if this one is valid), `differences` how that
+    differs from this frame.
     """
 
     offset: int
@@ -54,7 +55,7 @@ class ResponseExplanation:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What some bytes mean: frames where they came from the host, responses from the device."""
+    """Explanation of some bytes: `frames` if the host sent them, `responses` if the device did."""
 
     data: bytes
     frames: tuple[FrameExplanation, ...] = ()
@@ -64,7 +65,7 @@ class Explanation:
 def explain(protocol: Protocol, data: bytes) -> Explanation:
     """Explain bytes that the host sends, cut into frames as the device cuts them.
 
-    A last frame that is not whole counts as cut short by the time-out.
+    An incomplete last frame counts as truncated by the time-out.
     """
     framer = Framer(protocol.lengths, timeout=None)
     findings = check(protocol)
@@ -138,7 +139,7 @@ def _changes(effect: Effect, fields: dict[str, int]) -> Iterator[tuple[str, str]
 
 
 def _readings(judgement: Judgement, errata: Iterable[Erratum]) -> tuple[Reading, ...]:
-    """The readings that the judgement rests on, in the order of the document."""
+    """Return the readings that the judgement rests on, in the order of the document."""
     ids = {judgement.reading}
     if judgement.truncated:
         ids.add("R-truncation-timeout")
@@ -151,7 +152,7 @@ def _readings(judgement: Judgement, errata: Iterable[Erratum]) -> tuple[Reading,
 
 
 def _differences(judgement: Judgement, meant: Judgement, following: bytes) -> Iterator[str]:
-    """How the nearest valid frame differs, part by part."""
+    """Yield how the nearest valid frame differs, part by part, each in words."""
     if meant.id != judgement.id:
         yield f"id {judgement.id} becomes {meant.id}"
     if meant.length != judgement.length:

@@ -1,7 +1,7 @@
-"""The few words that construct lacks: what the grammar is written with, and what can be read back.
+"""Declarations that a grammar uses besides construct's own: ranges, effects, responses, timing.
 
-Each keeps its arguments as public attributes, because construct's own validators hide theirs in a
-closure and a grammar whose ranges cannot be read is no source for anything but parsing.
+Each keeps its arguments as public attributes. construct's own validators hide theirs in a closure,
+and a grammar whose ranges cannot be read could be used for nothing but parsing.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import Any
 
 from construct import Construct, ExprAdapter, Struct, Validator
 
-from spec.motion import VARIABLES
+from bilprov.spec.motion import VARIABLES
 
 
 class Outcome(Enum):
-    """What can become of an instruction; the grammar gives each its response code."""
+    """Outcome of judging an instruction; the grammar gives each its response code."""
 
     VALID = "valid"
     UNKNOWN_ID = "unknown ID"
@@ -29,9 +29,9 @@ class Outcome(Enum):
 class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
     """An integer that must lie in `low`..`high` (both included).
 
-    `bits` names its lowest bits, most significant first, where each stands for something:
-    "RGB" says that R is bit 2, G bit 1 and B bit 0. `reading` names the reading that a value out
-    of the range rests on.
+    `bits` names its lowest bits, most significant first, if each has a meaning: "RGB" says that R
+    is bit 2, G bit 1 and B bit 0. `reading` names the reading by which a value out of the range is
+    bad data.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class From:
 
 
 class Sets:
-    """What an instruction does to the motion state: each named variable gets a value or a field.
+    """Effect of an instruction on the motion state: each named variable gets a value or a field.
 
     Variables that are not named keep their value. Raises TypeError for a variable that the motion
     state does not have.
@@ -83,7 +83,7 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A response: its name, the outcome it stands for, the document's words and ours."""
+    """A response: its name, the outcome it stands for, the document's text and our description."""
 
     name: str
     outcome: Outcome
@@ -106,7 +106,7 @@ class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What the document leaves open about time, in milliseconds (see the named readings)."""
+    """Times in ms that the document leaves open; the named readings give the reasons."""
 
     truncation_timeout: float  # R-truncation-timeout: between two bytes of a frame
     truncation_shortest: float
@@ -118,7 +118,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class LineDefaults:
-    """How the line is set unless the user says otherwise (R-line)."""
+    """Default settings of the serial line (R-line)."""
 
     baud: int
     parity: str
@@ -127,7 +127,7 @@ class LineDefaults:
 
 @dataclass(frozen=True, slots=True)
 class Clauses:
-    """Where in the document each kind of rule stands."""
+    """The clause of the document in which each kind of rule stands."""
 
     header: str
     instructions: str

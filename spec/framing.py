@@ -1,7 +1,7 @@
-"""Bytes in, frames out. No port, no clock: times come in as integers in nanoseconds.
+"""Cuts a stream of bytes into frames. No port, no clock: times are given as integers in ns.
 
-Every byte that goes in comes out in exactly one record, in order: a whole frame, a frame that the
-time-out cut short, or garbage (bytes that are known to belong to no frame).
+Every byte comes out in exactly one record, in order: a complete frame, a frame that the time-out
+truncated, or garbage (bytes that are known to belong to no frame).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Kind = Literal["instruction", "truncated", "garbage"]
 class Framed:
     """One record: its kind, the times of its first and last byte (ns), and its bytes.
 
-    `known` is when it was known to be over: `end` for a whole frame, the deadline for one that the
-    time-out cut short.
+    `known` is when it was known to be over: `end` for a complete frame, the deadline for one that
+    the time-out truncated.
     """
 
     kind: Kind
@@ -29,7 +29,7 @@ class Framed:
 
 
 class Framer:
-    """Cuts one direction's bytes into frames.
+    """Cuts the bytes of one direction into frames.
 
     `lengths` gives for each header byte the number of data bytes it announces; `timeout` (ns) is
     the longest pause inside a frame (R-truncation-timeout), None for no limit.
@@ -49,25 +49,25 @@ class Framer:
 
     @property
     def missing(self) -> int:
-        """How many bytes the frame begun still needs; 0 between frames."""
+        """How many bytes the current frame still needs; 0 between frames."""
         return 1 + self._lengths[self._held[0]] - len(self._held) if self._held else 0
 
     @property
     def deadline(self) -> int | None:
-        """When (ns) the frame begun is cut short unless a byte comes; None between frames."""
+        """When (ns) the time-out truncates the current frame; None between frames."""
         if not self._held or self._timeout is None:
             return None
         return self._end + self._timeout
 
     def advance(self, now: int) -> list[Framed]:
-        """Let time pass: what the time-out cuts short until `now` (ns) comes out."""
+        """Let time pass until `now` (ns); return the frame that the time-out truncates, if any."""
         deadline = self.deadline
         if deadline is None or now < deadline:
             return []
         return [self._take("truncated", deadline)]
 
     def feed(self, data: bytes, now: int) -> list[Framed]:
-        """Bytes that came at `now` (ns)."""
+        """Take bytes that came at `now` (ns); return the records that are over by then."""
         records = self.advance(now)
         for byte in data:
             if not self._held:
@@ -79,7 +79,7 @@ class Framer:
         return records
 
     def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
-        """Give up the frame begun: bytes were lost, or the stream ends; the next is a header."""
+        """End the current frame: bytes were lost, or the stream ends; the next byte is a header."""
         return [self._take(kind, now)] if self._held else []
 
     def _take(self, kind: Kind, known: int) -> Framed:

@@ -8,7 +8,7 @@ choice made here names its reading (R-...) or erratum (E...); see `bilprov spec 
 
 from construct import BitsInteger, BitStruct, Byte, Struct, Switch, this
 
-from spec.fields import (
+from bilprov.spec.fields import (
     Answer,
     Answers,
     Clauses,
@@ -20,7 +20,7 @@ from spec.fields import (
     Sets,
     Timing,
 )
-from spec.motion import Motion
+from bilprov.spec.motion import Motion
 
 NAME = "robot-car"
 VERSION = "1.1"

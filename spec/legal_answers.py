@@ -1,18 +1,18 @@
-"""Which answers a device may give to a frame: the expected one, and what other readings allow.
+"""Answers that a device may give to a frame under a reading other than the default.
 
-The suite's generators state the same from their own rules; a test holds that the two agree.
+The generators of test cases state the same by rules of their own; a test checks that both agree.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from spec.codec import Judgement
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.spec.codec import Judgement
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 SILENCE_READING = "R-truncated-known"
-"""What lets a device stop without an answer when a frame was cut short."""
+"""The reading that lets a device stop at a truncated frame without an answer."""
 
 
 class Choice(NamedTuple):
@@ -23,7 +23,7 @@ class Choice(NamedTuple):
 
 
 def other_choices(protocol: Protocol, judgement: Judgement) -> tuple[Choice, ...]:
-    """Every answer but the expected one that some reading of the document allows."""
+    """Return every answer, except the expected one, that some reading of the document allows."""
     if judgement.truncated:
         return (*_when_truncated(protocol, judgement), Choice(None, SILENCE_READING))
     spec = judgement.instruction

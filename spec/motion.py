@@ -18,7 +18,7 @@ class Motion(StrEnum):
     ROTATE_LEFT = "rotate_left"
 
 
-# Which way (left, right) the wheels turn in each kind of motion.
+# The direction in which the wheels (left, right) turn in each kind of motion.
 WHEELS = {
     Motion.STOPPED: (0, 0),
     Motion.FORWARD: (1, 1),
@@ -30,7 +30,7 @@ WHEELS = {
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What the robot is set to: kind of motion, speed, steering (right positive) and LED."""
+    """Motion state of the robot: kind of motion, speed, steering (right positive) and LED."""
 
     motion: Motion = Motion.STOPPED
     speed: int = 0
@@ -44,7 +44,7 @@ class State:
 
     @property
     def visible_motion(self) -> Motion:
-        """What the wheels do now: `stopped` unless they turn."""
+        """The motion that can be seen: `stopped` unless the wheels turn."""
         return self.motion if self.moving else Motion.STOPPED
 
 
@@ -58,7 +58,7 @@ class Effect:
     assignments: tuple[tuple[str, int | Motion | tuple[str, int]], ...] = ()
 
     def apply(self, state: State, fields: Mapping[str, int] | None = None) -> State:
-        """The state after this effect, with the instruction's field values at hand."""
+        """Return the state after this effect; `fields` are the instruction's values by name."""
         if not self.assignments:
             return state
         values: dict[str, Any] = {
@@ -74,7 +74,7 @@ class Effect:
         )
 
     def sets(self, variable: str) -> bool:
-        """Whether this effect assigns to the variable."""
+        """Return whether this effect assigns to the variable."""
         return any(name == variable for name, _ in self.assignments)
 
     @property
@@ -86,11 +86,11 @@ class Effect:
 
 
 def wheels(state: State, full_steering: int) -> tuple[int, int]:
-    """The wheels' speeds (left, right) of the reference robot, forward positive.
+    """Return the wheel speeds (left, right) of the reference robot, forward positive.
 
     The document gives no mixing law: the reference slows the inner wheel in proportion to the
-    steering (`full_steering` stands it still), and does not steer while it rotates. Judge only the
-    signs and which wheel is faster.
+    steering (at `full_steering` it stands still), and does not steer while it rotates. A test may
+    therefore judge only the signs and which wheel is faster.
     """
     left, right = WHEELS[state.visible_motion]
     inner = state.speed

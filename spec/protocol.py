@@ -1,13 +1,14 @@
-"""Grammar in, one frozen Protocol value out: the only place that looks inside construct objects.
+"""Loads a grammar into one frozen Protocol value; only this module reads construct objects.
 
-Everything that the kit knows of the protocol it asks of this value. It is loaded from the grammar's
-text (whoever has the file reads it), and pickles as that text.
+The kit takes everything that it knows of the protocol from this value. It is loaded from the
+grammar's text (the caller reads the file), and pickles as that text.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,7 +16,8 @@ from typing import Any
 
 from construct import BitStruct, Construct, ConstructError, Renamed
 
-from spec.fields import (
+from bilprov.spec.errors import UserError
+from bilprov.spec.fields import (
     Answers,
     Clauses,
     From,
@@ -26,18 +28,19 @@ from spec.fields import (
     Sets,
     Timing,
 )
-from spec.motion import Effect, Motion, State
+from bilprov.spec.motion import Effect, Motion, State
 
 
-class GrammarError(Exception):
-    """A grammar that cannot be used, in one sentence."""
+class GrammarError(UserError):
+    """Raised for a grammar that cannot be used; the text is one sentence for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
-    """One data field: where it lies in the data (bytes), its range, its bits' names.
+    """One data field: its place in the data (bytes), its range, and the names of its bits.
 
-    `reading` is what a value out of the range rests on, "" if the document is plain.
+    `reading` is the reading by which a value out of the range is bad data, "" if the document says
+    it. `parse` and `build` convert between the field's bytes and its value.
     """
 
     name: str
@@ -80,8 +83,9 @@ class ResponseSpec:
 class Protocol:
     """The whole protocol as plain values.
 
-    `source` is the grammar's text and `origin` the name it came under; two protocols are equal
-    when their texts are.
+    `source` is the grammar's text and `origin` its file name; two protocols are equal when their
+    texts are. `headers` is the (ID, length) of each header byte, `header_bits` the (name, width in
+    bits, prose) of each part of the header.
     """
 
     source: str
@@ -105,7 +109,7 @@ class Protocol:
     @cached_property
     def sha256(self) -> str:
         """The hash of the grammar's text."""
-        return hashlib.sha256(self.source.encode()).hexdigest()
+        return hashlib.sha256(_ONE_PACKAGE.sub("from spec.", self.source).encode()).hexdigest()
 
     @cached_property
     def by_id(self) -> Mapping[int, InstructionSpec]:
@@ -171,7 +175,7 @@ class Protocol:
 
     @cached_property
     def stop(self) -> InstructionSpec:
-        """The shortest harmless instruction: it stops, and it is what lines are homed with."""
+        """The instruction without data that stops the robot; homing sends it."""
         return next(
             spec
             for spec in self.instructions
@@ -179,9 +183,15 @@ class Protocol:
         )
 
     @cached_property
-    def filler(self) -> int:
-        """The only safe byte to pad with: a device that reads it as a header stops."""
+    def pad_byte(self) -> int:
+        """The header byte of `stop`, the only safe byte to pad with: read as a header, it stops."""
         return self.header_bytes[self.stop.id, 0]
+
+
+# A grammar imports its names from `bilprov.spec`, an older one from `spec`. Both are the same
+# grammar: the hash is taken over the older spelling, so that older recordings still match.
+_BARE = re.compile(r"^from spec\.", re.MULTILINE)
+_ONE_PACKAGE = re.compile(r"^from bilprov\.spec\.", re.MULTILINE)
 
 
 def load(source: str, origin: str = "grammar") -> Protocol:
@@ -192,8 +202,9 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     """
     space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
     try:
-        # dont_inherit: a grammar does not take this file's __future__ imports for its own.
-        exec(compile(source, origin, "exec", dont_inherit=True), space)
+        # dont_inherit: a grammar does not inherit this file's __future__ imports.
+        text = _BARE.sub("from bilprov.spec.", source)
+        exec(compile(text, origin, "exec", dont_inherit=True), space)
     except (Exception, SystemExit) as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         what = error.msg if isinstance(error, SyntaxError) else error
@@ -214,7 +225,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
 
 
 def _require_each_id_once(source: str) -> None:
-    """Python keeps the last of two equal keys without a word, and an instruction is gone."""
+    """Raise GrammarError for a number that stands twice: Python silently drops one of them."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Dict):
             keys = [key.value for key in node.keys if isinstance(key, ast.Constant)]
@@ -265,7 +276,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
 
 
 def _take(space: dict[str, Any], name: str, kind: type) -> Any:
-    """The declaration of that name, which must be of that kind."""
+    """Return the declaration of that name. Raises GrammarError if it is not of that kind."""
     if name not in space:
         raise GrammarError(f"it declares no {name}")
     if not isinstance(space[name], kind):
@@ -276,7 +287,7 @@ def _take(space: dict[str, Any], name: str, kind: type) -> Any:
 def _headers(
     header: BitStruct,
 ) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[str, int, str], ...]]:
-    """(ID, length) of every header byte, and (name, width in bits, prose) of the header's parts."""
+    """Return (ID, length) of every header byte, and (name, width in bits, prose) of each part."""
     if header.sizeof() != 1:
         raise GrammarError(f"HEADER is {header.sizeof()} bytes long; it must be one byte")
     parts = tuple((part.name, part.sizeof(), _prose(part)) for part in header.subcon.subcons)
@@ -290,7 +301,7 @@ def _headers(
 
 
 def _twice(names: list[str]) -> str:
-    """The first name that comes again, in whatever case: users may write names in any."""
+    """Return the first name that stands twice in any case (users may write any), else none."""
     folded = [name.lower() for name in names]
     return next((n for n, low in zip(names, folded, strict=True) if folded.count(low) > 1), "")
 

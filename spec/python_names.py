@@ -1,4 +1,4 @@
-"""What instructions and their fields are called in Python: `RotateLeft` is `rotate_left`."""
+"""Names of instructions and their fields in Python: `RotateLeft` is `rotate_left`."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 from typing import TypeVar
 
-from spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 
 T = TypeVar("T")
 
 RESERVED = frozenset({"close", "home", "look", "protocol", "sees", "send", "send_bytes", "wait"})
-"""What a client of a robot has besides the instructions; an instruction `Home` is `home_` there."""
+"""Method names that a robot client has itself; an instruction `Home` becomes `home_`."""
 
 
 def method_names(protocol: Protocol) -> Mapping[str, InstructionSpec]:
-    """Each instruction by the name of its method, in the order of the IDs."""
+    """Return each instruction by the name of its method, in the order of the IDs."""
     words = ((snake_case(spec.name, "do_"), spec) for spec in protocol.instructions)
     return _each_once(words, RESERVED)
 
 
 def parameter_names(spec: InstructionSpec) -> Mapping[str, FieldSpec]:
-    """Each field by the name of its parameter, in the order in which they are sent."""
+    """Return each field by the name of its parameter, in the order in which they are sent."""
     words = ((snake_case(part.name, "field_"), part) for part in spec.fields)
     return _each_once(words, frozenset({"self"}))
 
 
 def snake_case(name: str, prefix: str) -> str:
-    """A name as Python writes it, small and with underscores: `LEDOn` is `led_on`.
+    """Return a name in lower case with underscores: `LEDOn` is `led_on`.
 
-    What no identifier may have is an underscore too; `prefix` goes before a name that begins with
-    no letter.
+    Characters that no identifier may have become underscores; `prefix` goes before a name that
+    does not begin with a letter.
     """
     name = unicodedata.normalize("NFKC", name)
     word = ""
@@ -40,13 +40,13 @@ def snake_case(name: str, prefix: str) -> str:
         if char.isupper() and (not before.isupper() or after.islower()) and before.isalnum():
             word += "_"
         word += char if f"a{char}".isidentifier() else "_"
-    # Python reads identifiers in this form: another one could not be called by what one types.
+    # Python normalises identifiers to NFKC: a name in another form could not be called.
     word = unicodedata.normalize("NFKC", word.lower())
     return word if word[:1].isalpha() else prefix + word.strip("_")
 
 
 def _each_once(words: Iterable[tuple[str, T]], reserved: Collection[str]) -> Mapping[str, T]:
-    """The words as keys; one that is taken gets an underscore, as Python's style guide has it."""
+    """Return the words as keys; one that is taken gets an underscore, as PEP 8 recommends."""
     taken: dict[str, T] = {}
     for word, value in words:
         while keyword.iskeyword(word) or word in reserved or word in taken:

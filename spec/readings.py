@@ -1,7 +1,7 @@
-"""Errata and readings of the source document, as data: what a verdict can rest on.
+"""Errata and readings of the source document, as data; verdicts refer to them by id.
 
-Quotations are the document's own Swedish words. Nothing computes from these texts but the errata
-check (`spec.errata`), which runs the document's examples through the grammar.
+Quotations are the document's own Swedish words. Only the errata check (`bilprov.spec.errata`)
+computes from these texts: it judges the document's examples by the grammar.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ class Erratum:
     """A place where the document contradicts itself.
 
     `example` is (section, line) of the faulty example where there is one, `meant` the bytes that
-    the document's own table asks for, `shows` whether the grammar alone finds it, or it takes the
-    prose beside the bytes, or a reader.
+    the document's own table asks for. `shows` says who can find it: the grammar alone, the
+    comparison of the prose with the bytes, or only a reader.
     """
 
     id: str
@@ -29,7 +29,7 @@ class Erratum:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A point on which the document is silent: our default, and what another choice gets.
+    """A point on which the document is silent: our default, and the verdicts of other choices.
 
     `others` are pairs of (choice, verdict).
     """
@@ -220,7 +220,7 @@ READINGS = (
         "section 2",
         "how soon the answer comes",
         _ANSWER,
-        "within the grammar's deadline after the last byte; measured",
+        "within the deadline, the grammar's unless --deadline gives another; measured",
         (("slow, up to the grammar's longest", "non-strict"), ("later, or two answers", "fail")),
     ),
     Reading(

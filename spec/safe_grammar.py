@@ -1,8 +1,8 @@
-"""Is a grammar's text nothing but declarations? Then it may be run although a stranger wrote it.
+"""Checks that a grammar's text holds declarations only and is safe to run, whoever wrote it.
 
-A grammar is Python. One that the user names is run as it is; one that comes out of a file somebody
-else may have made is run only if it holds what the kit's own grammar is written with: imports of
-the grammar's words, constants, and calls of those words. Nothing in it can reach anything else.
+A grammar is Python. One that the user names is run unchecked. One from a file that somebody else
+may have made is run only if it holds nothing but imports of the names below, constants, and calls
+of those names, as the kit's own grammar does. Such a text can reach nothing else.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ WORDS = {
         *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
         *(f"Int{bits}{kind}" for bits in (16, 24, 32) for kind in ("ub", "ul", "sb", "sl")),
     },
-    "spec.fields": {
+    "bilprov.spec.fields": {
         *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
         *("Ranged", "Sets", "Timing"),
     },
-    "spec.motion": {"Motion"},
+    "bilprov.spec.motion": {"Motion"},
 }
-"""What a grammar may import: the words by their module."""
+"""The names that a grammar may import, by module."""
 
 LONGEST = 1 << 20  # characters of a grammar's text
-_LARGEST = 1 << 32  # of a number
-_WIDEST = 64  # of a number that construct takes: it sets memory aside for widths
+_LARGEST = 1 << 32  # the largest number
+_WIDEST = 64  # the largest number passed to construct, which allocates memory for widths
 
 
 class NotDeclared(Exception):
-    """A grammar's text that does more than declare; the message says what, and in which line."""
+    """Raised for a text with more than declarations; the message says what, and in which line."""
 
 
 def require_declarations(source: str) -> None:
-    """Raise NotDeclared unless the text holds declarations only."""
+    """Raise NotDeclared unless the text holds declarations only (at most LONGEST characters)."""
     if len(source) > LONGEST:
         raise NotDeclared(f"it is {len(source)} characters long, allowed are {LONGEST}")
     try:
@@ -43,19 +43,24 @@ def require_declarations(source: str) -> None:
         raise NotDeclared(f"it cannot be parsed: {type(error).__name__}") from error
 
 
+def _today(module: str) -> str:
+    """Return the module's current name; older grammars import `spec.fields`."""
+    return f"bilprov.{module}" if module.startswith("spec.") else module
+
+
 class _Vetting:
     def __init__(self) -> None:
         self._words: dict[str, str] = {}  # imported name -> module
-        self._values: dict[str, ast.expr] = {}  # assigned name -> what it stands for
+        self._values: dict[str, ast.expr] = {}  # assigned name -> its value
 
     def statements(self, tree: ast.Module) -> None:
         for node in tree.body:
             match node:
                 case ast.Expr(ast.Constant(str())):
                     pass
-                case ast.ImportFrom(module, names, 0) if module in WORDS:
+                case ast.ImportFrom(str(module), names, 0) if _today(module) in WORDS:
                     for name in names:
-                        if name.asname or name.name not in WORDS[module]:
+                        if name.asname or name.name not in WORDS[_today(module)]:
                             raise _refused(node, f"it imports {name.name} from {module}")
                         self._words[name.name] = module
                 case ast.Assign([ast.Name(name)], value) if self._free(name):
@@ -65,7 +70,7 @@ class _Vetting:
                     raise _refused(node, f"there is a {type(node).__name__}")
 
     def _free(self, name: str) -> bool:
-        """Whether a name may be assigned: once, and no word and nothing of Python's own."""
+        """Return whether a name may be assigned: not assigned, not imported, not beginning `__`."""
         return not (name in self._words or name in self._values or name.startswith("__"))
 
     def _check(self, node: ast.expr) -> None:
@@ -102,7 +107,7 @@ class _Vetting:
             self._check(node)
 
     def _check_attribute(self, node: ast.Attribute) -> None:
-        """`Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; nothing that is Python's own."""
+        """Accept `Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; refuse other attributes."""
         inner: ast.expr = node
         while isinstance(inner, ast.Attribute):
             if inner.attr.startswith("_"):
@@ -115,13 +120,13 @@ class _Vetting:
             raise _refused(node, f"there is an attribute of {inner.id}")
 
     def _declares(self, node: ast.expr) -> bool:
-        """Whether this is a declaration: a text times a number could fill the memory."""
+        """Return whether the node is a declaration: a text times a number could fill the memory."""
         if isinstance(node, ast.Name) and node.id in self._words:
             return True
         return isinstance(self._meant(node), ast.Call | ast.BinOp)
 
     def _meant(self, node: ast.expr) -> ast.expr:
-        """What an assigned name stands for; everything else stands for itself."""
+        """Return the value of an assigned name; any other node is returned as it is."""
         while isinstance(node, ast.Name) and node.id in self._values:
             node = self._values[node.id]
         return node

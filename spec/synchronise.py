@@ -1,9 +1,9 @@
-"""Where frames begin in a stream that was joined in its midst. No port, no clock.
+"""Finds the frame boundaries in a stream that is read from the middle on. No port, no clock.
 
-Once it is said where the first frame begins, everything after it follows from the headers: so there
-are only as many possibilities as a frame has bytes. Each is weighed by the bytes (headers of valid
-instructions are far likelier than others, data within their ranges likelier than outside) and by
-soft anchors: an answer, or a pause, that falls between two frames speaks for the possibility.
+Once the place of the first frame is known, everything after it follows from the headers, so there
+are only as many possibilities as a frame has bytes. Each gets a probability from the bytes (headers
+of valid instructions are far likelier than others, data within their ranges likelier than outside)
+and from anchors: an answer or a pause between two frames makes a possibility more likely.
 """
 
 from __future__ import annotations
@@ -12,32 +12,33 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol
 
 LOCKED = 1 - 1e-6
-"""How sure it must be that a frame begins at some place, so that all that follows is known."""
+"""Probability of a frame boundary from which on it counts as certain."""
 
-# What is assumed of a host. These matter little: with 0.6 and 0.4 for the first and the last it
-# took one byte more in normal traffic and was wrong as seldom.
+# Assumptions about a host. They matter little: with 0.6 and 0.4 for the first and the last,
+# synchronising took one byte more in normal traffic and was wrong as seldom.
 _VALID = 0.8  # share of headers that are those of a valid instruction
 _IN_RANGE = 0.95  # share of data bytes within their field's range
-_PADDING = 0.25  # share of the data of lying frames, and of data not understood, that is filler
+_PADDING = 0.25  # share of pad bytes in the data of raw frames and of data not understood
 
 ANSWER = 6.0
-"""How much likelier an answer is between two frames than within one."""
+"""Likelihood ratio of an answer: how much likelier it is between two frames than within one."""
 IDLE = 6.0
-"""The same for a pause of the host that a device need not bear within a frame."""
+"""Likelihood ratio of a pause of the host that a device need not tolerate within a frame."""
 SILENCE = 32.0
-"""The same for a pause that ends a frame: one that is cut short is rare."""
+"""Likelihood ratio of a pause that would truncate a frame: truncated frames are rare."""
 
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What bytes a host is likely to send: probabilities, read out of a Protocol.
+    """Probabilities of the bytes that a host sends, derived from a Protocol.
 
-    `headers` of each byte as a header, `missing` of each number of bytes that the frame under way
-    still lacks where the stream is joined within one, `data` of each byte as the data byte at an
-    offset after a header, `other` of each byte as any other data byte.
+    `headers` has the probability of each byte as a header; `missing` that of each number of bytes
+    which the current frame still needs if the stream is joined within one; `data`, by (header,
+    offset), that of each byte as that data byte; `other` that of each byte as any other data byte.
+    `lengths` has the number of data bytes that each header announces.
     """
 
     lengths: bytes
@@ -49,7 +50,7 @@ class Traffic:
 
 @lru_cache(maxsize=8)
 def traffic(protocol: Protocol) -> Traffic:
-    """What a host that speaks the protocol, not without faults, is likely to send."""
+    """Return the probabilities for a host that mostly, but not only, sends valid instructions."""
     valid = {protocol.header_bytes[s.id, s.length]: s for s in protocol.instructions}
     rest = (1 - _VALID) / max(1, 256 - len(valid))
     headers = tuple(_VALID / len(valid) if byte in valid else rest for byte in range(256))
@@ -59,7 +60,7 @@ def traffic(protocol: Protocol) -> Traffic:
     ]
     within = sum(begun[1:]) or 1.0
     other = [(1 - _PADDING) / 256] * 256
-    other[protocol.filler] += _PADDING
+    other[protocol.pad_byte] += _PADDING
     return Traffic(
         lengths=protocol.lengths,
         headers=headers,
@@ -80,7 +81,7 @@ def traffic(protocol: Protocol) -> Traffic:
 
 @dataclass(slots=True)
 class _Possibility:
-    """The first frame begins after `starts[0]` bytes; what follows from it."""
+    """One possible framing: its probability `weight` and the places where its frames begin."""
 
     weight: float
     missing: int
@@ -90,9 +91,9 @@ class _Possibility:
 
 
 class Synchroniser:
-    """Weighs the possibilities while bytes come in; `held` counts them.
+    """Computes the probability of each possible framing while bytes come in.
 
-    `boundary` is how likely the first byte is a header.
+    `boundary` is the probability that the first byte is a header, `held` the number of bytes taken.
     """
 
     def __init__(self, traffic: Traffic, boundary: float) -> None:
@@ -106,7 +107,7 @@ class Synchroniser:
         ]
 
     def byte(self, value: int) -> None:
-        """The host's next byte."""
+        """Take the host's next byte."""
         known = self._traffic
         for one in self._possible:
             if one.missing:
@@ -124,7 +125,7 @@ class Synchroniser:
         self._norm()
 
     def anchor(self, likelihood_ratio: float) -> None:
-        """Something happened that is so much likelier between two frames than within one."""
+        """Take an event that is `likelihood_ratio` times likelier between frames than within."""
         for one in self._possible:
             if not one.missing:
                 one.weight *= likelihood_ratio
@@ -132,21 +133,21 @@ class Synchroniser:
 
     @property
     def locked(self) -> bool:
-        """Whether it is as good as certain that a frame begins at some place."""
+        """Whether some frame boundary is as good as certain (LOCKED)."""
         return max(self._shares()) >= LOCKED
 
     def first_frame(self, sure: float) -> int:
-        """After how many of the bytes held the first frame begins.
+        """Return after how many of the held bytes the first frame begins.
 
-        That is the first place that is as sure to be one where a frame begins, or as sure as any.
-        Bytes before it belong to a frame begun earlier, or nobody can tell.
+        That is the first place whose probability of a boundary is at least `sure`, or else the
+        highest there is. Bytes before it belong to an earlier frame, or cannot be assigned.
         """
         shares = self._shares()
         enough = min(sure, max(shares))
         return next(at for at, share in enumerate(shares) if share >= enough)
 
     def _shares(self) -> list[float]:
-        """How sure it is that a frame begins at each place, from 0 to after the last byte held."""
+        """Return the probability of a boundary before each held byte and after the last."""
         shares = [0.0] * (self.held + 1)
         for one in self._possible:
             for start in one.starts:

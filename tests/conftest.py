@@ -2,23 +2,106 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from pathlib import Path
+import gc
+import os
+import select
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from random import Random
 
 import pytest
 from hypothesis import settings
 
-from spec.codec import judge
-from spec.protocol import Protocol, load
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
 from tests.vectors import RobotState
-
-ROOT = Path(__file__).resolve().parent.parent
 
 Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 
 # No test asserts a wall-clock time.
 settings.register_profile("house", deadline=None, max_examples=60)
 settings.load_profile("house")
+
+# What `make quick` does without: other programs, and waiting in real time.
+_NOT_QUICK = (
+    (subprocess.Popen, "__init__", "starts a program"),
+    (os, "fork", "starts a process"),
+    (time, "sleep", "waits in real time"),
+    (select, "select", "waits in real time"),
+    (select, "poll", "waits in real time"),
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--quick",
+        action="store_true",
+        help="skip each test at the moment that it starts a program or waits in real time",
+    )
+
+    parser.addoption("--whole", action="store_true", help="every row of the tests that are sampled")
+    parser.addoption("--sample-seed", type=int, default=1, help="which rows a sample holds")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _quick(request: pytest.FixtureRequest) -> Iterator[None]:
+    """With --quick, what is not quick skips the test that does it."""
+    with pytest.MonkeyPatch.context() as patch:
+        for owner, name, what in _NOT_QUICK if request.config.getoption("--quick") else ():
+
+            def refused(*_: object, what: str = what, **__: object) -> None:
+                pytest.skip(f"not quick: {what}")
+
+            patch.setattr(owner, name, refused)
+        yield
+
+
+def _sampled(items: list[pytest.Item], seed: int) -> list[pytest.Item]:
+    """The items without those that a seeded sample of their test's rows leaves out."""
+    rows: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("sample"):
+            rows.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    left_out: set[pytest.Item] = set()
+    for name, same in rows.items():
+        size: int = same[0].get_closest_marker("sample").args[0]  # type: ignore[union-attr]
+        same.sort(key=lambda item: item.nodeid)
+        kept = Random(f"{seed} {name}").sample(same, min(size, len(same)))
+        left_out |= set(same) - set(kept)
+    return [item for item in items if item not in left_out]
+
+
+@pytest.hookimpl(trylast=True)  # after pytest-randomly, whose order is kept
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests with very many rows run a seeded sample of them, unless --whole is given.
+
+    Tests that wait are begun first, by every other worker: the others compute meanwhile.
+
+    xdist gives each worker a piece of the list, and what is left at the end to whoever is free.
+    """
+    if not config.getoption("--whole"):
+        items[:] = _sampled(items, config.getoption("--sample-seed"))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    waiting = [item for item in items if item.get_closest_marker("waits")]
+    others = iter([item for item in items if not item.get_closest_marker("waits")])
+    size, takers = len(items) // workers, (workers + 1) // 2
+    items.clear()
+    for worker in range(workers):
+        mine = [] if worker % 2 else waiting[worker // 2 :: takers]
+        items += mine
+        items += islice(others, max(0, size - len(mine)))
+    items += others
+
+
+def pytest_collection_finish() -> None:
+    """What has been collected stays: the garbage collector need not walk all of it for ever."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+
 
 HORN = """\
     9: "Horn"

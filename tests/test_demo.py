@@ -1,4 +1,4 @@
-"""The demonstration of the README: what `make demo` runs, and what it leaves."""
+"""The demonstration in the README: what `make demo` runs and which files it leaves."""
 
 from __future__ import annotations
 
@@ -7,18 +7,26 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bilprov import load_protocol, read_capture
-from captures.schemas import Instruction
+import pytest
+
+from bilprov.analyzer.api import read_capture
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.captures.schemas import Instruction
+from tests.support import ROOT
 from tests.vectors import FRAMES
 
-ROOT = Path(__file__).parent.parent
+pytestmark = pytest.mark.waits
 
 
 def test_the_demo_ends_well_and_leaves_its_captures_and_its_report(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "conformance.demo"],
+        [sys.executable, "-m", "examples.demo"],
         cwd=tmp_path,
-        env={"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"},
+        env={
+            "PATH": "/usr/bin:/bin",
+            "PYTHONPATH": f"{ROOT}:{ROOT / 'src'}",
+            "PYTHONWARNINGS": "error",
+        },
         capture_output=True,
         text=True,
         timeout=100,

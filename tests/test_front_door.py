@@ -1,4 +1,4 @@
-"""The front door, as real processes: what it loads, what it says, how it ends."""
+"""The command line and the package import, as processes: what they load and print, how they end."""
 
 from __future__ import annotations
 
@@ -14,35 +14,23 @@ import click
 import pytest
 
 import bilprov
-from analyzer.decode.records import DeviceRecord, HostRecord
-from analyzer.transport.pty import open_pty
-from captures.schemas import Chunk
-from captures.writer import CaptureWriter
+from bilprov import __main__ as front_door
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
+from tests.support.commands import Done, command, process
+from tests.support.signals import ignoring
 
-ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"serial", "construct", "mcap", "numpy"}
 
 
-def run(*arguments: str, code: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command, or Python code around it, in a process of its own."""
-    start = ["-c", code] if code else ["-m", "bilprov"]
-    variables = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "COLUMNS")}
-    return subprocess.run(
-        [sys.executable, *start, *arguments],
-        cwd=ROOT,
-        env={**variables, **environment},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-
-
-def said(result: subprocess.CompletedProcess[str]) -> str:
+def said(result: Done) -> str:
     """The one sentence on standard error; fails where there is more, or a traceback."""
     assert result.returncode == 2, result
-    assert result.stdout == ""
-    lines = result.stderr.splitlines()
+    assert result.stdout == b""
+    lines = result.stderr.decode().splitlines()
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("bilprov: ")
     return lines[0]
@@ -55,34 +43,33 @@ def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
         "atexit.register(lambda: sys.stderr.write(' '.join(sys.modules)))\n"
         "bilprov.main()"
     )
-    result = run(*arguments, code=code)
+    result = process(*arguments, code=code)
     assert result.returncode == 0
-    assert not HEAVY & set(result.stderr.split())
+    assert not HEAVY & set(result.stderr.decode().split())
 
 
 def test_importing_the_library_loads_nothing_heavy() -> None:
-    result = run(code="import sys, bilprov; print(*sys.modules)")
-    assert not HEAVY & set(result.stdout.split())
+    result = process(code="import sys, bilprov; print(*sys.modules)")
+    assert not HEAVY & set(result.stdout.decode().split())
 
 
 def test_help_fits_80_columns_without_colour_codes_in_a_pipe() -> None:
-    result = run("--help", GITHUB_ACTIONS="true")
-    assert "\x1b" not in result.stdout
-    assert max(map(len, result.stdout.splitlines())) <= 80
-    for name, row in bilprov.COMMANDS.items():
-        assert name in result.stdout
-        assert row.panel in result.stdout
+    shown = process("--help", env={"GITHUB_ACTIONS": "true"}).stdout.decode()
+    assert "\x1b" not in shown
+    assert max(map(len, shown.splitlines())) <= 80
+    for name, row in front_door.COMMANDS.items():
+        assert name in shown
+        assert row.panel in shown
 
 
 @pytest.mark.parametrize("variable", [{"LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii"}])
 def test_a_narrow_locale_is_no_reason_to_fail(variable: dict[str, str]) -> None:
-    result = run("spec", "show", **variable)
-    assert result.returncode == 0
-    assert result.stderr == ""
+    result = process("spec", "show", env=variable)
+    assert (result.returncode, result.stderr) == (0, b"")
 
 
 def test_version_is_one_plain_line() -> None:
-    name, version = run("--version").stdout.split()
+    name, version = process("--version").stdout.decode().split()
     assert name == "bilprov"
     assert version[0].isdigit()
 
@@ -104,7 +91,7 @@ def test_version_is_one_plain_line() -> None:
     ],
 )
 def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], part: str) -> None:
-    sentence = said(run(*arguments))
+    sentence = said(command(*arguments))
     assert part in sentence
     assert sentence.isprintable()
 
@@ -123,40 +110,42 @@ def test_a_grammar_that_does_not_load_is_one_sentence(
 ) -> None:
     file = tmp_path / "g.py"
     file.write_text(source)
-    assert part in said(run("--grammar", str(file), "explain", "00"))
+    assert part in said(command("--grammar", str(file), "explain", "00"))
 
 
 def test_no_arguments_show_the_help_as_wrong_use() -> None:
-    result = run()
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert "Usage: bilprov" in result.stderr
+    result = process()
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert b"Usage: bilprov" in result.stderr
 
 
 BROKEN_COMMAND = """
 import sys, bilprov, types
+from bilprov import __main__ as front_door
 import rich_click as click
 module = types.ModuleType("broken")
 def body(*, error={error}):
     raise error
 module.broken = click.command("broken")(body)
 sys.modules["broken"] = module
-bilprov.COMMANDS["broken"] = bilprov.Row("Analyze", "broken", "broken", "")
+front_door.COMMANDS["broken"] = front_door.Row("Analyze", "broken", "broken", "")
 bilprov.main(["broken"])
 """
 
 
 def test_a_bug_shows_its_traceback_and_does_not_blame_the_device() -> None:
-    result = run(code=BROKEN_COMMAND.format(error="KeyError('oops')"))
+    result = process(code=BROKEN_COMMAND.format(error="KeyError('oops')"))
     assert result.returncode == 2
-    assert "Traceback" in result.stderr
-    assert "KeyError: 'oops'" in result.stderr
-    last = result.stderr.splitlines()[-1]
-    assert last.startswith("bilprov: this is a bug in bilprov, not in the device")
+    said = result.stderr.decode()
+    assert "Traceback" in said
+    assert "KeyError: 'oops'" in said
+    assert said.splitlines()[-1].startswith("bilprov: this is a bug in bilprov, not in the device")
 
 
 def test_a_fault_of_the_system_is_one_sentence() -> None:
-    result = run(code=BROKEN_COMMAND.format(error="OSError(28, 'No space left on device', 'x')"))
+    result = process(
+        code=BROKEN_COMMAND.format(error="OSError(28, 'No space left on device', 'x')")
+    )
     assert said(result) == "bilprov: x: No space left on device"
 
 
@@ -165,23 +154,24 @@ def test_a_fault_of_the_system_is_one_sentence() -> None:
     [("SystemExit(3)", 3), ("SystemExit()", 0), ("click.exceptions.Exit(1)", 1)],
 )
 def test_a_command_ends_with_the_exit_code_it_asks_for(error: str, status: int) -> None:
-    assert run(code=BROKEN_COMMAND.format(error=error)).returncode == status
+    assert process(code=BROKEN_COMMAND.format(error=error)).returncode == status
 
 
 def test_ctrl_c_ends_quietly_with_130() -> None:
-    result = run(code=BROKEN_COMMAND.format(error="KeyboardInterrupt()"))
-    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
+    result = process(code=BROKEN_COMMAND.format(error="KeyboardInterrupt()"))
+    assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
 
 
 def test_a_signal_in_the_middle_ends_quietly_with_130(tmp_path: Path) -> None:
     fifo = tmp_path / "grammar.py"
     os.mkfifo(fifo)  # reading it waits until somebody writes
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bilprov", "--grammar", str(fifo), "spec", "show"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    with ignoring():
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", "--grammar", str(fifo), "spec", "show"],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
     with fifo.open("wb"):  # returns once the command reads
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
@@ -214,27 +204,31 @@ def test_a_full_disk_is_one_sentence() -> None:
             timeout=60,
             check=False,
         )
-    assert (result.returncode, result.stderr) == (2, "bilprov: No space left on device\n")
+    assert (result.returncode, result.stderr) == (
+        2,
+        "bilprov: standard output: No space left on device\n",
+    )
 
 
-@pytest.mark.parametrize("name", bilprov.COMMANDS)
+@pytest.mark.parametrize("name", front_door.COMMANDS)
 def test_every_subcommand_is_where_the_table_says(name: str) -> None:
-    context = click.Context(bilprov.front_door)
-    _, command, _ = bilprov.front_door.resolve_command(context, [name])
+    context = click.Context(front_door.front_door)
+    _, command, _ = front_door.front_door.resolve_command(context, [name])
     assert command is not None
     assert command.name == name
 
 
-@pytest.mark.parametrize("name", bilprov.COMMANDS)
+@pytest.mark.parametrize("name", front_door.COMMANDS)
 def test_every_subcommand_explains_itself(name: str) -> None:
-    result = run(name, "--help")
-    assert (result.returncode, result.stderr) == (0, "")
-    assert f"Usage: bilprov {name}" in result.stdout
-    assert max(map(len, result.stdout.splitlines())) <= 80
+    result = process(name, "--help")
+    assert (result.returncode, result.stderr) == (0, b"")
+    shown = result.stdout.decode()
+    assert f"Usage: bilprov {name}" in shown
+    assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_the_library_hands_on_exactly_what_it_lists() -> None:
-    assert sorted(bilprov.__all__) == sorted([*bilprov.API, "main"])
+    assert sorted(bilprov.__all__) == sorted(bilprov.API)
     assert dir(bilprov) == sorted(bilprov.__all__)
     for name in bilprov.__all__:
         assert getattr(bilprov, name).__doc__

@@ -1,4 +1,4 @@
-"""Another grammar through everything: one entry more, instruction 9 "Horn"; all else follows."""
+"""A grammar with one more instruction, 9 "Horn": the whole kit follows it without other changes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analyzer.transport.pty import open_pty
-from conformance.api import Options, conform
-from conformance.cases.levels import level_cases
-from conformance.cases.single_frames import all_cases
-from conformance.cases.steps import Class
-from conformance.dut.simulator import Simulator
-from conformance.mutation.faults import fault_bank
-from conformance.oracle.verdicts import Verdict
-from spec.protocol import Protocol
-from tests.robots import command, failing, sentence, simulate
-from tests.wires import running
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command, process
+from tests.support.robots import failing, sentence, simulate
+from tests.support.wires import running
 
 
 @pytest.fixture
@@ -50,12 +51,12 @@ def test_the_cases_follow(horn: Protocol) -> None:
     assert not any(ident.startswith(("unused-id/9/", "truncated/9/")) for ident in ids)
     kinds = Counter(case.kind for case in cases)
     assert kinds == {
-        Class.VALID: 781 + 4,
-        Class.UNUSED_ID: 6 * 16,
-        Class.WRONG_LENGTH: 150,
-        Class.BAD_DATA: 248 + 252,
-        Class.TRUNCATED: 1920,
-        Class.RECOVERY: 20,
+        FrameClass.VALID: 781 + 4,
+        FrameClass.UNUSED_ID: 6 * 16,
+        FrameClass.WRONG_LENGTH: 150,
+        FrameClass.BAD_DATA: 248 + 252,
+        FrameClass.TRUNCATED: 1920,
+        FrameClass.RECOVERY: 20,
     }
 
 
@@ -64,6 +65,7 @@ def test_the_cases_follow(horn: Protocol) -> None:
 HORNS = {"smoke": 1, "standard": 4 + 252 + 15 + 15 + 4 * (1 + 8)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", HORNS)
 def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol, level: str) -> None:
     report = conform(grammar=horn, options=Options(level=level))
@@ -103,6 +105,7 @@ def test_a_robot_with_a_horn_fails_the_documents_grammar(
     assert all("/9/" in ident or ident.startswith("link/") for ident in rest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", HORNS)
 def test_a_robot_with_a_horn_fails_the_documents_suite_at_each_level(
     protocol: Protocol, horn: Protocol, level: str
@@ -127,6 +130,7 @@ def test_the_bank_of_faults_follows(horn: Protocol) -> None:
     assert "accepts-led-bit-3" in bank
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["accepts-id-10", "ok-to-bad-data", "never-times-out"])
 def test_the_faults_of_the_horns_grammar_are_caught(horn: Protocol, name: str) -> None:
     only = ("unused-id/1?/[01]", "bad-data/Horn/1?", "truncated/Horn/*")
@@ -162,7 +166,7 @@ def test_the_copy_goes_over_tcp(grammar: str, device: bool, suite: bool, code: i
     before = ["--grammar", grammar] if suite else []
     only = ["--only", "*/Horn/[0-5]"] if suite else ["--only", "unused-id/9/[01]"]
     with simulate(grammar=grammar if device else "") as robot:
-        result = command(
+        result = process(
             *before,
             *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"),
             *only,

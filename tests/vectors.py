@@ -98,6 +98,28 @@ def _step(hexed: str, code: int, *state: object) -> Step:
     return Step(bytes.fromhex(hexed), code, RobotState(*state))  # type: ignore[arg-type]
 
 
+def _sequences(table: str) -> tuple[Sequence, ...]:
+    """Paragraphs of a title, its clause and one line a step."""
+    made = []
+    for paragraph in table.strip().split("\n\n"):
+        heading, *lines = paragraph.splitlines()
+        title, clause = heading.split(" | ")
+        steps = []
+        for line in lines:
+            *frame, code, motion, speed, steering, led, moves = line.split()
+            state = RobotState(motion, int(speed), int(steering), int(led), moves == "moves")
+            steps.append(Step(bytes.fromhex("".join(frame)), int(code), state))
+        made.append(Sequence(title, clause, tuple(steps)))
+    return tuple(made)
+
+
+def _stream(title: str, clause: str, written: str) -> StreamVector:
+    """Frames, each ended by |, and what is left."""
+    base = 2 if "example" in clause else 16
+    parts = [bytes(int(byte, base) for byte in part.split()) for part in written.split("|")]
+    return StreamVector(title, clause, b"".join(parts), tuple(parts[:-1]), parts[-1])
+
+
 VERSION = "1.1"
 
 # Section 3, table 1.
@@ -290,334 +312,205 @@ FRAME_COUNTS = {
     "truncated": 1920,
 }
 
+# Binary as in the examples of section 5, hex elsewhere; | ends a frame, what follows it waits.
 STREAMS = (
-    StreamVector(
-        "full speed forward",
-        "example 5.1",
-        bytes([0b00100000, 0b00010001, 0b11111111]),
-        (bytes([0b00100000]), bytes([0b00010001, 0b11111111])),
-        b"",
-    ),
-    StreamVector(
+    _stream("full speed forward", "example 5.1", "00100000 | 00010001 11111111 |"),
+    _stream(
         "the byte after Right without data is a header and takes the next line as its data",
         "example 5.2, as printed (E3, E4)",
-        bytes([0b00100000, 0b01000000, 0b11111111, 0b00010001, 0b01111111]),
-        (bytes([0b00100000]), bytes([0b01000000])),
-        bytes([0b11111111, 0b00010001, 0b01111111]),
+        "00100000 | 01000000 | 11111111 00010001 01111111",
     ),
-    StreamVector(
+    _stream(
         "backward right at half speed",
         "example 5.2, corrected (E3, E4)",
-        bytes([0b00110000, 0b01000001, 0b11111111, 0b00010001, 0b01111111]),
-        (
-            bytes([0b00110000]),
-            bytes([0b01000001, 0b11111111]),
-            bytes([0b00010001, 0b01111111]),
-        ),
-        b"",
+        "00110000 | 01000001 11111111 | 00010001 01111111 |",
     ),
-    StreamVector(
+    _stream(
         "back, stop, rotate, on, and a LED line with an unused ID",
         "example 5.3, as printed (E5)",
-        bytes([0b00110000, 0b00010001, 0b01111111, 0b00000000, 0b01110000, 0b00000000])
-        + bytes([0b00100000, 0b00010001, 0b11111111, 0b10010001, 0b00000010]),
-        (
-            bytes([0b00110000]),
-            bytes([0b00010001, 0b01111111]),
-            bytes([0b00000000]),
-            bytes([0b01110000]),
-            bytes([0b00000000]),
-            bytes([0b00100000]),
-            bytes([0b00010001, 0b11111111]),
-            bytes([0b10010001, 0b00000010]),
-        ),
-        b"",
+        "00110000 | 00010001 01111111 | 00000000 | 01110000 | 00000000 |"
+        "00100000 | 00010001 11111111 | 10010001 00000010 |",
     ),
-    StreamVector(
-        "data that look like instructions are data",
-        "section 2",
-        bytes.fromhex("b3 20 11 ff 20"),
-        (bytes.fromhex("b3 20 11 ff"), bytes.fromhex("20")),
-        b"",
-    ),
-    StreamVector(
+    _stream("data that look like instructions are data", "section 2", "b3 20 11 ff | 20 |"),
+    _stream(
         "a modem probe of ModemManager is Right 84 and a Stop that waits for 13 bytes",
         "section 2",
-        b"AT\r",
-        (bytes.fromhex("41 54"),),
-        bytes.fromhex("0d"),
+        "41 54 | 0d",
     ),
 )
 
-DOCUMENT_SEQUENCES = (
-    Sequence(
-        "full speed forward",
-        "example 5.1",
-        (
-            _step("20", 0, "forward", 0, 0, 0, False),
-            _step("11 ff", 0, "forward", 255, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "backward right at half speed",
-        "example 5.2, corrected (E3, E4)",
-        (
-            _step("30", 0, "backward", 0, 0, 0, False),
-            _step("41 ff", 0, "backward", 0, 255, 0, False),
-            _step("11 7f", 0, "backward", 127, 255, 0, True),
-        ),
-    ),
-    Sequence(
-        "forward right at half speed",
-        "example 5.2, corrected (E3 only)",
-        (
-            _step("20", 0, "forward", 0, 0, 0, False),
-            _step("41 ff", 0, "forward", 0, 255, 0, False),
-            _step("11 7f", 0, "forward", 127, 255, 0, True),
-        ),
-    ),
-    Sequence(
-        "Right without data stops, and its byte takes the speed line with it",
-        "example 5.2, as printed (E3)",
-        (
-            _step("20", 0, "forward", 0, 0, 0, False),
-            _step("40", 4, "stopped", 0, 0, 0, False),
-            _step("ff 11 7f", 1, "stopped", 0, 0, 0, False),
-        ),
-    ),
-    Sequence(
-        "back, stop, rotate left, forward at full speed, green",
-        "example 5.3, corrected (E5)",
-        (
-            _step("30", 0, "backward", 0, 0, 0, False),
-            _step("11 7f", 0, "backward", 127, 0, 0, True),
-            _step("00", 0, "stopped", 127, 0, 0, False),
-            _step("70", 0, "rotate_left", 127, 0, 0, True),
-            _step("00", 0, "stopped", 127, 0, 0, False),
-            _step("20", 0, "forward", 127, 0, 0, True),
-            _step("11 ff", 0, "forward", 255, 0, 0, True),
-            _step("81 02", 0, "forward", 255, 0, 2, True),
-        ),
-    ),
-    Sequence(
-        "the LED line with ID 9 stops the robot",
-        "example 5.3, as printed (E5)",
-        (
-            _step("30", 0, "backward", 0, 0, 0, False),
-            _step("11 7f", 0, "backward", 127, 0, 0, True),
-            _step("00", 0, "stopped", 127, 0, 0, False),
-            _step("70", 0, "rotate_left", 127, 0, 0, True),
-            _step("00", 0, "stopped", 127, 0, 0, False),
-            _step("20", 0, "forward", 127, 0, 0, True),
-            _step("11 ff", 0, "forward", 255, 0, 0, True),
-            _step("91 02", 1, "stopped", 255, 0, 0, False),
-        ),
-    ),
-)
+# Each step: the frame, its response code, then motion, speed, steering, LED, and whether it moves.
+DOCUMENT_SEQUENCES = _sequences("""
+full speed forward | example 5.1
+    20       0  forward        0    0  0  rests
+    11 ff    0  forward      255    0  0  moves
 
-RULE_SEQUENCES = (
-    Sequence(
-        "at power-on a direction does not move",
-        "R-power-on",
-        (_step("20", 0, "forward", 0, 0, 0, False),),
-    ),
-    Sequence(
-        "at power-on Speed does not move",
-        "R-power-on",
-        (_step("11 ff", 0, "stopped", 255, 0, 0, False),),
-    ),
-    Sequence(
-        "Stop keeps the speed and resets steering",
-        "R-stop-steering, R-stop-speed",
-        (
-            _step("11 c8", 0, "stopped", 200, 0, 0, False),
-            _step("41 28", 0, "stopped", 200, 40, 0, False),
-            _step("20", 0, "forward", 200, 40, 0, True),
-            _step("00", 0, "stopped", 200, 0, 0, False),
-            _step("20", 0, "forward", 200, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "Stop resets steering that was set while stopped",
-        "R-stop-steering",
-        (
-            _step("51 ff", 0, "stopped", 0, -255, 0, False),
-            _step("00", 0, "stopped", 0, 0, 0, False),
-        ),
-    ),
-    Sequence(
-        "Stop leaves the LED as it is",
-        "R-led-state",
-        (
-            _step("81 07", 0, "stopped", 0, 0, 7, False),
-            _step("11 50", 0, "stopped", 80, 0, 7, False),
-            _step("30", 0, "backward", 80, 0, 7, True),
-            _step("00", 0, "stopped", 80, 0, 7, False),
-            _step("81 00", 0, "stopped", 80, 0, 0, False),
-        ),
-    ),
-    Sequence(
-        "Stop ends each kind of motion",
-        _TABLE_1,
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-            _step("00", 0, "stopped", 100, 0, 0, False),
-            _step("30", 0, "backward", 100, 0, 0, True),
-            _step("00", 0, "stopped", 100, 0, 0, False),
-            _step("60", 0, "rotate_right", 100, 0, 0, True),
-            _step("00", 0, "stopped", 100, 0, 0, False),
-            _step("70", 0, "rotate_left", 100, 0, 0, True),
-            _step("00", 0, "stopped", 100, 0, 0, False),
-        ),
-    ),
-    Sequence(
-        "one direction follows another without Stop",
-        _TABLE_1,
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-            _step("30", 0, "backward", 100, 0, 0, True),
-            _step("60", 0, "rotate_right", 100, 0, 0, True),
-            _step("70", 0, "rotate_left", 100, 0, 0, True),
-            _step("20", 0, "forward", 100, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "Speed while moving takes effect at once",
-        "R-speed-moving",
-        (
-            _step("11 01", 0, "stopped", 1, 0, 0, False),
-            _step("20", 0, "forward", 1, 0, 0, True),
-            _step("11 ff", 0, "forward", 255, 0, 0, True),
-            _step("30", 0, "backward", 255, 0, 0, True),
-            _step("11 80", 0, "backward", 128, 0, 0, True),
-            _step("60", 0, "rotate_right", 128, 0, 0, True),
-            _step("11 40", 0, "rotate_right", 64, 0, 0, True),
-            _step("70", 0, "rotate_left", 64, 0, 0, True),
-            _step("11 20", 0, "rotate_left", 32, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "with speed 0 a direction is taken and does not move",
-        "R-speed-zero",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-            _step("11 00", 0, "forward", 0, 0, 0, False),
-            _step("30", 0, "backward", 0, 0, 0, False),
-            _step("70", 0, "rotate_left", 0, 0, 0, False),
-            _step("11 05", 0, "rotate_left", 5, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "Right after Left: the last one counts",
-        "R-steering",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-            _step("51 50", 0, "forward", 100, -80, 0, True),
-            _step("41 1e", 0, "forward", 100, 30, 0, True),
-            _step("51 ff", 0, "forward", 100, -255, 0, True),
-        ),
-    ),
-    Sequence(
-        "strength 0 is straight on",
-        "R-steering",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("30", 0, "backward", 100, 0, 0, True),
-            _step("41 ff", 0, "backward", 100, 255, 0, True),
-            _step("41 00", 0, "backward", 100, 0, 0, True),
-            _step("51 ff", 0, "backward", 100, -255, 0, True),
-            _step("51 00", 0, "backward", 100, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "steering while stopped is remembered without moving",
-        "R-steering",
-        (
-            _step("11 ff", 0, "stopped", 255, 0, 0, False),
-            _step("41 3c", 0, "stopped", 255, 60, 0, False),
-            _step("30", 0, "backward", 255, 60, 0, True),
-        ),
-    ),
-    Sequence(
-        "Forward and Backward keep the steering",
-        "R-drive-steering",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-            _step("51 14", 0, "forward", 100, -20, 0, True),
-            _step("30", 0, "backward", 100, -20, 0, True),
-            _step("20", 0, "forward", 100, -20, 0, True),
-        ),
-    ),
-    Sequence(
-        "rotations keep the steering",
-        "R-drive-steering",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("41 46", 0, "stopped", 100, 70, 0, False),
-            _step("60", 0, "rotate_right", 100, 70, 0, True),
-            _step("70", 0, "rotate_left", 100, 70, 0, True),
-            _step("20", 0, "forward", 100, 70, 0, True),
-        ),
-    ),
-    Sequence(
-        "steering during a rotation is remembered, and it goes on rotating",
-        "R-steer-rotating",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("60", 0, "rotate_right", 100, 0, 0, True),
-            _step("51 0a", 0, "rotate_right", 100, -10, 0, True),
-            _step("70", 0, "rotate_left", 100, -10, 0, True),
-            _step("41 0b", 0, "rotate_left", 100, 11, 0, True),
-            _step("30", 0, "backward", 100, 11, 0, True),
-        ),
-    ),
-    Sequence(
-        "the LED changes nothing else",
-        _TABLE_1,
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("81 05", 0, "stopped", 100, 0, 5, False),
-            _step("20", 0, "forward", 100, 0, 5, True),
-            _step("41 09", 0, "forward", 100, 9, 5, True),
-            _step("81 02", 0, "forward", 100, 9, 2, True),
-            _step("70", 0, "rotate_left", 100, 9, 2, True),
-            _step("81 00", 0, "rotate_left", 100, 9, 0, True),
-        ),
-    ),
-    Sequence(
-        "bad LED data leaves the LED as it was, and stops",
-        "R-led-upper-bits",
-        (
-            _step("81 05", 0, "stopped", 0, 0, 5, False),
-            _step("11 64", 0, "stopped", 100, 0, 5, False),
-            _step("20", 0, "forward", 100, 0, 5, True),
-            _step("81 0a", 2, "stopped", 100, 0, 5, False),
-        ),
-    ),
-    Sequence(
-        "a wrong Speed or Right does not take its data",
-        "section 2",
-        (
-            _step("11 64", 0, "stopped", 100, 0, 0, False),
-            _step("12 ff ff", 3, "stopped", 100, 0, 0, False),
-            _step("42 ff ff", 3, "stopped", 100, 0, 0, False),
-            _step("20", 0, "forward", 100, 0, 0, True),
-        ),
-    ),
-    Sequence(
-        "a fault resets steering that was set while stopped",
-        "R-fault-state",
-        (
-            _step("41 ff", 0, "stopped", 0, 255, 0, False),
-            _step("90", 1, "stopped", 0, 0, 0, False),
-        ),
-    ),
-)
+backward right at half speed | example 5.2, corrected (E3, E4)
+    30       0  backward       0    0  0  rests
+    41 ff    0  backward       0  255  0  rests
+    11 7f    0  backward     127  255  0  moves
+
+forward right at half speed | example 5.2, corrected (E3 only)
+    20       0  forward        0    0  0  rests
+    41 ff    0  forward        0  255  0  rests
+    11 7f    0  forward      127  255  0  moves
+
+Right without data stops, and its byte takes the speed line with it | example 5.2, as printed (E3)
+    20       0  forward        0    0  0  rests
+    40       4  stopped        0    0  0  rests
+    ff 11 7f 1  stopped        0    0  0  rests
+
+back, stop, rotate left, forward at full speed, green | example 5.3, corrected (E5)
+    30       0  backward       0    0  0  rests
+    11 7f    0  backward     127    0  0  moves
+    00       0  stopped      127    0  0  rests
+    70       0  rotate_left  127    0  0  moves
+    00       0  stopped      127    0  0  rests
+    20       0  forward      127    0  0  moves
+    11 ff    0  forward      255    0  0  moves
+    81 02    0  forward      255    0  2  moves
+
+the LED line with ID 9 stops the robot | example 5.3, as printed (E5)
+    30       0  backward       0    0  0  rests
+    11 7f    0  backward     127    0  0  moves
+    00       0  stopped      127    0  0  rests
+    70       0  rotate_left  127    0  0  moves
+    00       0  stopped      127    0  0  rests
+    20       0  forward      127    0  0  moves
+    11 ff    0  forward      255    0  0  moves
+    91 02    1  stopped      255    0  0  rests
+""")
+
+RULE_SEQUENCES = _sequences("""
+at power-on a direction does not move | R-power-on
+    20       0  forward        0    0  0  rests
+
+at power-on Speed does not move | R-power-on
+    11 ff    0  stopped      255    0  0  rests
+
+Stop keeps the speed and resets steering | R-stop-steering, R-stop-speed
+    11 c8    0  stopped      200    0  0  rests
+    41 28    0  stopped      200   40  0  rests
+    20       0  forward      200   40  0  moves
+    00       0  stopped      200    0  0  rests
+    20       0  forward      200    0  0  moves
+
+Stop resets steering that was set while stopped | R-stop-steering
+    51 ff    0  stopped        0 -255  0  rests
+    00       0  stopped        0    0  0  rests
+
+Stop leaves the LED as it is | R-led-state
+    81 07    0  stopped        0    0  7  rests
+    11 50    0  stopped       80    0  7  rests
+    30       0  backward      80    0  7  moves
+    00       0  stopped       80    0  7  rests
+    81 00    0  stopped       80    0  0  rests
+
+Stop ends each kind of motion | section 3, table 1
+    11 64    0  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+    00       0  stopped      100    0  0  rests
+    30       0  backward     100    0  0  moves
+    00       0  stopped      100    0  0  rests
+    60       0  rotate_right 100    0  0  moves
+    00       0  stopped      100    0  0  rests
+    70       0  rotate_left  100    0  0  moves
+    00       0  stopped      100    0  0  rests
+
+one direction follows another without Stop | section 3, table 1
+    11 64    0  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+    30       0  backward     100    0  0  moves
+    60       0  rotate_right 100    0  0  moves
+    70       0  rotate_left  100    0  0  moves
+    20       0  forward      100    0  0  moves
+
+Speed while moving takes effect at once | R-speed-moving
+    11 01    0  stopped        1    0  0  rests
+    20       0  forward        1    0  0  moves
+    11 ff    0  forward      255    0  0  moves
+    30       0  backward     255    0  0  moves
+    11 80    0  backward     128    0  0  moves
+    60       0  rotate_right 128    0  0  moves
+    11 40    0  rotate_right  64    0  0  moves
+    70       0  rotate_left   64    0  0  moves
+    11 20    0  rotate_left   32    0  0  moves
+
+with speed 0 a direction is taken and does not move | R-speed-zero
+    11 64    0  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+    11 00    0  forward        0    0  0  rests
+    30       0  backward       0    0  0  rests
+    70       0  rotate_left    0    0  0  rests
+    11 05    0  rotate_left    5    0  0  moves
+
+Right after Left: the last one counts | R-steering
+    11 64    0  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+    51 50    0  forward      100  -80  0  moves
+    41 1e    0  forward      100   30  0  moves
+    51 ff    0  forward      100 -255  0  moves
+
+strength 0 is straight on | R-steering
+    11 64    0  stopped      100    0  0  rests
+    30       0  backward     100    0  0  moves
+    41 ff    0  backward     100  255  0  moves
+    41 00    0  backward     100    0  0  moves
+    51 ff    0  backward     100 -255  0  moves
+    51 00    0  backward     100    0  0  moves
+
+steering while stopped is remembered without moving | R-steering
+    11 ff    0  stopped      255    0  0  rests
+    41 3c    0  stopped      255   60  0  rests
+    30       0  backward     255   60  0  moves
+
+Forward and Backward keep the steering | R-drive-steering
+    11 64    0  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+    51 14    0  forward      100  -20  0  moves
+    30       0  backward     100  -20  0  moves
+    20       0  forward      100  -20  0  moves
+
+rotations keep the steering | R-drive-steering
+    11 64    0  stopped      100    0  0  rests
+    41 46    0  stopped      100   70  0  rests
+    60       0  rotate_right 100   70  0  moves
+    70       0  rotate_left  100   70  0  moves
+    20       0  forward      100   70  0  moves
+
+steering during a rotation is remembered, and it goes on rotating | R-steer-rotating
+    11 64    0  stopped      100    0  0  rests
+    60       0  rotate_right 100    0  0  moves
+    51 0a    0  rotate_right 100  -10  0  moves
+    70       0  rotate_left  100  -10  0  moves
+    41 0b    0  rotate_left  100   11  0  moves
+    30       0  backward     100   11  0  moves
+
+the LED changes nothing else | section 3, table 1
+    11 64    0  stopped      100    0  0  rests
+    81 05    0  stopped      100    0  5  rests
+    20       0  forward      100    0  5  moves
+    41 09    0  forward      100    9  5  moves
+    81 02    0  forward      100    9  2  moves
+    70       0  rotate_left  100    9  2  moves
+    81 00    0  rotate_left  100    9  0  moves
+
+bad LED data leaves the LED as it was, and stops | R-led-upper-bits
+    81 05    0  stopped        0    0  5  rests
+    11 64    0  stopped      100    0  5  rests
+    20       0  forward      100    0  5  moves
+    81 0a    2  stopped      100    0  5  rests
+
+a wrong Speed or Right does not take its data | section 2
+    11 64    0  stopped      100    0  0  rests
+    12 ff ff 3  stopped      100    0  0  rests
+    42 ff ff 3  stopped      100    0  0  rests
+    20       0  forward      100    0  0  moves
+
+a fault resets steering that was set while stopped | R-fault-state
+    41 ff    0  stopped        0  255  0  rests
+    90       1  stopped        0    0  0  rests
+""")
 
 # One fault of each class.
 FAULTS = (

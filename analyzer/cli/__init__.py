@@ -1,1 +1,1 @@
-"""The analyzer's commands."""
+"""The command line of the analyzer: its commands and the options they share."""

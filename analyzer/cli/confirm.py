@@ -1,4 +1,4 @@
-"""Asks before a real device moves: once, on a terminal; a script says --yes."""
+"""Asks the user, once and on a terminal, before a real device moves; scripts pass --yes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import rich_click as click
 
 
 class NotConfirmed(click.ClickException):
-    """Nobody said that the device may move. The message is one sentence; the exit code is 2."""
+    """The user has not allowed the device to move. The message is one sentence, exit code 2."""
 
     exit_code = 2
 
 
 def confirm_motion(what: str, *, yes: bool, option: str = "--yes") -> None:
-    """Return if the device may be moved.
+    """Ask whether the device may move, and return if it may.
 
     `what` says what will move, like `the device at /dev/ttyUSB0 will drive as recorded`; `yes` is
-    the command's `--yes`, or what `option` calls it. Raises NotConfirmed where the answer is no,
-    and where there is no terminal to ask on.
+    the value of the command's `--yes` (or of the option named `option`). Raises NotConfirmed if the
+    answer is no, or if there is no terminal to ask on.
     """
     if yes:
         return

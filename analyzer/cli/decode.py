@@ -10,18 +10,19 @@ from typing import Literal
 
 import rich_click as click
 
-from analyzer.cli.typed_input import bytes_from_hex
-from analyzer.decode.session import Session
-from analyzer.grammar_file import load_protocol
-from analyzer.options import compiled, filter_option, note, opened_output
-from analyzer.output.outputs import Shown
-from analyzer.output.statistics import Statistics
-from analyzer.replay.capture_session import capture_session, said_about
-from captures.errors import CaptureError, shown
-from captures.reader import open_capture
-from captures.schemas import Chunk, Direction, Line
-from captures.storage.records import MAGIC
-from spec.protocol import Protocol
+from bilprov.analyzer.cli.options import compiled, filter_option, note, opened_output
+from bilprov.analyzer.cli.typed_input import bytes_from_hex
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.outputs import Shown
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.replay.capture_session import capture_session, said_about
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.storage.records import MAGIC
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
 
 PIECE = 1 << 16  # bytes
 
@@ -74,7 +75,7 @@ def decode(
 def _input(
     words: tuple[str, ...], sender: Direction, protocol: Protocol
 ) -> tuple[Session, Iterator[Chunk | Line]]:
-    """How to decode, and what."""
+    """The session and the events to decode, from hex words, a file, or standard input."""
     session = Session(protocol, heard=frozenset({sender}))
     if words == ("-",):
         return session, _pieces(None, sender)
@@ -97,7 +98,7 @@ def _input(
 def _is_file(path: Path) -> bool:
     try:
         return path.exists() and not path.is_dir()
-    except (OSError, ValueError):  # too long for a name, or a zero byte in it: hex, or nothing
+    except (OSError, ValueError):  # too long for a name, or with a zero byte: no file, maybe hex
         return False
 
 
@@ -110,9 +111,9 @@ def _begins_like_a_capture(path: Path) -> bool:
 
 
 def _pieces(path: Path | None, sender: Direction) -> Iterator[Chunk]:
-    """The bytes of a file, or of standard input as they come."""
+    """Yield the bytes of a file, or of standard input as they come, as chunks."""
     try:
-        # Unbuffered: what a pipe has is shown at once.
+        # Unbuffered, so that bytes from a pipe are shown at once.
         with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
             while data := file.read(PIECE):
                 yield Chunk(0, sender, data)
@@ -121,5 +122,5 @@ def _pieces(path: Path | None, sender: Direction) -> Iterator[Chunk]:
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:
-    why = shown(error.strerror or error)
-    return CaptureError(f"{shown(path)} cannot be read ({why}): name a file of raw bytes")
+    why = printable(error.strerror or error)
+    return CaptureError(f"{printable(path)} cannot be read ({why}): name a file of raw bytes")

@@ -1,4 +1,4 @@
-"""`bilprov line`: a line between two ends that drops, flips, doubles and delays bytes."""
+"""`bilprov line`: connects two ends by a line that drops, flips, doubles and delays bytes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 import rich_click as click
 
-from analyzer.grammar_file import load_protocol
-from analyzer.options import line_options, line_settings, note
-from analyzer.taps.ends import End, open_end, require_two_ends
-from analyzer.taps.impairment import LONGEST, Lane, LineFaults
-from analyzer.taps.noise import Noise
-from analyzer.taps.relay import join
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.signals import Stopper
+from bilprov.analyzer.cli.options import line_options, note
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.taps.ends import End, open_end, require_two_ends
+from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults
+from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.relay import join
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.signals import Stopper
 
 _TIME = re.compile(r"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)\s*(ms|s|)", re.ASCII | re.IGNORECASE)
 
@@ -25,7 +25,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def nanoseconds(text: str) -> int:
-    """A time as people write it (`5ms`, `0.2s`, or a number of ms) in ns. Raises ValueError."""
+    """Convert a time like `5ms`, `0.2s`, or a number of ms, to ns. Raises ValueError."""
     match = _TIME.fullmatch(text.strip())
     value = float(match[1]) * (1e9 if match[2].lower() == "s" else 1e6) if match else math.inf
     if value > LONGEST:
@@ -103,10 +103,13 @@ def line(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     settings = line_settings(load_protocol(grammar), baud, parity, stopbits)
-    there, back = Lane(faults, seed, "A to B"), Lane(faults, seed, "B to A")
+    there, back = (
+        ImpairedDirection(faults, seed, "A to B"),
+        ImpairedDirection(faults, seed, "B to A"),
+    )
     with Stopper() as stopper, ExitStack() as stack:
         ends = _opened((a, b), settings, stack)
-        if not any(end.served for end in ends):  # else what was printed says that it is ready
+        if not any(end.served for end in ends):  # otherwise the printed names say that it is ready
             note(f"{a} and {b} are joined")
         try:
             join(ends, (there, back), stop=stopper, note=note)
@@ -116,7 +119,7 @@ def line(
 
 
 def _opened(names: tuple[str, str], settings: LineSettings, stack: ExitStack) -> tuple[End, End]:
-    """Open both ends, and say by which names the ones that were made are opened."""
+    """Open both ends, and print the names under which new ptys and listeners can be opened."""
 
     def opened(name: str) -> End:
         try:

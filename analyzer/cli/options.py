@@ -1,20 +1,91 @@
-"""The option `--format text|json` of the text commands."""
+"""Options that several commands share, and the conversion of their values."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import rich_click as click
 
+from bilprov.analyzer.output.filter_names import HELP as FILTER_HELP
+from bilprov.analyzer.output.json_lines import JsonLine
+from bilprov.analyzer.output.outputs import Format, JsonOutput, LinesOutput, Output
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.spec.protocol import Protocol
 
-def output_format(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The option that every command with machine output has."""
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def line_options(command: Command) -> Command:
+    """Add the line options `baud`, `parity`, `stopbits`; None stands for the grammar's value."""
+    options = (
+        click.option("--baud", type=click.IntRange(1), help="Bits/s; the grammar's unless given."),
+        click.option(
+            "--parity",
+            type=click.Choice(list("NEOMS"), case_sensitive=False),
+            help="None, even, odd, mark or space; the grammar's unless given.",
+        ),
+        click.option(
+            "--stopbits", type=click.Choice(["1", "1.5", "2"]), help="The grammar's unless given."
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def filter_option(command: Command) -> Command:
+    """Add `--filter EXPR`, as `expression`."""
+    return click.option("--filter", "expression", metavar="EXPR", help=FILTER_HELP)(command)
+
+
+def timeout_option(command: Command) -> Command:
+    """Add `--truncation-timeout MS`, as `truncation_timeout`, None if it is not given."""
     return click.option(
-        "--format",
-        "style",
-        type=click.Choice(["text", "json"]),
-        default="text",
-        show_default=True,
-        help="For people or for programs.",
+        "--truncation-timeout",
+        metavar="MS",
+        type=click.FloatRange(0, min_open=True, max=60_000),
+        help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
     )(command)
+
+
+def judge_option(command: Command) -> Command:
+    """Add `--judge`, as `judged`."""
+    return click.option(
+        "--judge",
+        "judged",
+        is_flag=True,
+        help="Judge the device by what passes: at the end what was covered, and violations.",
+    )(command)
+
+
+def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine], bool] | None:
+    """Compile a filter expression; None if there is none. Raises FilterError."""
+    if expression is None:
+        return None
+    from bilprov.analyzer.output.filter import compile_filter
+
+    return compile_filter(expression, protocol)
+
+
+def opened_output(
+    style: Format,
+    protocol: Protocol,
+    statistics: Statistics,
+    title: str,
+    captured: Callable[[], str] = lambda: "",
+) -> Output:
+    """Open the output of the format `style` on standard output."""
+    if style == "jsonl":
+        return JsonOutput(sys.stdout)
+    if style == "lines":
+        return LinesOutput(sys.stdout)
+    from bilprov.analyzer.output.live_output import LiveOutput
+
+    return LiveOutput(protocol, statistics, title, captured)
+
+
+def note(sentence: str) -> None:
+    """Print a note on standard error, so that standard output holds nothing but the records."""
+    click.echo(sentence, err=True)

@@ -1,4 +1,4 @@
-"""`bilprov replay`: a capture shown as it was sniffed, and on demand sent to a device again."""
+"""`bilprov replay`: shows a capture as it was sniffed, and can send it to a device again."""
 
 from __future__ import annotations
 
@@ -9,44 +9,51 @@ from dataclasses import dataclass
 
 import rich_click as click
 
-from analyzer.cli.confirm import confirm_motion
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.decode.records import Fault, FaultRecord, HostRecord, Record, Severity, written_state
-from analyzer.decode.session import BOTH
-from analyzer.grammar_file import load_protocol
-from analyzer.monitor.passive_judge import PassiveJudge
-from analyzer.options import (
+from bilprov.analyzer.cli.confirm import confirm_motion
+from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
     judge_option,
     line_options,
-    line_settings,
     note,
     opened_output,
     timeout_option,
 )
-from analyzer.output.findings import tell_findings
-from analyzer.output.outputs import Format, Output, Shown, chosen_format
-from analyzer.output.statistics import Statistics
-from analyzer.pipeline import Pipeline
-from analyzer.replay.capture_session import (
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.decode.records import (
+    Anomaly,
+    FaultRecord,
+    HostRecord,
+    Record,
+    Severity,
+    written_state,
+)
+from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+from bilprov.analyzer.output.findings import tell_findings
+from bilprov.analyzer.output.outputs import Format, Output, Shown, chosen_format
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.capture_session import (
     capture_line,
     capture_session,
     capture_timeout,
     heard,
     said_about,
 )
-from analyzer.replay.comparison import Run, differences
-from analyzer.replay.playback import interruptible, played
-from analyzer.replay.target import Target, scaled_timeout
-from analyzer.transport.ports import open_port
-from analyzer.transport.signals import Stopper
-from captures.errors import shown
-from captures.player import paced
-from captures.reader import Capture, open_capture
-from captures.schemas import Chunk, Look
-from captures.topics import HOST_RAW
-from spec.protocol import Protocol
+from bilprov.analyzer.replay.comparison import ReplayRun, differences
+from bilprov.analyzer.replay.playback import interruptible, played
+from bilprov.analyzer.replay.target import Target, scaled_timeout
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.player import paced
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import MS, Chunk, Look
+from bilprov.captures.text import printable
+from bilprov.captures.topics import HOST_RAW
+from bilprov.spec.protocol import Protocol
 
 
 @click.command()
@@ -103,10 +110,12 @@ def replay(
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) tells which parts of the document the traffic covered and what
-    contradicts it; exit code 1 if anything does.
+    contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
     """
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
+    if judged:
+        promise_verdict()
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
@@ -114,13 +123,13 @@ def replay(
     capture = open_capture(path)
     for sentence in said_about(capture, protocol):
         note(sentence)
-    timeout = None if truncation_timeout is None else round(truncation_timeout * MILLISECOND)
+    timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
     window = _Window(start, end)
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
-            raise click.UsageError(f"{shown(path)} holds no bytes of the host to send")
+            raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
-        confirm_motion(f"the device at {port} will move as recorded in {shown(path)}", yes=yes)
+        confirm_motion(f"the device at {port} will move as recorded in {printable(path)}", yes=yes)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         target = None
@@ -131,7 +140,7 @@ def replay(
             target = stack.enter_context(Target(protocol, opened, frame_pause, stopper))
         session = capture_session(capture, protocol, timeout)
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
-        title = f"replay of {shown(capture.path.name)}"
+        title = f"replay of {printable(capture.path.name)}"
         output = opened_output(chosen_format(style), protocol, statistics, title)
         stack.callback(output.close)
         judge = None
@@ -149,28 +158,28 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """What is shown and sent, in seconds of the capture; None is its beginning or its end."""
+    """The time window that is shown and sent, in s of the capture; None for its begin or end."""
 
     start: float | None
     end: float | None
 
     @property
     def first(self) -> int | None:
-        """Its first ns."""
+        """The first ns of the window."""
         return None if self.start is None else round(self.start * 1e9)
 
     @property
     def after(self) -> int | None:
-        """The ns after its last."""
+        """The first ns after the window."""
         return None if self.end is None else round(self.end * 1e9)
 
     def has(self, t: int) -> bool:
-        """Whether a moment (ns) lies inside."""
+        """Whether a time (ns) is inside the window."""
         first, after = self.first, self.after
         return (first is None or t >= first) and (after is None or t < after)
 
     def holds(self, record: Record) -> bool:
-        """Whether a record lies inside; a frame does where its first byte does."""
+        """Whether a record is inside the window; for a frame its first byte counts."""
         return self.has(record.fault.t if isinstance(record, FaultRecord) else record.value.t)
 
 
@@ -183,7 +192,7 @@ def _show(
     judge: PassiveJudge | None,
 ) -> None:
     now = 0
-    # Until the next event time goes on as it did when it was recorded.
+    # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     events = capture.sights() if judge else capture.events()
     for event in played(events, rate, sleep=sleep, start=window.first, end=window.after):
@@ -208,8 +217,8 @@ def _send(
     window: _Window,
     stopper: Stopper,
 ) -> int:
-    """Send what the window holds, compare, and give the exit code."""
-    recorded = Run()
+    """Send the host bytes of the window, compare the answers, and return the exit code."""
+    recorded = ReplayRun()
     target.begin()
     inside = (event for event in capture.events() if window.has(event.t))
     for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
@@ -234,19 +243,19 @@ def _send(
 
 
 def _send_frames(target: Target, records: Iterable[Record]) -> None:
-    """Send each frame when the one before is answered."""
+    """Send each frame after the one before it was answered."""
     for record in records:
         if isinstance(record, HostRecord):
             target.send(record.data)
             target.settle()
 
 
-def _note_all(run: Run, records: Iterable[Record]) -> None:
+def _note_all(run: ReplayRun, records: Iterable[Record]) -> None:
     for record in records:
         run.record(record)
 
 
-def _compare(protocol: Protocol, recorded: Run, now: Run, output: Output) -> int:
+def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Output) -> int:
     if not recorded.answers:
         note("the recording holds no answers: there is nothing to compare with")
         return 3
@@ -254,7 +263,7 @@ def _compare(protocol: Protocol, recorded: Run, now: Run, output: Output) -> int
     for difference in found:
         about = difference.instruction
         t = 0 if about is None else recorded.frames[about].value.t
-        fault = Fault(t, "difference", Severity.ERROR, difference.reason, about)
+        fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
         output.show(FaultRecord(fault, written_state(protocol.power_on)))
     note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
     return 1 if found else 0

@@ -1,4 +1,4 @@
-"""`bilprov send`: send instructions, or any bytes, to a device and show what it answers."""
+"""`bilprov send`: sends instructions, or any bytes, to a device and shows its answers."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import sys
 
 import rich_click as click
 
-from analyzer.cli.confirm import confirm_motion
-from analyzer.cli.typed_input import bytes_from_hex
-from analyzer.grammar_file import load_protocol
-from analyzer.instruction_text import encoded
-from analyzer.options import line_options, line_settings, note, timeout_in_ns, timeout_option
-from analyzer.output.outputs import JsonOutput, LinesOutput, Output
-from analyzer.replay.target import Target
-from analyzer.transport.ports import open_port
-from analyzer.transport.signals import Stopper
-from spec.protocol import Protocol
+from bilprov.analyzer.cli.confirm import confirm_motion
+from bilprov.analyzer.cli.options import line_options, note, timeout_option
+from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.outputs import JsonOutput, LinesOutput, Output
+from bilprov.analyzer.replay.target import Target
+from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.spec.protocol import Protocol
 
 _PAUSE = "pause="
 
@@ -83,7 +83,7 @@ def send(
 
 
 def step(protocol: Protocol, item: str) -> bytes | float:
-    """What an item stands for: bytes to send, or a pause in s. Raises ValueError."""
+    """Parse an item of the command line into bytes to send, or a pause in s. Raises ValueError."""
     if item.startswith(_PAUSE):
         try:
             pause = float(item.removeprefix(_PAUSE))

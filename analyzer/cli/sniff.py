@@ -1,4 +1,4 @@
-"""`bilprov sniff`: listen to a line, show what passes, and log it."""
+"""`bilprov sniff`: listens to a line, shows the decoded traffic, and records it."""
 
 from __future__ import annotations
 
@@ -7,31 +7,30 @@ from contextlib import ExitStack
 
 import rich_click as click
 
-from analyzer.decode.session import BOTH, SKEW, Session
-from analyzer.grammar_file import load_protocol
-from analyzer.monitor.passive_judge import PassiveJudge
-from analyzer.options import (
+from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
     judge_option,
     line_options,
-    line_settings,
     note,
     opened_output,
-    timeout_in_ns,
     timeout_option,
 )
-from analyzer.output.findings import tell_findings
-from analyzer.output.outputs import Format, Shown, chosen_format
-from analyzer.output.statistics import Statistics
-from analyzer.pipeline import Pipeline
-from analyzer.replay.recorder import Recorder, session_metadata
-from analyzer.taps.passive import Bridge, Taps, require_two_lines
-from analyzer.transport.errors import LinkError
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.ports import open_port
-from analyzer.transport.signals import Stopper
-from captures.schemas import Direction, Line
+from bilprov.analyzer.decode.session import BOTH, SKEW, Session
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+from bilprov.analyzer.output.findings import tell_findings
+from bilprov.analyzer.output.outputs import Format, Shown, chosen_format
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.taps.bridge import Bridge
+from bilprov.analyzer.taps.passive import Taps, require_two_lines
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Direction, Line
 
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
@@ -92,7 +91,7 @@ def sniff(
         stack.enter_context(source)
         heard: frozenset[Direction] = BOTH if bridge or device else frozenset({"host"})
         skew = 0 if bridge else SKEW
-        attached = not bridge  # nobody has spoken yet through a pty that was just made
+        attached = not bridge  # no traffic has passed yet through a pty that was just made
         recorder = None
         if path:
             metadata = session_metadata(
@@ -139,7 +138,7 @@ def sniff(
 def _source(
     host: str | None, device: str | None, bridge: str | None, settings: LineSettings
 ) -> tuple[Taps | Bridge, dict[str, str]]:
-    """What is listened to, and the names of its ports."""
+    """Open the taps or the bridge; also return the names of the ports by role."""
     if bridge is not None:
         if host is not None:
             raise click.UsageError("give either HOST [DEVICE] or --bridge PORT, not both")
@@ -165,7 +164,7 @@ def _source(
 def _listen(
     source: Taps | Bridge, pipeline: Pipeline, stopper: Stopper, duration: float | None
 ) -> str:
-    """Pump until there is a reason to end; the sentence about a port that went, empty otherwise."""
+    """Process events until the end; return a sentence about a lost port, or an empty string."""
     end = None if duration is None else round(duration * 1e9)
     while not stopper.stopped and not pipeline.full:
         now = source.now()
@@ -189,7 +188,7 @@ def _kept(recorder: Recorder | None) -> Callable[[], str]:
 
 
 def _tell(statistics: Statistics, recorder: Recorder | None, *, live: bool) -> None:
-    """What there was, in one line: the live view leaves no trace, and a log is worth a word."""
+    """Print the totals in one line, after a live view or if a capture was recorded."""
     if live or recorder:
         where = f" in {recorder.path}" if recorder else ""
         note(

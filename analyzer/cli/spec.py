@@ -1,4 +1,4 @@
-"""The commands that show the protocol and write it out: show, readings, errata, emit."""
+"""`bilprov spec`: shows and exports the protocol (commands show, readings, errata, emit)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from pathlib import Path
 
 import rich_click as click
 
-from analyzer.cli.options import output_format
-from analyzer.output.console import show, show_json
-from analyzer.whole_file import write_whole
+from bilprov.analyzer.cli.format_option import output_format
+from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.output.console import show, show_json
 
 
 @click.group()
@@ -21,8 +21,8 @@ def spec() -> None:
 @click.pass_obj
 def spec_show(grammar: str | None, style: str) -> None:
     """Show header, instructions, responses, effects and defaults of the grammar in use."""
-    from analyzer.grammar_file import load_protocol
-    from analyzer.output.protocol import drawn_protocol, protocol_json
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.protocol import drawn_protocol, protocol_json
 
     protocol = load_protocol(grammar)
     if style == "json":
@@ -32,7 +32,7 @@ def spec_show(grammar: str | None, style: str) -> None:
 
 
 def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    from spec.readings import READINGS
+    from bilprov.spec.readings import READINGS
 
     return [r.id for r in READINGS if r.id.lower().startswith(incomplete.lower())]
 
@@ -45,8 +45,8 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 
     Example: bilprov spec readings R-led-id
     """
-    from analyzer.output.protocol import drawn_readings, readings_json
-    from spec.readings import READINGS
+    from bilprov.analyzer.output.protocol import drawn_readings, readings_json
+    from bilprov.spec.readings import READINGS
 
     known = {reading.id.lower(): reading for reading in READINGS}
     for name in ids:
@@ -70,9 +70,9 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 @click.pass_obj
 def spec_errata(grammar: str | None, style: str) -> None:
     """Run the document's own examples through the grammar and show where it contradicts itself."""
-    from analyzer.grammar_file import load_protocol
-    from analyzer.output.protocol import drawn_errata, errata_json
-    from spec.errata import check
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.protocol import drawn_errata, errata_json
+    from bilprov.spec.errata import check
 
     protocol = load_protocol(grammar)
     findings = check(protocol)
@@ -95,8 +95,8 @@ def spec_emit_c(grammar: str | None, output: str | None) -> None:
 
     Example: bilprov spec emit c -o protocol.h
     """
-    from analyzer.grammar_file import load_protocol
-    from spec.emit.c import c_header
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.spec.emit.c import c_header
 
     _deliver(c_header(load_protocol(grammar)), output)
 

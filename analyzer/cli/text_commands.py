@@ -7,8 +7,8 @@ from typing import Any
 
 import rich_click as click
 
-from analyzer.cli.options import output_format
-from analyzer.output.console import show, show_json
+from bilprov.analyzer.cli.format_option import output_format
+from bilprov.analyzer.output.console import show, show_json
 
 
 @click.command()
@@ -31,10 +31,10 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
 
     Example: bilprov explain 81 09
     """
-    from analyzer.cli.typed_input import bytes_from_hex
-    from analyzer.grammar_file import load_protocol
-    from analyzer.output.explanation import as_json, drawn
-    from spec import explain as explaining
+    from bilprov.analyzer.cli.typed_input import bytes_from_hex
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.explanation import as_json, drawn
+    from bilprov.spec import explain as explaining
 
     data = _or_sentence(bytes_from_hex, " ".join(words))
     protocol = load_protocol(grammar)
@@ -47,7 +47,7 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
 
 
 def _or_sentence(function: Any, *arguments: Any) -> Any:
-    """What the function gives; its ValueError is a sentence for the user."""
+    """Call a function and return its value; its ValueError becomes a ClickException."""
     try:
         return function(*arguments)
     except ValueError as error:
@@ -55,15 +55,15 @@ def _or_sentence(function: Any, *arguments: Any) -> Any:
 
 
 def _instruction_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    """Completion of instruction names, out of the grammar in use."""
-    from analyzer.grammar_file import load_protocol
+    """Complete an instruction name from the grammar in use."""
+    from bilprov.analyzer.grammar_file import load_protocol
 
     protocol = load_protocol(ctx.find_root().params.get("grammar"))
     names = [spec.name for spec in protocol.instructions]
     return [name for name in names if name.lower().startswith(incomplete.lower())]
 
 
-# A negative value looks like an option; it is taken as a value, and refused by its range.
+# A negative value looks like an option; here it is taken as a value, whose range check refuses it.
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("name", metavar="INSTRUCTION", shell_complete=_instruction_names)
 @click.argument("values", metavar="[FIELD=VALUE]...", nargs=-1)
@@ -77,9 +77,9 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
 
     INSTRUCTION is a name of the grammar's, FIELD one of its fields.
     """
-    from analyzer.grammar_file import load_protocol
-    from analyzer.instruction_text import encoded
-    from spec.codec import spaced
+    from bilprov.analyzer.cli.typed_input import encoded
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.spec.codec import spaced
 
     for word in (name, *values):
         if word.startswith("-") and not word[1:2].isdigit():
@@ -97,9 +97,9 @@ def ports(style: str) -> None:
     """List the serial ports of this machine; USB adapters and boards are marked with a star."""
     from dataclasses import asdict
 
-    from analyzer.output.console import table
-    from analyzer.transport.ports import list_ports
-    from captures.errors import shown
+    from bilprov.analyzer.output.console import table
+    from bilprov.analyzer.transport.ports import list_ports
+    from bilprov.captures.text import printable
 
     found = list_ports()
     if style == "json":
@@ -108,9 +108,9 @@ def ports(style: str) -> None:
         rows = [
             (
                 "*" if port.likely else "",
-                shown(port.path),
-                shown(port.description),
-                shown(port.hardware_id),
+                printable(port.path),
+                printable(port.description),
+                printable(port.hardware_id),
             )
             for port in found
         ]
@@ -129,9 +129,9 @@ def ports(style: str) -> None:
 @click.pass_obj
 def info(grammar: str | None, file: str, style: str) -> None:
     """Tell what a capture holds, who recorded it and whether it is whole."""
-    from analyzer.grammar_file import load_protocol
-    from analyzer.output.capture_info import as_json, drawn, summarized
-    from captures.reader import open_capture
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.capture_info import as_json, drawn, summarized
+    from bilprov.captures.reader import open_capture
 
     summary = summarized(open_capture(file), load_protocol(grammar))
     if style == "json":
@@ -140,7 +140,7 @@ def info(grammar: str | None, file: str, style: str) -> None:
         show(*drawn(summary))
 
 
-# How each shell takes the script in for good.
+# How to install the completion script permanently in each shell.
 INSTALL = {
     "bash": 'eval "$(bilprov completion bash)" in ~/.bashrc',
     "zsh": 'eval "$(bilprov completion zsh)" in ~/.zshrc, after compinit',

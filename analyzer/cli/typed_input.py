@@ -1,18 +1,82 @@
-"""Hex as people write it in, bytes out."""
+"""Parses instructions (`LED rgb=5`) and hex bytes typed by a user."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+from bilprov.spec.codec import build
+from bilprov.spec.protocol import InstructionSpec, Protocol
+
+
+def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
+    """Encode an instruction as its frame.
+
+    `words` are `field=value`, or bare values for the fields in order. Values are decimal, 0x hex
+    or 0b binary. Raises ValueError, in one sentence, for anything that is not allowed.
+    """
+    spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
+    if spec is None:
+        names = [s.name for s in protocol.instructions]
+        raise ValueError(
+            f"there is no instruction {name!r}{_meant(name, names)}; there are {', '.join(names)}"
+        )
+    return build(protocol, spec.name, _fields(spec, words))
+
+
+def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
+    fields: dict[str, int] = {}
+    bare = [word for word in words if "=" not in word]
+    if len(bare) > len(spec.fields):
+        raise ValueError(f"{spec.name} takes {_takes(spec)}; given were {' '.join(words)}")
+    for name, word in [
+        *((part.name, word) for part, word in zip(spec.fields, bare, strict=False)),
+        *((word.split("=", 1)[0], word.split("=", 1)[1]) for word in words if "=" in word),
+    ]:
+        part = next((p for p in spec.fields if p.name.lower() == name.lower()), None)
+        if part is None:
+            known = [p.name for p in spec.fields]
+            raise ValueError(
+                f"{spec.name} has no field {name!r}{_meant(name, known)}; it takes {_takes(spec)}"
+            )
+        if part.name in fields:
+            raise ValueError(f"{spec.name}.{part.name} is given twice")
+        fields[part.name] = _number(f"{spec.name}.{part.name}", word, part.low, part.high)
+    return fields
+
+
+def _number(name: str, word: str, low: int, high: int) -> int:
+    for base in (0, 10):  # base 0 refuses leading zeros
+        try:
+            return int(word, base)
+        except ValueError:
+            continue
+    raise ValueError(f"{name} is {word!r}, which is no number; allowed are {low} to {high}")
+
+
+def _takes(spec: InstructionSpec) -> str:
+    parts = [f"{part.name}={part.low}..{part.high}" for part in spec.fields]
+    return " ".join(parts) or "no values"
+
+
+def _meant(word: str, names: Iterable[str]) -> str:
+    by_lower = {name.lower(): name for name in names}
+    close = get_close_matches(word.lower(), by_lower, n=1)
+    return f", did you mean {by_lower[close[0]]}?" if close else ""
+
 
 _BETWEEN = re.compile(r"[\s,:;-]+")
+
+
 _PREFIX = re.compile(r"^(0x|\\x|\$)", re.IGNORECASE)
 
 
 def bytes_from_hex(text: str) -> bytes:
-    """Bytes from text like `81 05`, `8105`, `0x81,0x05` or `81:05`.
+    """Parse bytes from text like `81 05`, `8105`, `0x81,0x05` or `81:05`.
 
     A single digit between separators is a byte of its own. Raises ValueError, in one sentence, for
-    anything else, and where there is no byte at all.
+    anything else, and if there is no byte.
     """
     data = bytearray()
     for word in _BETWEEN.split(text.strip()):

@@ -1,1 +1,1 @@
-"""A robot driven from Python."""
+"""Drives a robot from Python; each instruction of the grammar is a method."""

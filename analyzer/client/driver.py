@@ -1,4 +1,4 @@
-"""A robot on a wire: an instruction out, its one answer back; the methods are the Protocol's."""
+"""Drives a robot on a wire: one method per instruction of the protocol, each returns its answer."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from analyzer.client.errors import NoAnswer, Refused, RobotError
-from analyzer.client.homing import home, stops
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.transport.wire import Heard, Wire
-from spec.codec import build, judge, spaced
-from spec.fields import Outcome
-from spec.protocol import InstructionSpec, Protocol
-from spec.python_names import method_names, parameter_names
+from bilprov.analyzer.client.errors import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.homing import home, stops
+from bilprov.analyzer.transport.wire import Heard, Wire
+from bilprov.captures.schemas import MS
+from bilprov.spec.codec import build, judge, spaced
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.python_names import method_names, parameter_names
 
 _SHOWN = 8  # answers that a sentence lists
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """One answer: its code, the code's name in the protocol (hex for an unused one), and how long
-    (ms) after the last byte it came."""
+    """One answer: its code, its name in the protocol (hex for an unused code), and its latency.
+
+    `latency` is in ms from the last byte sent.
+    """
 
     code: int
     name: str
@@ -33,12 +35,14 @@ class Driver:
     """One robot on a wire.
 
     Each instruction of `protocol` is a method: `RotateLeft` is `rotate_left()`, and its fields are
-    the parameters, in order or by keyword. A method waits for the one answer. It raises ValueError,
-    before anything is sent, for a value out of its range; Refused for any answer but the one to a
-    valid instruction; NoAnswer where none comes in `timeout` ms (None: the longest that the
-    protocol allows, for a frame of which bytes were lost on the way too); RobotError for an answer
-    too many or unasked; and LinkError when the line is lost. After any of these but Refused nobody
-    knows which answer comes next: the robot is homed, so it stops, before the next instruction.
+    the parameters, in order or by keyword. A method sends the instruction and returns its answer.
+
+    A method raises ValueError, before anything is sent, for a value out of its range; Refused for
+    any answer but the one to a valid instruction; NoAnswer if none comes in `timeout` ms (None: the
+    longest time that the protocol allows, including the time-out of a frame that lost bytes);
+    RobotError for a surplus or unsolicited answer; and LinkError when the line is lost. After any
+    of the last three it is unknown which answer comes next, so the robot is homed, and thereby
+    stopped, before the next instruction.
     """
 
     def __init__(self, protocol: Protocol, wire: Wire, timeout: float | None = None) -> None:
@@ -53,36 +57,36 @@ class Driver:
     def send(self, name: str, /, **values: int) -> Answer:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
 
-        Whatever the answer is, it is returned. Raises ValueError for an instruction, a field or a
-        value that the protocol does not have: to send what is wrong, see `send_bytes`.
+        Any answer is returned, also a refusal. Raises ValueError for an instruction, a field or a
+        value that the protocol does not have; to send faulty bytes, see `send_bytes`. Raises
+        RobotError and LinkError as `send_bytes` does.
         """
         return self._exchange(build(self.protocol, name, values))
 
     def send_bytes(self, data: bytes, answers: int = 1) -> tuple[Answer, ...]:
-        """Send bytes as they are and wait for so many answers. Raises RobotError and LinkError.
+        """Send bytes unchanged and wait for `answers` answers. Raises RobotError and LinkError.
 
-        An answer may take as long as the protocol lets it, a frame's time-out included.
+        By default an answer may take the longest time that the protocol allows, including the
+        time-out of a truncated frame.
         """
         self._in_step = False
         self._require_silence(0)
         sent = self._wire.send(data)
-        heard = self._wire.listen(answers, round(self._patience * MILLISECOND)) if answers else ()
+        heard = self._wire.listen(answers, round(self._patience * MS)) if answers else ()
         if len(heard) != answers:
             raise self._miscounted(data, answers, heard)
         self._in_step = True
-        return tuple(
-            Answer(code, self._name(code), round((t - sent) / MILLISECOND, 3)) for t, code in heard
-        )
+        return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
     def wait(self, milliseconds: float) -> None:
-        """Let time pass; what the robot sends meanwhile without being asked is a RobotError."""
-        self._require_silence(round(milliseconds * MILLISECOND))
+        """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
+        self._require_silence(round(milliseconds * MS))
 
     def home(self) -> None:
-        """Bring the line to a frame's boundary and the robot to a stop, from wherever it is.
+        """Home the robot from any state: the line at a frame boundary, the robot stopped.
 
-        What instructions without a motion set, such as speed and light, stays. Raises NoAnswer
-        where nobody answers.
+        Settings that do not cause motion, such as speed and light, stay. Raises NoAnswer if the
+        robot does not answer.
         """
         if not home(self.protocol, self._wire):
             raise self._nobody()
@@ -92,12 +96,12 @@ class Driver:
         return sorted({*super().__dir__(), *self._methods})
 
     if not TYPE_CHECKING:
-        # A type checker takes the methods from robot.pyi, and tells a name that is none.
+        # A type checker takes the methods from robot.pyi, so it can report unknown names.
         def __getattr__(self, name: str) -> Any:
             return self._method(name)
 
     def _method(self, name: str) -> Any:
-        if name.startswith("_"):  # whoever copies or pickles asks before there are any methods
+        if name.startswith("_"):  # copy and pickle ask for such names before `_methods` is set
             raise AttributeError(f"{type(self).__name__} has no {name!r}")
         spec = self._methods.get(name)
         if spec is None:
@@ -169,7 +173,7 @@ class Driver:
         )
 
     def _described(self, data: bytes) -> str:
-        """`Speed speed=80 (11 50)`; bytes that are no valid frame as they are."""
+        """The bytes in words, like `Speed speed=80 (11 50)`; in hex only if no valid frame."""
         if data and len(data) == 1 + self.protocol.lengths[data[0]]:
             judgement = judge(self.protocol, data)
             if judgement.valid:

@@ -1,18 +1,18 @@
-"""What a robot can do wrong to whoever drives it, as exceptions; each is one sentence."""
+"""Exceptions for the faults of a robot that is driven from Python; each message is one sentence."""
 
 from __future__ import annotations
 
 
 class RobotError(Exception):
-    """The robot did not do what every robot must: answer once, be silent unasked, stop."""
+    """The robot broke a rule: answer each instruction once, send nothing unsolicited, and stop."""
 
     def __str__(self) -> str:
-        """The sentence alone; the other arguments are attributes."""
+        """The sentence without the other arguments, which are attributes."""
         return str(self.args[0]) if self.args else ""
 
 
 class NoAnswer(RobotError):
-    """No answer came in time to `frame`, which is what was sent."""
+    """No answer came in time; `frame` holds the bytes that were sent."""
 
     def __init__(self, sentence: str, frame: bytes) -> None:
         super().__init__(sentence, frame)
@@ -22,8 +22,8 @@ class NoAnswer(RobotError):
 class Refused(RobotError):
     """The robot answered that an instruction was faulty; it has stopped by itself (section 2).
 
-    `code` is the response code and `answer` its name in the protocol (hex for an unused one),
-    `frame` what was sent, `instruction` its name.
+    `code` is the response code, `answer` its name in the protocol (hex for an unused code),
+    `frame` the bytes that were sent, and `instruction` the name of the instruction.
     """
 
     def __init__(

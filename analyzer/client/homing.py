@@ -1,22 +1,22 @@
-"""Brings a robot to a stop between two frames, from wherever it is; nothing is judged here."""
+"""Homes a robot from any state: stopped, with the line at a frame boundary. Judges nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.transport.wire import Wire
-from spec.protocol import Protocol
+from bilprov.analyzer.transport.wire import Wire
+from bilprov.captures.schemas import MS
+from bilprov.spec.protocol import Protocol
 
 _TRIES = 5  # an opened Arduino resets, and boots for some seconds
 _SLOWER = 4  # how much later than the first answer one of the others may come
-_SETTLE = 2 * MILLISECOND  # how close behind the last answer one too many comes
+_SETTLE = 2 * MS  # ns after the last answer in which a surplus answer comes
 
 
 def home(protocol: Protocol, wire: Wire, given_up: Callable[[], bool] = lambda: False) -> bool:
-    """Home again and again until the robot answers; tell whether it did.
+    """Home until the robot answers, in a limited number of tries; return whether it did.
 
-    `given_up` is asked after each try that was not answered.
+    `given_up` is called after each try without an answer; if it returns true, no more are made.
     """
     for _ in range(_TRIES):
         if home_once(protocol, wire):
@@ -27,18 +27,18 @@ def home(protocol: Protocol, wire: Wire, given_up: Callable[[], bool] = lambda: 
 
 
 def home_once(protocol: Protocol, wire: Wire) -> bool:
-    """Fill up whatever frame the robot may be in, with stops; tell whether it answered.
+    """Send stops to complete any frame the robot may be in; return whether it answered.
 
-    Stops that a robot takes as data it is owed have no answer of their own: after a pause in which
-    nothing comes, it is owed none any more. A slow robot is given more, by its first answer.
+    Stops that the robot takes as missing data have no answer of their own, so the wait ends after
+    a pause without an answer. The first answer's latency lengthens that pause for a slow robot.
     """
     timing = protocol.timing
     count = protocol.longest_frame
     wire.listen(None, 0)
     sent = wire.send(stops(protocol))
     heard = 0
-    patience = round(timing.answer_longest * MILLISECOND)
-    pause = round(max(timing.answer_deadline, timing.truncation_timeout) * MILLISECOND)
+    patience = round(timing.answer_longest * MS)
+    pause = round(max(timing.answer_deadline, timing.truncation_timeout) * MS)
     while heard < count and (more := wire.listen(1, patience)):
         if not heard:
             patience = max(pause, _SLOWER * (more[0][0] - sent))
@@ -48,5 +48,8 @@ def home_once(protocol: Protocol, wire: Wire) -> bool:
 
 
 def stops(protocol: Protocol) -> bytes:
-    """So many stops that the longest frame is full and one is left over."""
-    return bytes([protocol.filler]) * protocol.longest_frame
+    """Stop instructions, as many as the longest frame has bytes.
+
+    They fill any open frame, and at least one is left over as an instruction.
+    """
+    return bytes([protocol.pad_byte]) * protocol.longest_frame

@@ -1,4 +1,4 @@
-"""A robot on a port of this machine: opened, homed, driven, and homed again on every way out."""
+"""Drives a robot on a port of this machine; homes it after opening and on every way out."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from os import PathLike
 from types import TracebackType
 from typing import Self
 
-from analyzer.client.driver import Driver
-from analyzer.client.errors import NoAnswer, RobotError
-from analyzer.client.homing import home_once
-from analyzer.grammar_file import load_protocol
-from analyzer.transport.errors import LinkError
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.ports import open_port
-from analyzer.transport.signals import ending_in_order, undisturbed
-from analyzer.transport.wire import PortWire
-from spec.protocol import Protocol
+from bilprov.analyzer.client.driver import Driver
+from bilprov.analyzer.client.errors import NoAnswer, RobotError
+from bilprov.analyzer.client.homing import home_once
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
+from bilprov.analyzer.transport.wire import PortWire
+from bilprov.spec.protocol import Protocol
 
 
 class PortDriver(Driver):
@@ -27,14 +27,14 @@ class PortDriver(Driver):
     unless given; `timeout` how long (ms) an answer may take; `baud` (bits/s), `parity` (N E O M S)
     and `stopbits` (1 1.5 2) are the grammar's unless given.
 
-    Opening sends stops until the robot answers, and nothing else: nothing moves that did not move
-    before, and nobody is asked whether it may, since a program that is started is its own consent.
-    Raises LinkError for a port that cannot be opened, NoAnswer where nobody answers, GrammarError
-    and ValueError for wrong use.
+    Opening sends only stops, until the robot answers, so it starts no motion. It asks for no
+    confirmation, since starting the program is the user's consent. Raises LinkError for a port
+    that cannot be opened, NoAnswer if the robot does not answer, GrammarError and ValueError for
+    wrong use.
 
-    Within `with`, Ctrl-C, and SIGTERM and SIGHUP unless the program heeds them itself, leave by
-    homing too, and a second one waits for it. What was raised in the block stays what is raised;
-    where the robot could not be homed, a note on it says so.
+    Within `with`, the robot is also homed after Ctrl-C, and after SIGTERM and SIGHUP unless the
+    program handles them itself; a second signal waits until homing has ended. An exception raised
+    in the block is kept; if the robot could not be homed, a note on the exception says so.
     """
 
     def __init__(
@@ -68,10 +68,10 @@ class PortDriver(Driver):
             raise
 
     def close(self) -> None:
-        """Home the robot and give the port up; more than once is as good as once.
+        """Home the robot and close the port; further calls do nothing.
 
-        Raises NoAnswer where it does not answer and LinkError where the line is lost: then it may
-        still move.
+        Raises NoAnswer if the robot does not answer and LinkError if the line is lost; in both
+        cases the robot may still be moving.
         """
         if not self._open:
             return

@@ -1,13 +1,13 @@
-"""`from bilprov import Robot`: the instructions as methods. The types stand in robot.pyi."""
+"""The class Robot of `from bilprov import Robot`; the types of its methods are in robot.pyi."""
 
 from __future__ import annotations
 
-from analyzer.client.driver import Driver
-from analyzer.client.port_driver import PortDriver
+from bilprov.analyzer.client.driver import Driver
+from bilprov.analyzer.client.port_driver import PortDriver
 
 
 class Instructions(Driver):
-    """A robot whose instructions are methods; type checkers know those of the kit's own grammar."""
+    """A driver whose methods type checkers know, for the kit's own grammar (see robot.pyi)."""
 
 
 class Robot(Instructions, PortDriver):
@@ -18,6 +18,6 @@ class Robot(Instructions, PortDriver):
             robot.forward()
             time.sleep(1)
 
-    Opening it moves nothing and asks nobody: a program is its own consent. Leaving the block stops
-    the robot, whatever the way out. What it takes and raises stands at `PortDriver` and `Driver`.
+    Opening it starts no motion and asks for no confirmation. Leaving the block stops the robot,
+    also after an exception. `PortDriver` and `Driver` describe the arguments and the exceptions.
     """

@@ -1,10 +1,11 @@
 """The robot's instructions as methods, for type checkers and editors.
 
-Written out of the grammar (robot-car 1.1) by `python -m analyzer.robot_stub`; do not edit.
+Written out of the grammar (robot-car 1.1), not edited by hand. To renew it:
+`python -m bilprov.analyzer.client.write_stub`.
 """
 
-from analyzer.client.driver import Answer, Driver
-from analyzer.client.port_driver import PortDriver
+from bilprov.analyzer.client.driver import Answer, Driver
+from bilprov.analyzer.client.port_driver import PortDriver
 
 class Instructions(Driver):
     """The instructions of robot-car 1.1; `Driver` says what each of them raises."""

@@ -1,11 +1,14 @@
-"""`python -m analyzer.robot_stub` writes `robot.pyi` anew, out of the kit's own grammar."""
+"""Generates `robot.pyi` from the kit's own grammar.
+
+Run it as `python -m bilprov.analyzer.client.write_stub`.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from analyzer.grammar_file import load_protocol
-from spec.emit.python_stub import python_stub
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.emit.python_stub import python_stub
 
 STUB = Path(__file__).with_name("robot.pyi")
 

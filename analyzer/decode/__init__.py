@@ -1,1 +1,1 @@
-"""Timed bytes in, frames with their answers out."""
+"""Decodes bytes with timestamps into records: frames and answers, paired. Uses no port or clock."""

@@ -1,26 +1,26 @@
-"""What is odd about a frame, an answer or a line event, how bad it is, and why, in words.
+"""Finds the anomalies of frames, answers and line events: kind, severity, and reason in words.
 
-Severities follow the readings of the document: error is what a device that conforms never does,
-warning what a host does wrong or a reading leaves open, info what only makes things uncertain.
+Severities follow the readings of the document. An error is what a conforming device never does, a
+warning is what a host does wrong or what a reading leaves open, and info marks an uncertainty.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from analyzer.decode.pairing import MILLISECOND, Held, Pair, Waiting
-from analyzer.decode.records import Fault, Severity
-from captures.errors import shown
-from captures.schemas import Line
-from spec.codec import Judgement, spaced
-from spec.legal_answers import other_choices
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.pairing import Held, Pair, Waiting
+from bilprov.analyzer.decode.records import Anomaly, Severity
+from bilprov.captures.schemas import MS, Line
+from bilprov.captures.text import printable
+from bilprov.spec.codec import Judgement, spaced
+from bilprov.spec.legal_answers import other_choices
+from bilprov.spec.protocol import Protocol
 
 MID_FRAME = "out of step: the device answered in mid-frame"
 UNCLEAR = "came before it was clear where frames begin"
 LOST = "bytes were lost in mid-frame"
 
-# Line events that are faults by themselves; the others (open, close, modem) are only noted.
+# Line events that are anomalies by themselves; the others (open, close, modem) are only noted.
 LINE_SEVERITY = {
     "gap": Severity.WARNING,
     "overrun": Severity.WARNING,
@@ -32,45 +32,45 @@ LINE_SEVERITY = {
 }
 
 
-class Why(NamedTuple):
-    """Why a device byte belongs to no instruction; with an empty `kind` that is no fault."""
+class Cause(NamedTuple):
+    """One cause of an anomaly of a device byte; an empty `kind` means that there is no anomaly."""
 
     kind: str
     severity: Severity
     reason: str
 
 
-class Verdict(NamedTuple):
-    """Whether an answer is as expected (None: nothing is expected), and what is odd about it."""
+class AnswerCheck(NamedTuple):
+    """Whether an answer is the expected one (None: nothing is expected), and its anomalies."""
 
     agrees: bool | None
-    faults: tuple[Fault, ...]
+    faults: tuple[Anomaly, ...]
 
 
-ALONE = Why("", Severity.INFO, "")
-OUT_OF_STEP = Why("out of step", Severity.INFO, "answers a frame whose beginning was not seen")
-_EARLY = Why("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")
-_NEAR_LOSS = Why("unsolicited", Severity.INFO, "may answer an instruction around the lost bytes")
-_UNSOLICITED = Why("unsolicited", Severity.ERROR, "no instruction waits for an answer")
+ALONE = Cause("", Severity.INFO, "")
+OUT_OF_STEP = Cause("out of step", Severity.INFO, "answers a frame whose beginning was not seen")
+_EARLY = Cause("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")
+_NEAR_LOSS = Cause("unsolicited", Severity.INFO, "may answer an instruction around the lost bytes")
+_UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
 
 
-def of_frame(judgement: Judgement, known: int, sequence: int) -> tuple[Fault, ...]:
-    """What is odd about a host frame, known since `known` (ns): that it is not valid."""
+def of_frame(judgement: Judgement, known: int, sequence: int) -> tuple[Anomaly, ...]:
+    """The anomaly of a host frame that is not valid, found at `known` (ns); none if it is valid."""
     if judgement.valid:
         return ()
     kind = "truncated" if judgement.truncated else "faulty instruction"
-    return (Fault(known, kind, Severity.WARNING, judgement.reason, sequence),)
+    return (Anomaly(known, kind, Severity.WARNING, judgement.reason, sequence),)
 
 
-def of_garbage(known: int, reason: str) -> tuple[Fault, ...]:
-    """Host bytes that belong to no frame are odd."""
-    return (Fault(known, "garbage", Severity.WARNING, reason),)
+def of_garbage(known: int, reason: str) -> tuple[Anomaly, ...]:
+    """The anomaly of host bytes that belong to no frame, found at `known` (ns)."""
+    return (Anomaly(known, "garbage", Severity.WARNING, reason),)
 
 
-def of_answer(protocol: Protocol, pair: Pair, skew: int) -> Verdict:
-    """What is odd about an answer, given the instruction that it answers.
+def of_answer(protocol: Protocol, pair: Pair, skew: int) -> AnswerCheck:
+    """Check an answer against the instruction that it answers.
 
-    `skew` (ns) is how far two taps may stamp an answer before its instruction.
+    `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer.
     """
     held, waiting = pair.held, pair.waiting
     expected = waiting.judgement.response
@@ -83,68 +83,71 @@ def of_answer(protocol: Protocol, pair: Pair, skew: int) -> Verdict:
     latency = held.t - waiting.end
     late = protocol.timing.answer_deadline
     # How long a device takes to give up on a frame is its own choice (R-truncation-timeout).
-    if latency > late * MILLISECOND and not waiting.judgement.truncated:
-        reason = f"answered after {latency / MILLISECOND:.1f} ms, {late:g} ms is the deadline"
-        found.append(Why("slow", Severity.WARNING, reason))
+    if latency > late * MS and not waiting.judgement.truncated:
+        reason = f"answered after {latency / MS:.1f} ms, {late:g} ms is the deadline"
+        found.append(Cause("slow", Severity.WARNING, reason))
     elif latency < 0:
-        reason = f"stamped {-latency / MILLISECOND:.1f} ms before the instruction was complete"
+        reason = f"stamped {-latency / MS:.1f} ms before the instruction was complete"
         severity = Severity.INFO if -latency <= skew else Severity.WARNING
-        found.append(Why("early", severity, reason))
-    faults = tuple(Fault(held.t, *why, waiting.sequence) for why in found)
-    return Verdict(agrees, faults)
+        found.append(Cause("early", severity, reason))
+    faults = tuple(Anomaly(held.t, *why, waiting.sequence) for why in found)
+    return AnswerCheck(agrees, faults)
 
 
-def of_unpaired(protocol: Protocol, held: Held, why: Why) -> Verdict:
-    """What is odd about a device byte that answers nothing."""
+def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
+    """Check a device byte that answers no instruction; `why` is the cause."""
     found = [why] if why.kind else []
     unused = held.byte not in protocol.codes
     if unused:
         found.append(_unused_code(protocol, held.byte))
-    return Verdict(False if unused else None, tuple(Fault(held.t, *one) for one in found))
+    return AnswerCheck(False if unused else None, tuple(Anomaly(held.t, *one) for one in found))
 
 
-def unsolicited_because(instructions: int, near_loss: bool) -> Why:
-    """Why an answer is unsolicited, after so many instructions, soon after a loss or not."""
+def unsolicited_because(instructions: int, near_loss: bool) -> Cause:
+    """The cause of an unsolicited answer.
+
+    `instructions` counts the instructions before it; `near_loss` is true soon after a loss.
+    """
     if near_loss:
         return _NEAR_LOSS
     return _UNSOLICITED if instructions else _EARLY  # R-unsolicited: a banner
 
 
-def unanswered(waiting: Waiting, now: int) -> Fault:
-    """An instruction that got no answer, known at `now` (ns)."""
+def unanswered(waiting: Waiting, now: int) -> Anomaly:
+    """The anomaly of an instruction that got no answer, found at `now` (ns)."""
     judgement = waiting.judgement
     # R-truncated-known: a device may stop without an answer.
     severity = Severity.WARNING if judgement.truncated else Severity.ERROR
     reason = (
         f"no answer to instruction {waiting.sequence}, {judgement.describe()} "
-        f"({spaced(judgement.frame)}), in {(now - waiting.end) / MILLISECOND:.0f} ms"
+        f"({spaced(judgement.frame)}), in {(now - waiting.end) / MS:.0f} ms"
     )
-    return Fault(now, "unanswered", severity, reason, waiting.sequence)
+    return Anomaly(now, "unanswered", severity, reason, waiting.sequence)
 
 
-def of_line(line: Line, lost: bool) -> tuple[Fault, ...]:
-    """What is odd about a line event; `lost` where bytes are missing after it."""
+def of_line(line: Line, lost: bool) -> tuple[Anomaly, ...]:
+    """The anomaly of a line event, if it is one; `lost` is true if bytes are missing after it."""
     severity = LINE_SEVERITY.get(line.event)
     if severity is None:
         return ()
     where = f" on the {line.tap} line" if line.tap else ""
-    reason = shown(line.detail) if line.detail else f"{line.event}{where}"
-    return (Fault(line.t, "lost bytes" if lost else line.event, severity, reason),)
+    reason = printable(line.detail) if line.detail else f"{line.event}{where}"
+    return (Anomaly(line.t, "lost bytes" if lost else line.event, severity, reason),)
 
 
-def _unused_code(protocol: Protocol, byte: int) -> Why:
+def _unused_code(protocol: Protocol, byte: int) -> Cause:
     used = ", ".join(str(code) for code in protocol.codes)
-    return Why("unused code", Severity.ERROR, f"{byte} is an unused response, used are {used}")
+    return Cause("unused code", Severity.ERROR, f"{byte} is an unused response, used are {used}")
 
 
-def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Why:
-    """The device's word against the grammar's; some readings allow another word for a fault."""
+def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Cause:
+    """The cause where the answer is not the expected one: a warning if a reading allows it."""
     judgement, said = waiting.judgement, protocol.codes[held.byte]
     because = f": {judgement.reason}" if judgement.reason else ", it is valid"
     choices = {choice.code: choice.reading for choice in other_choices(protocol, judgement)}
     rests_on = choices.get(held.byte) or judgement.reading
     reading = f" ({rests_on})" if rests_on else ""
-    return Why(
+    return Cause(
         "disagreeing",
         Severity.WARNING if held.byte in choices else Severity.ERROR,
         f"the device says {said.name} to {judgement.describe()}, expected is "

@@ -1,7 +1,7 @@
-"""Bytes and line events in, decoded records out, as long as it is known where frames begin.
+"""Decodes bytes and line events into records while it is known where frames begin.
 
-No port, no clock: what comes out depends on the events and their times alone. Before each event
-everything that fell due up to its time must have happened (`until`).
+It uses no port and no clock: the records depend on the events and their times alone. Before each
+event, call `until` with the event's time, so that everything due earlier comes first.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 
-from analyzer.decode import anomalies as oddities
-from analyzer.decode.pairing import MILLISECOND, Held, Pair, Pairing
-from analyzer.decode.record_builders import answer_record, frame_record, garbage_record
-from analyzer.decode.records import FaultRecord, LineRecord, Record, written_state
-from captures.schemas import Line
-from spec.codec import Judgement, judge
-from spec.fields import Outcome
-from spec.framing import Framed, Framer
-from spec.protocol import Protocol
+from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode.pairing import Held, Pair, Pairing
+from bilprov.analyzer.decode.record_builders import answer_record, frame_record, garbage_record
+from bilprov.analyzer.decode.records import FaultRecord, LineRecord, Record, written_state
+from bilprov.captures.schemas import MS, Line
+from bilprov.spec.codec import Judgement, judge
+from bilprov.spec.fields import Outcome
+from bilprov.spec.framing import Framed, Framer
+from bilprov.spec.protocol import Protocol
 
-QUIET = 20 * MILLISECOND
-"""How long the host line stays idle after an answer in mid-frame until the frame is given up."""
+QUIET = 20 * MS
+"""Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
@@ -29,10 +29,10 @@ _Deadline = tuple[int, Callable[[int], Iterable[Record]]]
 
 
 class Decoder:
-    """Decodes what a host and a device say, from a host byte on that is a header.
+    """Decodes the traffic of a host and a device. The first host byte must be a header.
 
-    `timeout` (ns) and `skew` (ns) as in Session; `paired` tells whether both are heard. After a
-    loss the next host byte counts as a header again.
+    `timeout` and `skew` (ns) are as in Session; `paired` is true if both directions are heard.
+    After a loss the next host byte counts as a header again.
     """
 
     def __init__(self, protocol: Protocol, *, timeout: int, paired: bool, skew: int) -> None:
@@ -47,22 +47,22 @@ class Decoder:
         self._motion = protocol.power_on
         self._state = written_state(self._motion)
         self._sequence = 0
-        self._out_of_step: int | None = None  # when the frame begun is given up
+        self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
 
     @property
     def deadline(self) -> int | None:
-        """When (ns) something falls due even if no event comes, None if nothing does."""
+        """The time (ns) at which `until` is next needed without an event, None if it is not."""
         due = self._due()
         return due[0] if due else None
 
     def until(self, now: int) -> Iterator[Record]:
-        """What falls due until `now` (ns), in order of the times at which it is due."""
+        """Yield the records that fall due up to `now` (ns), in the order in which they are due."""
         while (due := self._due()) and due[0] <= now:
             yield from due[1](due[0])
 
     def host(self, data: bytes, now: int) -> Iterator[Record]:
-        """Host bytes; each frame as if it had come by itself."""
+        """Decode host bytes; each frame is handled as if it had arrived by itself."""
         self._out_of_step = None
         at = 0
         while at < len(data):
@@ -73,38 +73,38 @@ class Decoder:
             at += size
 
     def device(self, data: bytes, now: int) -> Iterator[Record]:
-        """Device bytes; each as if it had come by itself."""
+        """Decode device bytes; each is handled as if it had arrived by itself."""
         for byte in data:
             yield from self._answer(byte, now)
             yield from self.until(now)
 
     def line(self, event: Line) -> Iterator[Record]:
-        """Something that happened to a line."""
+        """Handle a line event; after a loss, framing and pairing start anew."""
         lost = event.event in LOSSES
         if lost:
             self._out_of_step = None
             self._lost_at = event.t
             if event.tap != "device":
                 for framed in self._framer.drop(event.t):
-                    yield self.garbage(framed, oddities.LOST)
+                    yield self.garbage(framed, anomalies.LOST)
             for held in self._pairing.forget():
                 yield self._unsolicited(held)
-        yield LineRecord(event, lost, self._state, oddities.of_line(event, lost))
+        yield LineRecord(event, lost, self._state, anomalies.of_line(event, lost))
 
     def garbage(self, framed: Framed, reason: str) -> Record:
-        """Host bytes that belong to no frame, and why."""
-        faults = oddities.of_garbage(framed.known, reason)
+        """The record of host bytes that belong to no frame; `reason` says why."""
+        faults = anomalies.of_garbage(framed.known, reason)
         return garbage_record(framed, reason, self._state, faults)
 
     def finish(self, now: int) -> Iterator[Record]:
-        """The recording ends at `now` (ns): a frame begun is cut short, held answers come out."""
+        """End the recording at `now` (ns): cut the open frame short and release held answers."""
         for framed in self._framer.drop(now, "truncated"):
             yield from self._framed(framed)
         while self._pairing.held:
             yield self._unsolicited(self._pairing.release())
 
     def _due(self) -> _Deadline | None:
-        """The next thing that falls due; at the same time the frame's own end comes first."""
+        """The next due time and its handler; at equal times the end of the frame comes first."""
         frame_end = self._framer.deadline
         patience = self._pairing.patience(frame_end)
         expiry = self._pairing.expiry
@@ -126,10 +126,11 @@ class Decoder:
             yield from self._framed(framed)
 
     def _give_up_frame(self, now: int) -> Iterator[Record]:
-        """The device answered in mid-frame and the host said no more: not a frame of this step.
+        """Give up a frame in which the device answered and which the host did not continue.
 
-        Unless the answer is the one that a frame cut short gets: then the device lost its patience
-        before we did (R-truncation-timeout).
+        The bytes are garbage, because framing was out of step. But if the answer is the one that a
+        truncated frame gets, the device's time-out was shorter than ours and the frame is truncated
+        (R-truncation-timeout).
         """
         self._out_of_step = None
         held = self._pairing.held
@@ -139,18 +140,18 @@ class Decoder:
                 yield from self._framed(framed)
             return
         for framed in self._framer.drop(now):
-            yield self.garbage(framed, oddities.MID_FRAME)
+            yield self.garbage(framed, anomalies.MID_FRAME)
         while self._pairing.held:
-            yield self._unpaired(self._pairing.release(), oddities.OUT_OF_STEP)
+            yield self._unpaired(self._pairing.release(), anomalies.OUT_OF_STEP)
 
     def _give_up_answer(self, now: int) -> Iterator[Record]:
         yield self._unsolicited(self._pairing.release())
 
     def _give_up_waiting(self, now: int) -> Iterator[Record]:
-        yield FaultRecord(oddities.unanswered(self._pairing.expire(), now), self._state)
+        yield FaultRecord(anomalies.unanswered(self._pairing.expire(), now), self._state)
 
     def _framed(self, framed: Framed) -> Iterator[Record]:
-        """A frame is over, whole or cut short."""
+        """Judge a frame that has ended, whole or cut short, and pair it with a held answer."""
         self._out_of_step = None
         judgement = self._judged(framed.data)
         sequence = self._sequence
@@ -160,7 +161,7 @@ class Decoder:
             effect = judgement.instruction.effect
         self._motion = effect.apply(self._motion, dict(judgement.fields))
         self._state = written_state(self._motion)
-        faults = oddities.of_frame(judgement, framed.known, sequence)
+        faults = anomalies.of_frame(judgement, framed.known, sequence)
         yield frame_record(framed, judgement, sequence, self._state, faults)
         if self._paired:
             for pair in self._pairing.instruction(sequence, framed.end, judgement):
@@ -168,7 +169,7 @@ class Decoder:
 
     def _answer(self, byte: int, now: int) -> Iterator[Record]:
         if not self._paired:
-            yield self._unpaired(Held(now, byte), oddities.ALONE)
+            yield self._unpaired(Held(now, byte), anomalies.ALONE)
             return
         if self._pairing.idle and self._framer.missing and self._out_of_step is None:
             answer = self._protocol.codes.get(byte)
@@ -179,7 +180,7 @@ class Decoder:
             yield from self._paired_up(pair)
 
     def _may_be_valid(self, header: int) -> bool:
-        """Whether a frame that begins so may be valid, and was not to be answered yet.
+        """Whether a frame with this header may be valid, so that no answer is due before its end.
 
         A device may refuse a faulty header at once and take its data in silence (R-answer-point).
         """
@@ -189,14 +190,14 @@ class Decoder:
 
     def _paired_up(self, pair: Pair) -> Iterator[Record]:
         for passed in pair.passed:
-            yield FaultRecord(oddities.unanswered(passed, pair.held.t), self._state)
-        verdict = oddities.of_answer(self._protocol, pair, self._skew)
+            yield FaultRecord(anomalies.unanswered(passed, pair.held.t), self._state)
+        verdict = anomalies.of_answer(self._protocol, pair, self._skew)
         yield answer_record(self._protocol, pair.held, pair.waiting, verdict, self._state)
 
     def _unsolicited(self, held: Held) -> Record:
         near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
-        return self._unpaired(held, oddities.unsolicited_because(self._sequence, near_loss))
+        return self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss))
 
-    def _unpaired(self, held: Held, why: oddities.Why) -> Record:
-        verdict = oddities.of_unpaired(self._protocol, held, why)
+    def _unpaired(self, held: Held, why: anomalies.Cause) -> Record:
+        verdict = anomalies.of_unpaired(self._protocol, held, why)
         return answer_record(self._protocol, held, None, verdict, self._state)

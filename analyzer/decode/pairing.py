@@ -1,8 +1,8 @@
-"""Which instruction a device byte answers: by count, oldest first. No port, no clock.
+"""Pairs device bytes with the instructions they answer, by count, oldest first.
 
-Two taps may stamp an answer before its instruction, so time never decides a pair; it only says
-when waiting has an end. An answer that nothing waits for is held for a moment, since its
-instruction may be on its way through the other adapter.
+Two taps may timestamp an answer before its instruction, so time never decides a pair; it only
+limits the waiting. An answer that no instruction waits for is held for a moment, since its
+instruction may be delayed in the other adapter. It uses no port and no clock.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from collections.abc import Iterator
 
 import msgspec
 
-from spec.codec import Judgement
-from spec.protocol import Protocol
-
-MILLISECOND = 1_000_000  # ns
+from bilprov.captures.schemas import MS
+from bilprov.spec.codec import Judgement
+from bilprov.spec.protocol import Protocol
 
 
 class Waiting(msgspec.Struct, frozen=True):
@@ -31,14 +30,14 @@ class Waiting(msgspec.Struct, frozen=True):
 
 
 class Held(msgspec.Struct, frozen=True):
-    """A device byte that nothing waits for yet, and its time (ns)."""
+    """A device byte that no instruction waits for yet, and its time (ns)."""
 
     t: int
     byte: int
 
 
 class Pair(msgspec.Struct, frozen=True):
-    """A device byte with the instruction it answers; `passed` are those it showed unanswered."""
+    """A device byte with the instruction it answers; `passed` are skipped, unanswered ones."""
 
     held: Held
     waiting: Waiting
@@ -46,18 +45,18 @@ class Pair(msgspec.Struct, frozen=True):
 
 
 class Pairing:
-    """The instructions that wait for an answer and the answers that wait for an instruction.
+    """Queues of the instructions that wait for an answer and of the answers held for one.
 
-    `skew` (ns) is how far an answer may be stamped before its instruction's last byte.
+    `skew` (ns) is how much earlier than its instruction's last byte an answer may be timestamped.
     """
 
     def __init__(self, protocol: Protocol, skew: int) -> None:
         timing = protocol.timing
         self._skew = skew
-        self.late = round(timing.answer_deadline * MILLISECOND)
-        self._longest = round(timing.answer_longest * MILLISECOND)
+        self.late = round(timing.answer_deadline * MS)
+        self._longest = round(timing.answer_longest * MS)
         # A device may take longer than we do to give up on a frame (R-truncation-timeout).
-        self._truncation_longest = round(timing.truncation_longest * MILLISECOND)
+        self._truncation_longest = round(timing.truncation_longest * MS)
         self._waiting: deque[Waiting] = deque()
         self._held: deque[Held] = deque()
 
@@ -68,11 +67,11 @@ class Pairing:
 
     @property
     def held(self) -> Held | None:
-        """The oldest answer that waits for an instruction, None if there is none."""
+        """The oldest answer that is held for an instruction, None if there is none."""
         return self._held[0] if self._held else None
 
     def instruction(self, sequence: int, end: int, judgement: Judgement) -> Iterator[Pair]:
-        """An instruction is over (whole or cut short); an answer held for it is given to it."""
+        """Add an instruction that ended (whole or cut short) at `end` (ns); pair a held answer."""
         longest = self._longest + (self._truncation_longest if judgement.truncated else 0)
         expires = end + longest
         if self._waiting:  # answers come in order: none is given up before one that came earlier
@@ -84,7 +83,7 @@ class Pairing:
             self._waiting.append(waiting)
 
     def answer(self, byte: int, t: int) -> Iterator[Pair]:
-        """A device byte came at `t` (ns); without an instruction for it, it is held."""
+        """Pair a device byte that came at `t` (ns); hold it if no instruction waits."""
         held = Held(t, byte)
         if not self._waiting:
             self._held.append(held)
@@ -95,11 +94,12 @@ class Pairing:
         yield Pair(held, self._waiting.popleft(), tuple(passed))
 
     def _passes_over(self, held: Held) -> bool:
-        """Whether the byte is rather the answer to the second instruction that waits.
+        """Whether the byte answers the second waiting instruction rather than the first.
 
-        Only where the first may have gone unanswered, because it was cut short (R-truncated-known)
-        or because its answer is overdue, and only if the byte is wrong for it and right for the
-        second: without this one lost answer would shift all that follow until the line is idle.
+        This is so only where the first may have gone unanswered, because it was cut short
+        (R-truncated-known) or its answer is overdue, and only if the byte is wrong for the first
+        and right for the second. Without this rule one lost answer would shift all later pairs
+        until the line is idle.
         """
         if len(self._waiting) < 2:
             return False
@@ -117,14 +117,14 @@ class Pairing:
         return self._waiting[0].expires if self._waiting else None
 
     def expire(self) -> Waiting:
-        """Take the oldest instruction: its time is over."""
+        """Remove and return the oldest instruction, which counts as unanswered."""
         return self._waiting.popleft()
 
     def patience(self, frame_deadline: int | None) -> int | None:
         """When (ns) the oldest held answer is given up, None if none is held.
 
-        `frame_deadline` is when the frame begun is cut short, None between frames: what is held may
-        be its answer.
+        `frame_deadline` is when the open frame is cut short, None between frames: the held byte may
+        be the answer to that frame.
         """
         if not self._held:
             return None
@@ -132,11 +132,11 @@ class Pairing:
         return end if frame_deadline is None else max(end, frame_deadline + self._skew)
 
     def release(self) -> Held:
-        """Give up the oldest held answer."""
+        """Remove and return the oldest held answer, which counts as unsolicited."""
         return self._held.popleft()
 
     def forget(self) -> list[Held]:
-        """Start anew, because bytes were lost: nothing waits any more; what was held comes out."""
+        """Clear both queues, because bytes were lost, and return the answers that were held."""
         self._waiting.clear()
         held = list(self._held)
         self._held.clear()

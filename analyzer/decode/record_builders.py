@@ -1,14 +1,14 @@
-"""How a record is filled in, out of a frame or a device byte and what was found odd about it."""
+"""Builds records from frames and device bytes, their judgements and their anomalies."""
 
 from __future__ import annotations
 
-from analyzer.decode.anomalies import Verdict
-from analyzer.decode.pairing import Held, Waiting
-from analyzer.decode.records import DeviceRecord, Fault, HostRecord
-from captures.schemas import Instruction, Response, State
-from spec.codec import Judgement, spaced
-from spec.framing import Framed
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.anomalies import AnswerCheck
+from bilprov.analyzer.decode.pairing import Held, Waiting
+from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord
+from bilprov.captures.schemas import Instruction, Response, State
+from bilprov.spec.codec import Judgement, spaced
+from bilprov.spec.framing import Framed
+from bilprov.spec.protocol import Protocol
 
 
 def frame_record(
@@ -16,7 +16,7 @@ def frame_record(
     judgement: Judgement,
     sequence: int,
     state: State,
-    faults: tuple[Fault, ...],
+    faults: tuple[Anomaly, ...],
 ) -> HostRecord:
     """The record of a frame, whole or cut short."""
     value = Instruction(
@@ -36,7 +36,7 @@ def frame_record(
 
 
 def garbage_record(
-    framed: Framed, reason: str, state: State, faults: tuple[Fault, ...]
+    framed: Framed, reason: str, state: State, faults: tuple[Anomaly, ...]
 ) -> HostRecord:
     """The record of host bytes that belong to no frame; `reason` says why."""
     value = Instruction(
@@ -59,10 +59,10 @@ def answer_record(
     protocol: Protocol,
     held: Held,
     waiting: Waiting | None,
-    verdict: Verdict,
+    verdict: AnswerCheck,
     state: State,
 ) -> DeviceRecord:
-    """The record of a device byte that answers `waiting`, or nothing."""
+    """The record of a device byte that answers `waiting` (None: it answers no instruction)."""
     answer = protocol.codes.get(held.byte)
     value = Response(
         t=held.t,

@@ -1,4 +1,4 @@
-"""What a session decodes: one frozen value for each frame, device byte, line event and fault.
+"""The records that a session decodes: a frozen value per frame, device byte, event and anomaly.
 
 All times are integers in nanoseconds since the session's start.
 """
@@ -11,22 +11,22 @@ from typing import TypeAlias
 
 import msgspec
 
-from captures.schemas import Instruction, Line, Response, State
-from spec.codec import Judgement
-from spec.motion import State as MotionState
-from spec.protocol import ResponseSpec
+from bilprov.captures.schemas import Instruction, Line, Response, State
+from bilprov.spec.codec import Judgement
+from bilprov.spec.motion import State as MotionState
+from bilprov.spec.protocol import ResponseSpec
 
 
 class Severity(IntEnum):
-    """How bad a fault is; the numbers are those of Foxglove's log levels."""
+    """The severity of an anomaly; the numbers are those of Foxglove's log levels."""
 
     INFO = 2
     WARNING = 3
     ERROR = 4
 
 
-class Fault(msgspec.Struct, frozen=True):
-    """Something odd: what kind of oddity, how bad, and why it is one, in words.
+class Anomaly(msgspec.Struct, frozen=True):
+    """An anomaly in the traffic: its time `t` (ns), kind, severity, and reason in words.
 
     `instruction` is the sequence of the instruction that it is about, None where there is none.
     """
@@ -39,62 +39,62 @@ class Fault(msgspec.Struct, frozen=True):
 
 
 class HostRecord(msgspec.Struct, frozen=True):
-    """Host bytes: a whole frame, one cut short, or garbage; and the state predicted after them.
+    """Host bytes (a whole frame, a truncated one, or garbage) and the state predicted after them.
 
-    `judgement` is None for garbage. `faults` are those that this frame shows by itself.
+    `judgement` is None for garbage. `faults` are the anomalies of this frame by itself.
     """
 
     value: Instruction
     data: bytes
     judgement: Judgement | None
     state: State
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Anomaly, ...] = ()
 
 
 class DeviceRecord(msgspec.Struct, frozen=True):
-    """One device byte.
+    """One device byte, with the instruction it answers.
 
-    `answer` is what the grammar calls the byte, None for an unused code; `answered` the judgement
-    of the instruction it answers, None where there is none.
+    `answer` is the grammar's entry for the byte, None for an unused code; `answered` is the
+    judgement of the instruction it answers, None where there is none.
     """
 
     value: Response
     answer: ResponseSpec | None
     answered: Judgement | None
     state: State
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Anomaly, ...] = ()
 
 
 class LineRecord(msgspec.Struct, frozen=True):
-    """Something that happened to a line; `lost` tells whether bytes are known to be missing."""
+    """A line event; `lost` is true if bytes are known to be missing."""
 
     value: Line
     lost: bool
     state: State
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Anomaly, ...] = ()
 
 
 class FaultRecord(msgspec.Struct, frozen=True):
-    """A fault that no frame stands for, such as an answer that never came."""
+    """An anomaly without bytes of its own, such as a missing answer."""
 
-    fault: Fault
+    fault: Anomaly
     state: State
 
 
 Record: TypeAlias = HostRecord | DeviceRecord | LineRecord | FaultRecord
 
 
-def faults_of(record: Record) -> tuple[Fault, ...]:
-    """Every fault that the record tells of."""
+def faults_of(record: Record) -> tuple[Anomaly, ...]:
+    """All anomalies of a record."""
     return (record.fault,) if isinstance(record, FaultRecord) else record.faults
 
 
 def is_frame(record: Record) -> bool:
-    """Whether the record stands for bytes (this is what `--count` counts)."""
+    """Whether the record holds bytes (these are the records that `--count` counts)."""
     return isinstance(record, HostRecord | DeviceRecord)
 
 
 @lru_cache(maxsize=4096)
 def written_state(state: MotionState) -> State:
-    """The motion state as it is written out: `motion` as set, `moving` whether the wheels turn."""
+    """Convert a motion state to its written form; `moving` tells whether the wheels turn."""
     return State(state.motion.value, state.speed, state.steering, state.led, state.moving)

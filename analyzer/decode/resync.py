@@ -1,46 +1,46 @@
-"""What a session keeps while it does not know where frames begin. No port, no clock.
+"""Resynchronisation: buffers traffic until frame boundaries are found, then releases it.
 
-Events wait here, and go through the session once more with their own times when it is known: so
-what comes out is what would have come out, had it been known from the start.
+Released events keep their own times, so the session decodes the same records as if the boundaries
+had been known from the start. It uses no port and no clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from analyzer.decode.pairing import MILLISECOND
-from captures.schemas import Chunk, Line
-from spec.framing import Framed
-from spec.protocol import Protocol
-from spec.synchronise import ANSWER, IDLE, SILENCE, Synchroniser, traffic
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.framing import Framed
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.synchronise import ANSWER, IDLE, SILENCE, Synchroniser, traffic
 
 BOUNDARY = 0.75
-"""How likely the first byte that is heard is a header.
+"""Probability that the first byte heard is a header.
 
-Attaching at a byte picked at random it was one after 76 % of the attaches in normal traffic;
-attaching at a moment picked at random it is one more often, since a line rests between frames.
+When listening began at a random byte of normal traffic, it was a header in 76 % of the trials. When
+listening begins at a random time the share is higher, since a line is idle between frames.
 """
 
-_SURE = 0.99  # frames come out from the first place that is as sure to be a boundary
-_LIKELIER = 0.5  # the same where no more can be learnt; a host that rests so long mostly rests
-_HELD = 4  # longest frames; then it is decided by what is likelier
+# A place is taken as the first frame boundary if it is one with this probability.
+_SURE = 0.99
+_LIKELIER = 0.5  # the same when no more evidence can come; a host idle that long is mostly idle
+_HELD = 4  # longest frames that are buffered; then the likelier alternative is taken
 
 
-class Hunt:
-    """Holds events, and weighs them, from the first host byte until it is known where frames begin.
+class Resync:
+    """Buffers events from the first host byte until frame boundaries are found.
 
-    `timeout` (ns) is the longest pause within a frame, `skew` (ns) how long an adapter may keep
-    bytes back. The host line was silent since `since` (ns); `answered` tells whether the device
-    spoke meanwhile.
+    `timeout` (ns) is the longest pause within a frame; `skew` (ns) is how long an adapter may
+    delay bytes. The host has been silent since `since` (ns); `answered` is true if the device sent
+    a byte in that time.
     """
 
     def __init__(
         self, protocol: Protocol, *, timeout: int, skew: int, since: int, answered: bool
     ) -> None:
         self._timeout = timeout
-        # A pause that no adapter makes by itself, and for which a device may cut a frame short
+        # A pause longer than any adapter causes, after which a device may cut a frame short
         # (R-truncation-timeout).
-        self._idle = max(skew, round(protocol.timing.truncation_shortest * MILLISECOND))
+        self._idle = max(skew, round(protocol.timing.truncation_shortest * MS))
         self._most = _HELD * protocol.longest_frame
         self._synchroniser = Synchroniser(traffic(protocol), BOUNDARY)
         self._events: list[Chunk | Line] = []
@@ -52,16 +52,16 @@ class Hunt:
 
     @property
     def deadline(self) -> int:
-        """When (ns) the host's silence tells that no frame is under way."""
+        """When (ns) the host has been silent for so long that no frame can be open."""
         return self._last + self._timeout
 
     @property
     def over(self) -> bool:
-        """Whether it is known where frames begin, or as well known as it will be."""
+        """Whether resynchronisation has ended: boundaries are found, or the buffer is full."""
         return self._synchroniser.locked or self._synchroniser.held >= self._most
 
     def host(self, byte: int, now: int) -> None:
-        """The host's next byte, at `now` (ns)."""
+        """Buffer the host's next byte, which came at `now` (ns)."""
         if now - self._last >= self._idle:
             self._synchroniser.anchor(IDLE)
         self._answered = False
@@ -70,22 +70,22 @@ class Hunt:
         self._events.append(Chunk(now, "host", bytes([byte])))
 
     def other(self, event: Chunk | Line) -> None:
-        """A device byte or a line event after which no bytes are known to be missing."""
+        """Buffer device bytes, or a line event that is not a loss."""
         if isinstance(event, Chunk):
             self._anchor_once()
         self._events.append(event)
 
     def silence(self) -> None:
-        """The host has been silent so long that no frame is under way."""
+        """End resynchronisation at `deadline`: no frame can be open, a boundary is here."""
         self._synchroniser.anchor(SILENCE)
         self.give_up()
 
     def give_up(self) -> None:
-        """Nothing more will come that could tell: what is likelier must do."""
+        """End resynchronisation without more evidence: accept the likelier boundary."""
         self._sure = _LIKELIER
 
     def settled(self) -> Iterator[Chunk | Line | Framed]:
-        """The events in order; in place of the bytes before the first frame, they as garbage."""
+        """Yield the buffered events in order; host bytes before the first frame are one garbage."""
         first = self._synchroniser.first_frame(self._sure)
         before: list[Chunk] = []
         for event in self._events:
@@ -98,7 +98,7 @@ class Hunt:
                 yield Framed("garbage", start, end, end, b"".join(one.data for one in before))
 
     def _anchor_once(self) -> None:
-        """Answers that come one after the other, without host bytes between, speak as one."""
+        """Use an answer as evidence of a boundary; a run without host bytes between counts once."""
         if not self._answered:
             self._answered = True
             self._synchroniser.anchor(ANSWER)

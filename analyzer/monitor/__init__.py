@@ -1,1 +1,1 @@
-"""Conformance judged from ordinary traffic."""
+"""Passive conformance: judges a device from ordinary traffic; counts coverage and violations."""

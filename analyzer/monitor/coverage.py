@@ -1,4 +1,4 @@
-"""Which parts of the document ordinary driving has shown, out of how many there are, by clause."""
+"""Counts which parts of the document ordinary traffic has exercised, out of how many, by clause."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from math import prod
 
 import msgspec
 
-from spec.codec import Judgement
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.codec import Judgement
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
-_KEPT = 1 << 16  # frames remembered of each kind, so that hours of wide data do not fill the memory
+_KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions
 
 
 class Covered(msgspec.Struct, frozen=True):
-    """One count: the clause, what of it, how many were met (`done`) and there are (`of`)."""
+    """One coverage count: the clause, what is counted, how many were met (`done`) out of `of`."""
 
     clause: str
     what: str
@@ -25,7 +25,7 @@ class Covered(msgspec.Struct, frozen=True):
 
 
 class Coverage:
-    """Adds up what was exercised. Frames that were met before cost next to nothing."""
+    """Counts the frames and responses that were exercised. Repeated frames cost almost nothing."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
@@ -39,7 +39,7 @@ class Coverage:
         self._codes: set[int] = set()
 
     def frame(self, judgement: Judgement, motion: str) -> None:
-        """Count a frame; `motion` is what the robot was predicted to do when it came."""
+        """Count a frame; `motion` is the predicted motion of the robot before the frame."""
         frame = judgement.frame
         if judgement.valid:
             met = self._valid[judgement.id]
@@ -49,7 +49,7 @@ class Coverage:
             return
         self._headers.add(frame[0])
         if judgement.truncated:
-            # What matters is the header and how much arrived, not which data.
+            # A truncated frame is counted by its header and length; its data do not matter.
             self._cuts.add(bytes((frame[0], len(frame))))
             self._moving.add((None, motion))
             return
@@ -97,7 +97,7 @@ class Coverage:
         )
 
     def _classes(self) -> int:
-        """How many classes of fault the protocol has; to be cut short is one."""
+        """How many classes of faulty frame the protocol has; truncated is one of them."""
         protocol = self._protocol
         found: set[Outcome | None] = {None} if any(protocol.lengths) else set()
         if protocol.unused_ids:

@@ -1,17 +1,17 @@
-"""What ordinary driving showed of a device: values only."""
+"""The results of judging a device from ordinary traffic: values only."""
 
 from __future__ import annotations
 
 import msgspec
 
-from analyzer.monitor.coverage import Covered
+from bilprov.analyzer.monitor.coverage import Covered
 
 
 class Violation(msgspec.Struct, frozen=True):
-    """Something that a conforming device never does: when (ns), which clause and reading, why.
+    """Something a conforming device never does: its time `t` (ns), clause, reading and reason.
 
-    `kind` is that of the fault (`disagreeing`, `unused code`, `unsolicited`, `unanswered`) or
-    `moving after a fault`; `instruction` the sequence of the instruction that it is about.
+    `kind` is that of the anomaly (`disagreeing`, `unused code`, `unsolicited`, `unanswered`) or
+    `moving after a fault`; `instruction` is the sequence of the instruction that it is about.
     """
 
     t: int
@@ -23,11 +23,12 @@ class Violation(msgspec.Struct, frozen=True):
 
 
 class Findings(msgspec.Struct, frozen=True):
-    """What ordinary driving showed.
+    """The results of judging one session.
 
-    `judged` counts instructions whose answer was judged, `looks` the looks at a robot that a fault
-    had stopped. `not_judged` counts by reason, `violations` by kind, `readings` by reading what is
-    legal although the kit reads the document otherwise. `listed` are the first violations.
+    `judged` counts the instructions whose answer was judged, and `looks` the probe readings of a
+    robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
+    by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
+    although the kit reads the document otherwise.
     """
 
     instructions: int

@@ -1,18 +1,18 @@
-"""Judges a device from ordinary driving: decoded records in, coverage and violations out.
+"""Judges a device from ordinary traffic: turns decoded records into coverage and violations.
 
-What a decoded record calls an error is a violation; what it warns of is another reading of the
-document or slow, which is legal. The answers that other readings allow are those of the suite
-(`spec.answers`). What cannot be judged is counted as that, never as fine. No port, no clock.
+An anomaly of severity error is a violation. A warning is legal: the device follows another reading
+of the document, or is slow. The answers that other readings allow are those of the test suite
+(`spec.legal_answers`). What cannot be judged is counted separately and never counted as correct.
+The judge uses no port and no clock.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.decode.records import (
+from bilprov.analyzer.decode.records import (
+    Anomaly,
     DeviceRecord,
-    Fault,
     FaultRecord,
     HostRecord,
     LineRecord,
@@ -20,14 +20,14 @@ from analyzer.decode.records import (
     Severity,
     written_state,
 )
-from analyzer.monitor.coverage import Coverage
-from analyzer.monitor.findings import Findings, Violation
-from captures.schemas import Chunk, Line, Look
-from spec.codec import Judgement
-from spec.fields import Outcome
-from spec.legal_answers import SILENCE_READING, other_choices
-from spec.motion import Motion
-from spec.protocol import Protocol
+from bilprov.analyzer.monitor.coverage import Coverage
+from bilprov.analyzer.monitor.findings import Findings, Violation
+from bilprov.captures.schemas import MS, Chunk, Line, Look
+from bilprov.spec.codec import Judgement
+from bilprov.spec.fields import Outcome
+from bilprov.spec.legal_answers import SILENCE_READING, other_choices
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 _IN_A_ROW = 64
 _NEVER = 1 << 64  # ns
@@ -42,13 +42,15 @@ _GARBAGE = "bytes that belong to no frame"
 
 
 class PassiveJudge:
-    """Judges a session while it goes on.
+    """Judges a running session, record by record.
 
-    `paired` tells whether both directions are heard, `attached` as in Session that listening began
-    in the midst of something. Then, after a loss, and after a frame with a pause in it that a
-    device may have taken for its end, an answer may belong to something else, and shift all that
-    follow: until both sides were silent for the answer deadline with nothing left to answer, or 64
-    answers in a row agreed, what looks wrong is not judged.
+    `paired` is true if both directions are heard; `attached` is true, as in Session, if listening
+    began in running traffic.
+
+    Pairs of instruction and answer cannot be trusted after attaching, after a loss, and after a
+    frame with a pause that the device may have taken for its end: one wrong pair shifts all that
+    follow. From then on no anomaly is judged, until both sides were silent for the answer deadline
+    with no instruction waiting, or 64 answers in a row agreed.
     """
 
     def __init__(self, protocol: Protocol, *, paired: bool = True, attached: bool = False) -> None:
@@ -62,25 +64,26 @@ class PassiveJudge:
         self._violations: Counter[str] = Counter()
         self._readings: Counter[str] = Counter()
         self._listed: list[Violation] = []
-        self._pending: dict[int, bool] = {}  # whether a device that flushes may have lost it
-        self._flushes_until = -1  # R-drain-known: it may flush until the line is idle
+        # Instructions that wait for an answer, and whether a device that flushes may lose them.
+        self._pending: dict[int, bool] = {}
+        self._flushes_until = -1  # R-drain-known: the device may flush until the line is idle
         self._newest = -1
         self._motion = written_state(protocol.power_on).motion
         self._stopped_by: int | None = None  # the faulty instruction that stopped the robot
-        self._said = 0  # when the host last said something
-        self._decoded = 0  # until when it is known what that was
-        self._refused = 0  # when that instruction was answered, or else was over
-        self._stood = False  # whether the robot was seen standing still since
-        self._in_step_from = _NEVER if attached else 0  # since when pairs can be trusted
+        self._said = 0  # time of the host's last byte
+        self._decoded = 0  # time up to which host bytes are decoded
+        self._refused = 0  # when the instruction of `_stopped_by` was answered, or else ended
+        self._stood = False  # whether the robot was seen standing still since then
+        self._in_step_from = _NEVER if attached else 0  # from when on pairs can be trusted
         self._agreed = 0
-        self._heard = 0  # when either side last said something
-        self._deadline = round(protocol.timing.answer_deadline * MILLISECOND)
-        self._idle = round(protocol.timing.truncation_timeout * MILLISECOND)
-        self._pause = round(protocol.timing.truncation_shortest * MILLISECOND) // 2
-        self._longest_stop = round(protocol.timing.stop_longest * MILLISECOND)
+        self._heard = 0  # time of the last byte of either side
+        self._deadline = round(protocol.timing.answer_deadline * MS)
+        self._idle = round(protocol.timing.truncation_timeout * MS)
+        self._pause = round(protocol.timing.truncation_shortest * MS) // 2
+        self._longest_stop = round(protocol.timing.stop_longest * MS)
 
     def event(self, event: Chunk | Line) -> None:
-        """Something came; what it means comes as records."""
+        """Note the time of an event, before the records that are decoded from it."""
         if not isinstance(event, Chunk):
             return
         silent = event.t - self._heard >= self._deadline and not self._pending
@@ -102,8 +105,8 @@ class PassiveJudge:
             self._line(record)
 
     def look(self, look: Look) -> None:
-        """A reading of a probe: a robot that a fault has stopped must not be seen moving."""
-        # While an instruction is under way nobody knows which came first, it or the look.
+        """Judge a look of the probe: a robot stopped by a faulty instruction must not be moving."""
+        # While an instruction is under way, it is unknown whether it or the look came first.
         if self._stopped_by is None or self._pending or self._said > self._decoded:
             return
         since = look.t - self._refused
@@ -117,14 +120,14 @@ class PassiveJudge:
         if look.moving:
             number, self._stopped_by = self._stopped_by, None
             reason = (
-                f"seen moving {since / MILLISECOND:.0f} ms after the faulty instruction {number} "
+                f"seen moving {since / MS:.0f} ms after the faulty instruction {number} "
                 "was over, and nothing has set it in motion since"
             )
-            fault = Fault(look.t, MOVING, Severity.ERROR, reason, number)
+            fault = Anomaly(look.t, MOVING, Severity.ERROR, reason, number)
             self._violate(fault, self._protocol.clauses.safety, "R-stop-latency")
 
     def finish(self) -> Findings:
-        """The traffic has ended: what was found."""
+        """End the traffic and return the findings."""
         self._give_up(_OVER)
         return Findings(
             instructions=self._instructions,
@@ -142,11 +145,11 @@ class PassiveJudge:
         self._decoded = max(self._decoded, value.end)
         if judgement is None or value.sequence is None:
             self._not_judged[_GARBAGE] += len(record.data)
-            self._stopped_by = None  # whatever they were, the device may have taken them up
+            self._stopped_by = None  # the device may have read these bytes as an instruction
             return
         self._instructions += 1
         if value.t < self._in_step_from:
-            self._out_of_step()  # it was held back, so the silence was not what it seemed
+            self._out_of_step()  # it was buffered: the host was not silent when it seemed to be
         self._coverage.frame(judgement, self._motion)
         self._motion = record.state.motion
         if not judgement.valid:
@@ -191,7 +194,7 @@ class PassiveJudge:
                 self._readings[self._reading(fault, value.byte, record.answered)] += 1
 
     def _unpaired(self, record: DeviceRecord) -> None:
-        """A byte that answers nothing, or nothing that was seen."""
+        """Judge a device byte that answers no instruction, or none that was heard."""
         errors = [fault for fault in record.faults if fault.severity is Severity.ERROR]
         # A banner before the first instruction, an answer around a loss: see R-unsolicited.
         uncertain = any(fault.severity is Severity.INFO for fault in record.faults)
@@ -201,7 +204,7 @@ class PassiveJudge:
         clause = self._protocol.clauses.responses
         self._violate(errors[0], clause, "R-unsolicited")
 
-    def _unanswered(self, fault: Fault) -> None:
+    def _unanswered(self, fault: Anomaly) -> None:
         if fault.instruction is None or fault.instruction not in self._pending:
             return
         lost = self._pending.pop(fault.instruction)
@@ -231,14 +234,14 @@ class PassiveJudge:
             self._not_judged[reason] += len(self._pending)
             self._pending.clear()
 
-    def _reading(self, fault: Fault, byte: int, answered: Judgement) -> str:
-        """The reading under which an answer that only earns a warning is legal."""
+    def _reading(self, fault: Anomaly, byte: int, answered: Judgement) -> str:
+        """The reading under which an answer with a warning is legal."""
         if fault.kind != "disagreeing":
             return "R-answer-deadline" if fault.kind == "slow" else "R-answer-point"
         choices = other_choices(self._protocol, answered)
         return next(choice.reading for choice in choices if choice.code == byte)
 
-    def _violate(self, fault: Fault, clause: str, reading: str) -> None:
+    def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
         self._violations[fault.kind] += 1
         if len(self._listed) < KEPT:
             self._listed.append(
@@ -247,5 +250,8 @@ class PassiveJudge:
 
 
 def _is_short(judgement: Judgement) -> bool:
-    """Whether a header announces too little: one answered only after the next byte swallowed it."""
+    """Whether the frame is complete, but its header announces too few data bytes.
+
+    A device may answer such a frame only after it has taken the next byte.
+    """
     return judgement.outcome is Outcome.TOO_FEW and not judgement.truncated

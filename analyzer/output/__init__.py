@@ -1,1 +1,1 @@
-"""Records as text, JSON lines, live view, tables."""
+"""Output of records as text, JSON lines, live view and tables, with filters and statistics."""

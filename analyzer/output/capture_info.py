@@ -1,4 +1,4 @@
-"""What a capture holds, in a page: told from the file's survey, without decoding it."""
+"""The one-page summary of a capture that `bilprov info` shows, made without decoding it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from analyzer.output.console import facts, heading, table
-from captures.errors import shown
-from captures.reader import Capture
-from captures.topics import DEVICE_RAW, HOST_RAW
-from spec.protocol import Protocol
+from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.captures.reader import Capture
+from bilprov.captures.text import printable
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.spec.protocol import Protocol
 
 SECOND = 1_000_000_000  # ns
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What `bilprov info` tells of a capture.
+    """The values that `bilprov info` shows of a capture.
 
-    `start` is ISO 8601 in UTC, `duration` in s, `counts` messages and `bytes` raw bytes.
-    `same_grammar` tells whether the capture was recorded with the grammar in use, None if it does
-    not say.
+    `start` is ISO 8601 in UTC, `duration` is in s, `counts` are messages by topic, `bytes` raw
+    bytes by direction. `same_grammar` tells whether the capture was recorded with the grammar in
+    use, None if the capture does not say.
     """
 
     path: str
@@ -42,7 +42,7 @@ class Summary:
 
 
 def summarized(capture: Capture, protocol: Protocol) -> Summary:
-    """The summary of an opened capture; foreign text is as it came."""
+    """Summarize an opened capture; text from the file is not escaped here."""
     contents = capture.contents
     hashes = [value for key, value in capture.metadata.items() if key.endswith("sha256")]
     return Summary(
@@ -64,7 +64,7 @@ def summarized(capture: Capture, protocol: Protocol) -> Summary:
 
 
 def _moment(wall: int) -> str:
-    """A wall clock in ns as ISO 8601, as a number where it is no moment of our calendar."""
+    """Format a wall-clock time in ns as ISO 8601, or as a number if it is outside the calendar."""
     try:
         return datetime.fromtimestamp(wall // SECOND, UTC).isoformat()
     except (OverflowError, OSError, ValueError):
@@ -72,13 +72,13 @@ def _moment(wall: int) -> str:
 
 
 def drawn(summary: Summary) -> Iterator[RenderableType]:
-    """The parts to print; foreign text is made safe."""
-    yield heading(shown(summary.path))
+    """Yield the parts to print; text from the file is escaped."""
+    yield heading(printable(summary.path))
     yield facts(_about(summary))
     yield Text()
     yield table(
         ("topic", "messages"),
-        [(shown(topic), f"{count:,}") for topic, count in sorted(summary.counts.items())],
+        [(printable(topic), f"{count:,}") for topic, count in sorted(summary.counts.items())],
         right="messages",
     )
     if summary.unfinished:
@@ -88,17 +88,17 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
             style="yellow",
         )
     for sentence in summary.damage:
-        yield Text(f"  damaged: {shown(sentence)}", style="yellow")
+        yield Text(f"  damaged: {printable(sentence)}", style="yellow")
 
 
 def _about(summary: Summary) -> Iterator[tuple[str, str]]:
     yield "size", f"{summary.size:,} bytes"
-    yield "written by", shown(summary.library) or "unknown"
+    yield "written by", printable(summary.library) or "unknown"
     yield "start", summary.start
     yield "duration", f"{summary.duration:.3f} s"
     for key, value in sorted(summary.metadata.items()):
-        if key != "start":  # told above, as a date
-            yield shown(key.replace("_", " ")), shown(value)
+        if key != "start":  # shown above, as a date
+            yield printable(key.replace("_", " ")), printable(value)
     if summary.same_grammar is not None:
         yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"
     yield "host sent", f"{summary.bytes['host']:,} bytes"
@@ -106,5 +106,5 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
 
 
 def as_json(summary: Summary) -> dict[str, Any]:
-    """The same for machines."""
+    """The summary as a JSON object."""
     return asdict(summary)

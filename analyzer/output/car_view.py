@@ -1,14 +1,14 @@
-"""The car as the instructions so far predict it: direction, wheels, speed, steering, LED."""
+"""Draws the predicted state of the car: direction, wheels, speed, steering and LED."""
 
 from __future__ import annotations
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from captures.schemas import State
-from spec.motion import Motion, wheels
-from spec.motion import State as MotionState
-from spec.protocol import FieldSpec, Protocol
+from bilprov.captures.schemas import State
+from bilprov.spec.motion import Motion, wheels
+from bilprov.spec.motion import State as MotionState
+from bilprov.spec.protocol import FieldSpec, Protocol
 
 BAR = 14
 _ARROWS = {
@@ -18,12 +18,12 @@ _ARROWS = {
     Motion.ROTATE_RIGHT: "↻",
     Motion.ROTATE_LEFT: "↺",
 }
-# What the letters of a colour field mean on a screen; other letters are shown plainly.
+# Screen colours for the letters of a colour field; other letters are shown in yellow.
 _COLOURS = {"R": "red", "G": "green", "B": "blue"}
 
 
 def car_view(protocol: Protocol, state: State) -> RenderableType:
-    """Eight rows, 26 columns: the car from above, then what it is set to."""
+    """Draw the state in eight rows of 26 columns: the car from above, then its settings."""
     motion = Motion(state.motion)
     full = max((abs(end) for end in protocol.limits.get("steering", (0, 0))), default=0)
     moved = MotionState(motion, state.speed, state.steering, state.led)
@@ -80,7 +80,7 @@ def _led(protocol: Protocol, led: int) -> Text:
 
 
 def _led_bits(protocol: Protocol) -> str:
-    """The names of the LED's bits, from the field that sets it; empty where they have none."""
+    """The letters of the LED's bits, from the field that sets the LED; empty if it has none."""
     for spec in protocol.instructions:
         for variable, value in spec.effect.assignments:
             if variable == "led" and isinstance(value, tuple):

@@ -1,4 +1,4 @@
-"""Text, tables and JSON on standard output: drawn on a terminal, plain lines in a pipe."""
+"""Prints text, tables and JSON to standard output: styled on a terminal, plain lines in a pipe."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-# Wide enough that nothing wraps: a line in a pipe is one fact, for grep.
+# Wide enough that nothing wraps: in a pipe each fact stays on one line, so that grep finds it.
 _PIPE_WIDTH = 100_000
 
 
 def show(*parts: RenderableType) -> None:
-    """Print the parts, as wide as the terminal; in a pipe unwrapped and without trailing blanks."""
+    """Print the parts to the terminal's width; in a pipe unwrapped and without trailing blanks."""
     console = Console(highlight=False, markup=False, emoji=False)
     if console.is_terminal:
         for part in parts:
@@ -40,12 +40,12 @@ def show_json(value: Any) -> None:
 
 
 def heading(text: str) -> Text:
-    """A title over a table or a block."""
+    """A bold title for a table or a block."""
     return Text(text, style="bold")
 
 
 def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> RenderableType:
-    """Labels on the left, what they say on the right; rows that say nothing are left out."""
+    """A grid of labels and their values; rows with an empty value are left out."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
@@ -56,7 +56,7 @@ def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> Renderable
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: str = "") -> RenderableType:
-    """A table with a line of titles. Columns named in `right` are set to the right."""
+    """A table with a header line. The columns named in `right` are aligned to the right."""
     drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in columns:
         last = name == columns[-1]

@@ -1,4 +1,4 @@
-"""An explanation as a picture of its bits, and as JSON."""
+"""Shows an explanation as a drawing of its bits, and as JSON."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.output.console import facts, heading
-from spec.bits import BitGroup
-from spec.codec import spaced
-from spec.explain import Explanation, FrameExplanation, ResponseExplanation
+from bilprov.analyzer.output.console import facts, heading
+from bilprov.spec.bits import BitGroup
+from bilprov.spec.codec import spaced
+from bilprov.spec.explain import Explanation, FrameExplanation, ResponseExplanation
 
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue")
 _FAULT = "bold red"
 
 
 def drawn(explanation: Explanation) -> Iterator[RenderableType]:
-    """The parts to print: for each frame or response its bits, then what follows from them."""
+    """Yield the parts to print: for each frame or response its bits, then their consequences."""
     parts = (*map(_frame, explanation.frames), *map(_response, explanation.responses))
     for index, part in enumerate(parts):
         if index:
@@ -77,7 +77,7 @@ def _response(response: ResponseExplanation) -> Iterator[RenderableType]:
 
 
 def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
-    """Each byte's bits on one line, and under it one line for each group: underlined and named."""
+    """Draw each byte's bits on one line, and below it one line that names each group of bits."""
     grid = Table.grid(padding=(0, 2))
     for _ in range(5):
         grid.add_column(no_wrap=True)
@@ -105,7 +105,7 @@ def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
 
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
-    """The same values for machines."""
+    """The explanation as a JSON object."""
     return {
         "hex": spaced(explanation.data),
         "frames": [_frame_json(frame) for frame in explanation.frames],

@@ -1,7 +1,7 @@
-"""`--filter EXPR`: a small, safe language over the JSON lines. Text in, a function out.
+"""Compiles filter expressions (`--filter EXPR`) over JSON lines into functions.
 
-Python's own parser reads the expression; each node is looked up in the tables here and what is not
-there is refused, so nothing of it is ever run as Python.
+Python's own parser reads the expression. Each node is looked up in the tables here, and what is not
+listed is refused, so no part of an expression is ever run as Python.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
-from analyzer.output.filter_names import HELP, MISSING, Name, names, words
-from analyzer.output.json_lines import JsonLine
-from captures.errors import shown
-from spec.protocol import Protocol
+from bilprov.analyzer.output.filter_names import HELP, MISSING, Name, names, words
+from bilprov.analyzer.output.json_lines import JsonLine
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 __all__ = ["HELP", "FilterError", "compile_filter"]
 
@@ -34,19 +35,19 @@ _COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
     ast.NotIn: ("not in", lambda one, many: one not in many),
 }
 
-# A part of an expression: what kind of value it has, and how it is got from a line.
+# A part of an expression: the kind of its value, and a function that gets the value from a line.
 _Part = tuple[str, Callable[[JsonLine], Any]]
 
 
-class FilterError(ValueError):
-    """An expression that is no filter, in one sentence with the column."""
+class FilterError(UserError, ValueError):
+    """The expression is no valid filter. The message is one sentence with the column."""
 
 
 def compile_filter(text: str, protocol: Protocol) -> Callable[[JsonLine], bool]:
-    """A function that tells whether a line passes.
+    """Compile a filter into a function that tells whether a line passes.
 
-    The names are those of `HELP` and the fields of the protocol's instructions. Comparing a value
-    that a line does not have is false. Raises FilterError.
+    The names are those of `HELP` and the fields of the protocol's instructions. A comparison with a
+    value that a line does not have is false. Raises FilterError.
     """
     if len(text) > LONGEST:
         raise FilterError(f"the filter has {len(text)} characters, allowed are {LONGEST}")
@@ -58,7 +59,7 @@ def compile_filter(text: str, protocol: Protocol) -> Callable[[JsonLine], bool]:
         found = _Compiler(source, protocol).truth(tree.body)
     except SyntaxError as error:
         raise FilterError(
-            f"the filter {shown(source)!r} does not parse at column {error.offset or 1}; "
+            f"the filter {printable(source)!r} does not parse at column {error.offset or 1}; "
             f"allowed are {_ALLOWED}"
         ) from error
     except (RecursionError, MemoryError) as error:
@@ -66,7 +67,7 @@ def compile_filter(text: str, protocol: Protocol) -> Callable[[JsonLine], bool]:
     except ValueError as error:
         if isinstance(error, FilterError):
             raise
-        raise FilterError(f"the filter cannot be read: {shown(error)}") from error
+        raise FilterError(f"the filter cannot be read: {printable(error)}") from error
     return lambda line: bool(found(line) is True)
 
 
@@ -79,7 +80,7 @@ class _Compiler:
         self._words = words(protocol)
 
     def truth(self, node: ast.expr) -> Callable[[JsonLine], Any]:
-        """A condition: something that is true or false."""
+        """Compile a condition: an expression that is true or false."""
         if isinstance(node, ast.BoolOp):
             parts = [self.truth(value) for value in node.values]
             if isinstance(node.op, ast.And):
@@ -119,7 +120,7 @@ class _Compiler:
         return holds
 
     def _check(self, node: ast.expr, left: str, sign: str, right: str) -> None:
-        """Comparisons that could never hold are mistakes, and said so at once."""
+        """Refuse a comparison that can never hold, since it is a mistake. Raises FilterError."""
         if sign.endswith("in"):
             fits = right == f"list of {left}" or left == right == "text"
         else:
@@ -175,10 +176,10 @@ class _Compiler:
     def _refuse(self, node: ast.expr, why: str) -> NoReturn:
         part = ast.get_source_segment(self._source, node) or ""
         before = self._source.encode()[: node.col_offset].decode(errors="replace")
-        raise FilterError(f"filter column {len(before) + 1}: {shown(part)!r} {why}")
+        raise FilterError(f"filter column {len(before) + 1}: {printable(part)!r} {why}")
 
 
 def _example(kind: str) -> str:
-    """How a value of that kind is made a condition."""
+    """An example of a condition with a value of this kind."""
     examples = {"number": "latency > 0.01", "text": "direction == 'host'"}
     return examples.get(kind, "kind in ('garbage', 'gap')")

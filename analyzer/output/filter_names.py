@@ -1,18 +1,18 @@
-"""The names and words of filter expressions, and how each is got from a JSON line."""
+"""The names and words of filter expressions, with the functions that read them from JSON lines."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, get_args
 
-from analyzer.output.json_lines import JsonLine
-from captures.schemas import Direction, FrameKind
-from spec.motion import VARIABLES, Motion
-from spec.protocol import Protocol
+from bilprov.analyzer.output.json_lines import JsonLine
+from bilprov.captures.schemas import Direction, FrameKind
+from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.protocol import Protocol
 
 
 class _Missing:
-    """A value that a line does not have: no comparison with it holds."""
+    """The type of MISSING, a value that a line does not have: no comparison with it holds."""
 
 
 MISSING = _Missing()
@@ -27,7 +27,7 @@ need no quotes. A comparison with something that a line does not have is false."
 
 
 class Name(NamedTuple):
-    """A name: the kind of its value (`text`, `number`, `truth`, `list of text`), and the value."""
+    """A name's kind of value (`text`, `number`, `truth`, `list of text`), and its getter."""
 
     kind: str
     get: Callable[[JsonLine], Any]
@@ -62,7 +62,7 @@ KEYS = {
 
 
 def names(protocol: Protocol) -> Mapping[str, Name]:
-    """Every name. A field that is called like a key is reached as `fields.NAME`."""
+    """All names of a filter. A field with the same name as a key is reached as `fields.NAME`."""
     fields = {
         part.name: _field(part.name) for spec in protocol.instructions for part in spec.fields
     }
@@ -70,7 +70,7 @@ def names(protocol: Protocol) -> Mapping[str, Name]:
 
 
 def words(protocol: Protocol) -> tuple[str, ...]:
-    """Texts that need no quotes; a name goes before a word that is spelled the same."""
+    """The texts that need no quotes; a name takes precedence over a word of the same spelling."""
     return tuple(
         dict.fromkeys(
             [

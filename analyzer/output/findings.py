@@ -1,4 +1,4 @@
-"""What ordinary driving showed, at the end: a table on standard error, or one JSON object.
+"""Shows the findings of the passive judge: a table on standard error, or one JSON object.
 
 The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
 `exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
@@ -16,12 +16,12 @@ from typing import Any
 
 import msgspec
 
-from analyzer.monitor.findings import Findings, Violation
-from analyzer.output.outputs import Format
+from bilprov.analyzer.monitor.findings import Findings, Violation
+from bilprov.analyzer.output.outputs import Format
 
 
 def tell_findings(findings: Findings, style: Format) -> int:
-    """Show what was found, in the format of the output before it; gives the exit code."""
+    """Show the findings in the format of the session's output, and return the exit code."""
     if style == "jsonl":
         sys.stdout.write(msgspec.json.encode(as_json(findings)).decode() + "\n")
         sys.stdout.flush()
@@ -31,7 +31,7 @@ def tell_findings(findings: Findings, style: Format) -> int:
 
 
 def as_json(findings: Findings) -> dict[str, Any]:
-    """The findings for machines; the module's docstring says what the keys mean."""
+    """The findings as a JSON object; the module's docstring explains the keys."""
     listed = [msgspec.to_builtins(v) | {"t": v.t / 1e9} for v in findings.listed]
     return {
         "kind": "judgement",
@@ -70,7 +70,7 @@ def _words(violation: Violation) -> str:
 
 
 def _draw(findings: Findings) -> None:
-    # The terminal's output may still be a pipe's: lines are never cut.
+    # Standard error may be a pipe, so lines are never cut.
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

@@ -1,38 +1,38 @@
-r"""Records as JSON lines: what `--format jsonl` of sniff, replay and decode prints.
+r"""Converts records to JSON lines, which `--format jsonl` of sniff, replay and decode prints.
 
-One object a line, always with these keys in this order; what does not apply is null (`fields` {}):
+Each line is one object, always with these keys in this order. A key that does not apply is null
+(`fields` is {}):
 
-- `t`: seconds since the start; of the first byte, of a fault when it was known.
+- `t`: seconds since the start: the time of the first byte, or for a fault the time it was found.
 - `direction`: `host` or `device`; null where a gap or a fault belongs to neither.
 - `kind`: `instruction`, `response`, `truncated`, `garbage`, `gap` (bytes are known to be lost), and
-  `fault` for what no frame stands for: an answer that never came, a break on the line.
+  `fault` for an anomaly without bytes of its own, such as a missing answer or a break on the line.
 - `hex`: the bytes, like `81 05`.
-- `name`: of the instruction or the response, null where it is unused; of a fault its kind.
+- `name`: the name of the instruction or the response, null for an unused one; for a fault its kind.
 - `fields`: the decoded data, `{"rgb": 5}`.
 - `judgement`: the response that a conforming device gives: to this instruction, or to the one that
   this response answers.
-- `reason`: why, in words; empty where there is nothing to say.
+- `reason`: the reason for the judgement or the fault, in words; may be empty.
 - `latency`: seconds from the instruction's last byte to this response; negative where two taps
   stamped it earlier.
-- `state`: what the instructions so far predict: `motion`, `speed`, `steering` (right positive),
-  `led`, `moving`.
-- `sequence`: counts instructions (whole and truncated) from 0.
+- `state`: the motion state that the instructions so far predict: `motion`, `speed`, `steering`
+  (right positive), `led`, `moving`.
+- `sequence`: the number of the instruction, counted from 0 (whole and truncated ones).
 - `answers`: the `sequence` of the instruction that this response answers.
 - `agrees`: whether the response is the expected one.
-- `faults`: the kinds of fault that this line tells of: `faulty instruction`, `truncated`,
-  `garbage`, `disagreeing`, `unused code`, `unsolicited`, `unanswered`, `slow`, `early`,
-  `out of step`, `lost bytes`, and line events (`break`, `parity` ...). What is a matter of
-  uncertain times (`early` within the skew of two taps, a banner before the first instruction)
-  stands in `reason` alone.
+- `faults`: the kinds of the line's anomalies: `faulty instruction`, `truncated`, `garbage`,
+  `disagreeing`, `unused code`, `unsolicited`, `unanswered`, `slow`, `early`, `out of step`,
+  `lost bytes`, and line events (`break`, `parity` ...). Those of severity info (`early` within the
+  skew of two taps, a banner before the first instruction) appear in `reason` only.
 """
 
 from __future__ import annotations
 
 import msgspec
 
-from analyzer.decode.records import (
+from bilprov.analyzer.decode.records import (
+    Anomaly,
     DeviceRecord,
-    Fault,
     FaultRecord,
     HostRecord,
     LineRecord,
@@ -40,12 +40,12 @@ from analyzer.decode.records import (
     Severity,
     faults_of,
 )
-from captures.errors import shown
-from captures.schemas import State
+from bilprov.captures.schemas import State
+from bilprov.captures.text import printable
 
 
 class JsonLine(msgspec.Struct, frozen=True):
-    """One line; the module's docstring says what the keys mean."""
+    """One JSON line; the module's docstring explains the keys."""
 
     t: float
     direction: str | None
@@ -67,7 +67,7 @@ encode = msgspec.json.Encoder().encode
 
 
 def json_line(record: Record) -> JsonLine | None:
-    """The record as a line; None for a line event that is neither a loss nor a fault."""
+    """Convert a record to a line; None for a line event without an anomaly."""
     if isinstance(record, HostRecord):
         return _host_line(record)
     if isinstance(record, DeviceRecord):
@@ -81,7 +81,7 @@ def json_line(record: Record) -> JsonLine | None:
 
 
 def _kinds(record: Record) -> tuple[str, ...]:
-    """The faults that count; what only makes times uncertain is in `reason` alone."""
+    """The kinds of a record's anomalies that are warnings or errors."""
     return tuple(f.kind for f in faults_of(record) if f.severity > Severity.INFO)
 
 
@@ -122,13 +122,13 @@ def _device_line(record: DeviceRecord) -> JsonLine:
     )
 
 
-def _fault_line(fault: Fault, state: State, kind: str, line: LineRecord | None) -> JsonLine:
+def _fault_line(fault: Anomaly, state: State, kind: str, line: LineRecord | None) -> JsonLine:
     return JsonLine(
         t=fault.t / 1e9,
         direction=(line.value.tap or None) if line else None,
         kind=kind,
         hex="",
-        name=shown(fault.kind) if kind == "fault" else None,
+        name=printable(fault.kind) if kind == "fault" else None,
         fields={},
         judgement=None,
         reason=fault.reason,

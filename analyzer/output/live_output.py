@@ -1,7 +1,7 @@
-"""The live view on a terminal: every record is counted, the screen is drawn ten times a second.
+"""Draws the live view on a terminal, at most ten times a second; every record is counted.
 
-A picture takes several milliseconds to draw, and a slow terminal longer: a thread of its own does
-it, so that a bridge hands bytes on meanwhile.
+Drawing takes several milliseconds, longer on a slow terminal, so a separate thread does it and a
+bridge can pass bytes on in the meantime.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.live import Live
 
-from analyzer.decode.records import Record
-from analyzer.output.live_view import View, live_view
-from analyzer.output.statistics import Statistics
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.output.live_view import View, live_view
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.spec.protocol import Protocol
 
 DRAW_EVERY = 0.1  # s
-# A slow terminal gets fewer pictures, so that drawing never takes more than this part of the time.
+# Largest share of the time that drawing may take; on a slow terminal the view is drawn less often.
 _DRAWING_SHARE = 0.25
-_LAST_HEIGHT = 24  # lines of the picture that stays
-_SWITCH = 0.0005  # s that the drawing may keep the reading from going on; Python's own is 5 ms
+_LAST_HEIGHT = 24  # lines of the last view, which stays on the terminal
+_SWITCH = 0.0005  # s after which the drawing thread yields to the reading one; Python's own is 5 ms
 
 
 class LiveOutput:
     """Draws the statistics of a session that is being decoded.
 
-    `captured` tells in words what is kept so far. Uses the terminal's other screen; `close` gives
-    the first one back and leaves the last picture there.
+    `captured` returns in words what was recorded so far. The view uses the terminal's alternate
+    screen; `close` restores the normal screen and leaves the last view on it.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class LiveOutput:
         self._thread.start()
 
     def show(self, record: Record) -> None:
-        """The statistics hold it already; the next picture shows it."""
+        """Do nothing: the statistics hold the record already, and the next drawing shows it."""
 
     def tick(self, now: int) -> None:
-        """Hand on what is to be drawn, unless the last picture is too fresh or still being drawn.
+        """Start a drawing, unless the last one is too recent or still in progress.
 
         `now` is ns since the start.
         """
@@ -73,7 +73,7 @@ class LiveOutput:
             self._wake.set()
 
     def close(self) -> None:
-        """Leave the terminal as it was, with the last picture on it."""
+        """Restore the terminal, with the last view on it."""
         self._closing = True
         self._wake.set()
         self._thread.join()
@@ -87,7 +87,7 @@ class LiveOutput:
         return View(self._protocol, snapshot, self._title, self._captured())
 
     def _draw(self) -> None:
-        """The thread's whole life: it sees only frozen views, never the statistics."""
+        """Run the drawing thread; it reads only frozen views, never the statistics."""
         while not self._closing:
             self._wake.wait()
             began = time.monotonic()

@@ -1,4 +1,4 @@
-"""The live view: one frozen value in, one picture out. Owns no terminal, no clock."""
+"""Lays out the live view from one frozen value; it uses no terminal and no clock."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.decode.records import (
+from bilprov.analyzer.decode.records import (
+    Anomaly,
     DeviceRecord,
-    Fault,
     FaultRecord,
     HostRecord,
     LineRecord,
@@ -20,11 +20,11 @@ from analyzer.decode.records import (
     Severity,
     faults_of,
 )
-from analyzer.output.car_view import car_view
-from analyzer.output.statistics import Latencies, Snapshot
-from analyzer.output.text_lines import SEVERITY_COLOURS
-from captures.errors import shown
-from spec.protocol import Protocol
+from bilprov.analyzer.output.car_view import car_view
+from bilprov.analyzer.output.statistics import Latencies, Snapshot
+from bilprov.analyzer.output.text_lines import SEVERITY_COLOURS
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
 
 SIDE_WIDTH = 30
 FAULT_ROWS = 4
@@ -32,7 +32,7 @@ FAULT_ROWS = 4
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the live view shows: `title` says where it listens, `captured` what is kept of it."""
+    """The content of the live view: `title` names the ports, `captured` what was recorded."""
 
     protocol: Protocol
     snapshot: Snapshot
@@ -41,7 +41,7 @@ class View:
 
 
 def live_view(view: View) -> RenderableType:
-    """The picture of a moment. It fills the console it is drawn on, from 80 x 24 up."""
+    """Lay out a view. It fills the console it is drawn on, from 80 x 24 characters up."""
     layout = Layout()
     layout.split_column(
         Layout(_head(view), size=1),
@@ -59,17 +59,17 @@ def live_view(view: View) -> RenderableType:
 
 def _head(view: View) -> RenderableType:
     elapsed = view.snapshot.t / 1e9
-    captured = f"  ● {shown(view.captured)}" if view.captured else ""
+    captured = f"  ● {printable(view.captured)}" if view.captured else ""
     right = Text(f"{captured}  {elapsed // 60:02.0f}:{elapsed % 60:04.1f}", no_wrap=True)
     bar = Table.grid(expand=True)
     bar.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
     bar.add_column(no_wrap=True, width=right.cell_len)  # a long title is cut, the clock never
-    bar.add_row(Text.assemble(("bilprov ", "bold"), shown(view.title)), right)
+    bar.add_row(Text.assemble(("bilprov ", "bold"), printable(view.title)), right)
     return bar
 
 
 class _Frames:
-    """As many of the last records as there is room for, the newest at the bottom."""
+    """The panel of the last records, as many as fit, the newest at the bottom."""
 
     def __init__(self, records: tuple[Record, ...]) -> None:
         self._records = records
@@ -105,7 +105,7 @@ def _cells(record: Record) -> tuple[Text, ...]:
         Text(f"{t / 1e9:.6f}", "dim"),
         Text(sign, "bold cyan" if sign == "→" else "bold"),
         Text(hex_text, style),
-        Text.assemble((shown(words), style), (f"  {shown(_reason(record))}", "dim")),
+        Text.assemble((printable(words), style), (f"  {printable(_reason(record))}", "dim")),
     )
 
 
@@ -132,11 +132,11 @@ def _faults(snapshot: Snapshot) -> RenderableType:
     )
 
 
-def _fault(fault: Fault) -> Text:
+def _fault(fault: Anomaly) -> Text:
     line = Text(no_wrap=True, overflow="ellipsis")
     line.append(f"{fault.t / 1e9:.6f} ", "dim")
     line.append(fault.kind, f"bold {SEVERITY_COLOURS[fault.severity]}")
-    return line.append(f"  {shown(fault.reason)}")
+    return line.append(f"  {printable(fault.reason)}")
 
 
 def _numbers(snapshot: Snapshot) -> RenderableType:

@@ -1,6 +1,6 @@
-"""Where decoded records go: lines of text, JSON lines, or a live view. One interface for the three.
+"""The outputs for decoded records (text lines, JSON lines, live view) and their interface.
 
-Text is written to the stream at once, so that a pipe's reader has each line when it happens.
+Each line is flushed at once, so that the reader of a pipe gets it without delay.
 """
 
 from __future__ import annotations
@@ -10,31 +10,31 @@ import sys
 from collections.abc import Callable
 from typing import Literal, Protocol, TextIO
 
-from analyzer.decode.records import Record, is_frame
-from analyzer.output.json_lines import JsonLine, encode, json_line
-from analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
+from bilprov.analyzer.decode.records import Record, is_frame
+from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
+from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 
 Format = Literal["live", "lines", "jsonl"]
 
 
 class Output(Protocol):
-    """Takes each record once, in order, and may be told that time passes."""
+    """An output of records: takes each record once, in order, and is informed of the time."""
 
     def show(self, record: Record) -> None:
         """Show one record."""
         ...
 
     def tick(self, now: int) -> None:
-        """Time is `now` (ns since the start): what is due to be drawn is drawn."""
+        """Draw what is due at `now` (ns since the start)."""
         ...
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         ...
 
 
 class LinesOutput:
-    """One line of text for each record; colours on a terminal only, unless NO_COLOR is set."""
+    """Writes one line of text per record; colours on a terminal only, unless NO_COLOR is set."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -54,7 +54,7 @@ class LinesOutput:
 
 
 class JsonOutput:
-    """One JSON object for each record that has one (see `analyzer.json_lines`)."""
+    """Writes one JSON line per record that has one (see `bilprov.analyzer.output.json_lines`)."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -74,14 +74,14 @@ class JsonOutput:
 
 
 def chosen_format(asked: Format | None) -> Format:
-    """The format asked for; else live on a terminal and lines in a pipe."""
+    """The requested format; if there is none, `live` on a terminal and `lines` in a pipe."""
     if asked is not None:
         return asked
     return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
 
 
 def passes(record: Record, test: Callable[[JsonLine], bool] | None) -> bool:
-    """Whether a record passes a filter; what has no JSON line passes only without one."""
+    """Whether a record passes a filter (None: all do); one without a JSON line passes no filter."""
     if test is None:
         return True
     line = json_line(record)
@@ -107,11 +107,11 @@ class Shown:
 
     @property
     def full(self) -> bool:
-        """Whether as many frames were shown as were asked for."""
+        """Whether the requested number of frames was shown."""
         return self._left == 0
 
     def show(self, record: Record) -> bool:
-        """Show the record if it passes; tell whether it did."""
+        """Show the record if it passes; return whether it did."""
         if self.full or not passes(record, self._test):
             return False
         self._output.show(record)

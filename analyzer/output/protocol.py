@@ -1,4 +1,4 @@
-"""The protocol, its readings and its errata as tables and as JSON."""
+"""Shows the protocol, its readings and its errata as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from analyzer.output.console import facts, heading, table
-from spec.codec import judge, spaced
-from spec.errata import Finding
-from spec.fields import Outcome
-from spec.motion import Effect
-from spec.protocol import InstructionSpec, Protocol
-from spec.readings import ERRATA, EXAMPLES, READINGS, Reading
+from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.spec.codec import judge, spaced
+from bilprov.spec.errata import Finding
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Effect
+from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
 
 
 def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
-    """Header, instructions, responses, effects and defaults."""
+    """Yield the tables of header, instructions, responses, effects and defaults."""
     yield heading(f"{protocol.name} {protocol.version}")
     yield Text(protocol.document, style="dim")
     yield Text(f"grammar {protocol.origin}, sha256 {protocol.sha256}", style="dim")
@@ -135,7 +135,7 @@ def _effect_json(effect: Effect) -> dict[str, Any]:
 
 
 def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[RenderableType]:
-    """Each reading in full: the point, what the document says, our default, other choices."""
+    """Yield each reading in full: the point, the document's words, our default, other choices."""
     for index, reading in enumerate(readings):
         if index:
             yield Text()
@@ -153,7 +153,7 @@ def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[Renderabl
 
 
 def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
-    """Readings for machines; `others` are pairs of choice and verdict."""
+    """The readings as JSON objects; `others` are pairs of choice and verdict."""
     return [
         {**asdict(r), "others": [{"choice": c, "verdict": v} for c, v in r.others]}
         for r in readings
@@ -161,7 +161,7 @@ def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
 
 
 def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[RenderableType]:
-    """What the grammar found in the document's own examples, then what only others can see."""
+    """Yield the errata that the document's own examples show, then those found otherwise."""
     yield heading(
         f"{len(EXAMPLES)} example lines of the document run through the grammar: "
         f"{len(findings)} contradict{'s' if len(findings) == 1 else ''} its own tables"
@@ -196,7 +196,7 @@ def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[Re
 
 
 def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
-    """Errata for machines: what was `found` by running the examples, and `all` that are known."""
+    """The errata as a JSON object: `found` by running the examples, and `all` known ones."""
     return {
         "examples": len(EXAMPLES),
         "found": [

@@ -1,6 +1,6 @@
-"""Counts, rates and latencies of a session so far, and one frozen value that shows them.
+"""Counts, rates and latencies of a session, and frozen snapshots of them.
 
-Recording a record is cheap and done for each; `snapshot` sorts and sums, and is for the screen.
+`record` is cheap, since it is called for each record; `snapshot` sorts and sums, for the screen.
 """
 
 from __future__ import annotations
@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 
-from analyzer.decode.records import (
+from bilprov.analyzer.decode.records import (
+    Anomaly,
     DeviceRecord,
-    Fault,
     HostRecord,
     Record,
     Severity,
     faults_of,
     written_state,
 )
-from captures.schemas import Chunk, Line, State
-from spec.protocol import Protocol
+from bilprov.captures.schemas import Chunk, Line, State
+from bilprov.spec.protocol import Protocol
 
 KEPT_RECORDS = 100
 KEPT_FAULTS = 20
@@ -38,10 +38,11 @@ class Latencies:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What a screen shows: everything as it was at `t` (ns since the start).
+    """The statistics at one time, `t` (ns since the start).
 
-    Rates are per second, over the last two seconds; `loads` is what part of the line's capacity
-    each direction uses, 0 to 1. `faults` counts by kind, information not included.
+    Rates are per second, over the last two seconds; `loads` is the share of the line's capacity
+    that host and device use, 0 to 1. `faults` counts anomalies by kind, without those of severity
+    info.
     """
 
     t: int
@@ -55,12 +56,12 @@ class Snapshot:
     latencies: Latencies | None
     faults: tuple[tuple[str, int], ...]
     recent: tuple[Record, ...]
-    recent_faults: tuple[Fault, ...]
+    recent_faults: tuple[Anomaly, ...]
     state: State
 
 
 class Statistics:
-    """Adds up a session. `byte_time` is how long a byte takes on the line, in ns."""
+    """Counts the events and records of a session. `byte_time` is ns per byte on the line."""
 
     def __init__(self, protocol: Protocol, byte_time: int) -> None:
         self._byte_time = byte_time
@@ -73,22 +74,22 @@ class Statistics:
         self._longest = 0
         self._faults: Counter[str] = Counter()
         self._recent: deque[Record] = deque(maxlen=KEPT_RECORDS)
-        self._recent_faults: deque[Fault] = deque(maxlen=KEPT_FAULTS)
+        self._recent_faults: deque[Anomaly] = deque(maxlen=KEPT_FAULTS)
         self._state = written_state(protocol.power_on)
 
     @property
     def instructions(self) -> int:
-        """How many instructions there were, whole and cut short."""
+        """The number of instructions, whole and cut short."""
         return self._instructions
 
     @property
     def responses(self) -> int:
-        """How many device bytes there were."""
+        """The number of device bytes."""
         return self._responses
 
     @property
     def fault_count(self) -> int:
-        """How many faults there were, information not included."""
+        """The number of anomalies, without those of severity info."""
         return self._faults.total()
 
     def event(self, event: Chunk | Line) -> None:
@@ -117,7 +118,7 @@ class Statistics:
                 self._recent_faults.append(fault)
 
     def snapshot(self, now: int) -> Snapshot:
-        """Everything as it is at `now` (ns since the start)."""
+        """Return the statistics at `now` (ns since the start)."""
         rates = (self._byte_rates["host"].value(now), self._byte_rates["device"].value(now))
         return Snapshot(
             t=now,

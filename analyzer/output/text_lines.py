@@ -1,7 +1,7 @@
-"""Records as lines of text, one for each frame, byte or fault. Strings out; prints nothing.
+"""Renders records as lines of text, one per frame, device byte or anomaly; prints nothing.
 
-A full line carries more frames than rich can mark up, so what a frame looks like is worked out once
-for each distinct frame and kept.
+A fully loaded serial line carries more frames than rich can style in time, so the text of each
+distinct frame is rendered once and cached.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from functools import lru_cache
 
 import click
 
-from analyzer.decode.records import (
+from bilprov.analyzer.decode.records import (
+    Anomaly,
     DeviceRecord,
-    Fault,
     FaultRecord,
     HostRecord,
     LineRecord,
     Record,
     Severity,
 )
-from captures.errors import shown
-from captures.schemas import State
+from bilprov.captures.schemas import State
+from bilprov.captures.text import printable
 
-HEX_WIDTH = 11  # up to four bytes in line; longer frames push the rest aside
+HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
 WORDS_WIDTH = 22
 
 SEVERITY_COLOURS = {
@@ -35,7 +35,7 @@ SEVERITY_COLOURS = {
 class LineRenderer:
     """Renders records for one output.
 
-    `colour` adds ANSI colour codes: only for a terminal that wants them. `arrows` are the signs for
+    `colour` adds ANSI colour codes, which only a terminal should get. `arrows` are the signs for
     host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others.
     """
 
@@ -47,7 +47,7 @@ class LineRenderer:
         self._state = lru_cache(maxsize=8192)(self._state_text)
 
     def line(self, record: Record) -> str:
-        """One line without its end, safe for a terminal and for a pipe."""
+        """Render one line without its newline, safe for a terminal and for a pipe."""
         if isinstance(record, HostRecord):
             value = record.value
             words = record.judgement.describe() if record.judgement else "garbage"
@@ -76,7 +76,7 @@ class LineRenderer:
     def _device_text(self, hex_text: str, name: str, severity: Severity | None) -> str:
         return f"{self._to_host} {self._paint(f'{hex_text:<{HEX_WIDTH}}  {name:<13}', severity)}"
 
-    def _fault_line(self, fault: Fault) -> str:
+    def _fault_line(self, fault: Anomaly) -> str:
         words = f"{fault.kind}: {fault.reason}"
         return f"{_time(fault.t)} ! {self._paint(words, fault.severity)}"
 
@@ -85,8 +85,8 @@ class LineRenderer:
             return self._fault_line(record.faults[0])
         value = record.value
         where = f"{value.tap} line" if value.tap else "line"
-        detail = f": {shown(value.detail)}" if value.detail else ""
-        return f"{_time(value.t)} - {where} {shown(value.event)}{detail}"
+        detail = f": {printable(value.detail)}" if value.detail else ""
+        return f"{_time(value.t)} - {where} {printable(value.event)}{detail}"
 
     def _state_text(self, state: State) -> str:
         words = state_words(state)
@@ -104,12 +104,12 @@ ASCII_ARROWS = (">", "<")
 
 
 def state_words(state: State) -> str:
-    """The predicted state in words: `forward speed 255 steering +64 led 5`."""
+    """The predicted state in words, like `forward speed 255 steering +64 led 5`."""
     steering = f" steering {state.steering:+d}" if state.steering else ""
     return f"{state.motion} speed {state.speed}{steering} led {state.led}"
 
 
-def _severity(faults: tuple[Fault, ...]) -> Severity | None:
+def _severity(faults: tuple[Anomaly, ...]) -> Severity | None:
     return max((fault.severity for fault in faults), default=None)
 
 

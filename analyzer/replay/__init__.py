@@ -1,1 +1,1 @@
-"""Sessions recorded, captures played."""
+"""Records sessions into captures, and replays captures on a screen or against a device."""

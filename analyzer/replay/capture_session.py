@@ -1,31 +1,30 @@
-"""How a capture is decoded: as it was when it was recorded, as far as the file tells."""
+"""Sets up a decoding session for a capture, with the recorded settings where the file has them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.decode.session import BOTH, SKEW, Session
-from analyzer.transport.line_settings import LineSettings
-from captures.errors import shown
-from captures.reader import Capture
-from captures.schemas import Direction
-from captures.topics import DEVICE_RAW, HOST_RAW
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.session import BOTH, SKEW, Session
+from bilprov.analyzer.transport.line_settings import LineSettings, line_named
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import MS, Direction
+from bilprov.captures.text import printable
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.spec.protocol import Protocol
 
 _LONGEST = 60_000.0  # ms that a file may ask for
 
 
 def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
-    """A session set up as the one that recorded the capture; `timeout` as in `capture_timeout`."""
+    """A session with the settings of the recording one; `timeout` is as in `capture_timeout`."""
     skew = _nanoseconds(capture, "skew_ms")
     return Session(
         protocol,
         timeout=capture_timeout(capture, protocol, timeout),
         heard=heard(capture),
         skew=SKEW if skew is None else skew,
-        # Where the file does not tell, its first byte may be any.
+        # Without this entry the first byte need not be a header.
         attached=capture.metadata.get("attached") != "no",
     )
 
@@ -33,11 +32,11 @@ def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = 
 def capture_timeout(capture: Capture, protocol: Protocol, timeout: int | None = None) -> int:
     """The truncation time-out in ns: the one given, else the recorded one, else the protocol's."""
     recorded = _nanoseconds(capture, "truncation_timeout_ms")
-    return timeout or recorded or round(protocol.timing.truncation_timeout * MILLISECOND)
+    return timeout or recorded or round(protocol.timing.truncation_timeout * MS)
 
 
 def heard(capture: Capture) -> frozenset[Direction]:
-    """The directions that were listened to; where the file does not tell, those with bytes."""
+    """The directions that were listened to; if the file does not say, those with bytes."""
     told = capture.metadata.get("heard", "").split()
     if told and set(told) <= BOTH:
         return frozenset(side for side in BOTH if side in told)
@@ -47,30 +46,25 @@ def heard(capture: Capture) -> frozenset[Direction]:
 
 
 def capture_line(capture: Capture, protocol: Protocol) -> LineSettings:
-    """How the line was set, as far as the file tells; the protocol's own otherwise."""
-    baud, _, form = capture.metadata.get("line", "").partition(" 8")
-    try:
-        return LineSettings(int(baud), form[:1], float(form[1:]))
-    except ValueError:
-        line = protocol.line
-        return LineSettings(line.baud, line.parity, line.stopbits)
+    """The recorded line settings, or the protocol's own if the file does not say."""
+    return line_named(protocol, capture.metadata.get("line", ""))
 
 
 def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
-    """What the user should know before the frames: one line about each oddity of the file."""
-    name = shown(capture.path)
+    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other."""
+    name = printable(capture.path)
     if capture.unfinished:
         yield f"{name} was never finished: all that is whole is shown"
     if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):
         yield f"{name} holds no traffic: not a byte of host or device is in it"
     if capture.damage:
-        first = shown(capture.damage[0])
+        first = printable(capture.damage[0])
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
         yield f"{name} is damaged: {first}{more}; the rest is shown"
     recorded = capture.metadata.get("grammar_sha256")
     if recorded and recorded != protocol.sha256:
-        known = shown(capture.metadata.get("grammar_name", "another grammar"))
-        version = shown(capture.metadata.get("grammar_version", ""))
+        known = printable(capture.metadata.get("grammar_name", "another grammar"))
+        version = printable(capture.metadata.get("grammar_version", ""))
         yield (
             f"{name} was recorded with another grammar ({known} {version}); decoded with "
             f"{protocol.origin} ({protocol.name} {protocol.version})"
@@ -84,4 +78,4 @@ def _nanoseconds(capture: Capture, key: str) -> int | None:
         return None
     if not math.isfinite(value) or not 0 <= value <= _LONGEST:
         return None
-    return round(value * MILLISECOND)
+    return round(value * MS)

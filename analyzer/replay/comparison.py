@@ -1,18 +1,18 @@
-"""Two decoded runs of the same host bytes: where a device answered differently. Values only."""
+"""Compares two decoded runs of the same host bytes and finds where the answers differ."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
-from spec.codec import spaced
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
+from bilprov.spec.codec import spaced
+from bilprov.spec.protocol import Protocol
 
 
 @dataclass(slots=True)
-class Run:
-    """The instructions of a run with the answer to each, by sequence, and what answered nothing."""
+class ReplayRun:
+    """The instructions of a run and their answers, by sequence, and the unpaired device bytes."""
 
     frames: dict[int, HostRecord] = field(default_factory=dict)
     answers: dict[int, DeviceRecord] = field(default_factory=dict)
@@ -20,7 +20,7 @@ class Run:
     unpaired: list[DeviceRecord] = field(default_factory=list)
 
     def record(self, record: Record) -> None:
-        """Take a record of the run."""
+        """Add a record of the run."""
         if isinstance(record, HostRecord) and record.value.sequence is not None:
             self.frames[record.value.sequence] = record
         elif isinstance(record, DeviceRecord):
@@ -35,16 +35,16 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One difference: the instruction's sequence (None: it belongs to none), and it in words."""
+    """One difference, in words, and the sequence of its instruction (None: it belongs to none)."""
 
     instruction: int | None
     reason: str
 
 
-def differences(protocol: Protocol, recorded: Run, now: Run) -> Iterator[Difference]:
-    """Every instruction that was answered otherwise than in the recording.
+def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iterator[Difference]:
+    """Yield the instructions that were answered differently than in the recording.
 
-    An instruction whose answer the recording does not hold, because it ends before, is passed over.
+    An instruction is skipped if the recording ends before its answer.
     """
     for sequence, frame in recorded.frames.items():
         again = now.frames.get(sequence)

@@ -1,4 +1,4 @@
-"""A capture's events at recorded, faster or slower time, with a window to look through."""
+"""Plays a capture's events at recorded, faster or slower time, optionally in a time window."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 
-from analyzer.transport.signals import Stopper
-from captures.player import paced
-from captures.schemas import Chunk, Line, Look
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.player import paced
+from bilprov.captures.schemas import Chunk, Line, Look
 
 Event = Chunk | Line | Look
 
 AFTERMATH = 3_000_000_000
-"""Ns after a window's end in which what began inside it may still be decided."""
+"""Ns after a window's end whose events are still needed to decode what began inside it."""
 
 
 def played(
@@ -25,10 +25,10 @@ def played(
     start: int | None = None,
     end: int | None = None,
 ) -> Iterator[Event]:
-    """Every event that matters for `start <= t < end` (ns), in order; those inside at their time.
+    """Yield the events needed to decode `start <= t < end` (ns), in order; those inside are paced.
 
-    What comes before the window is given at once, because the state and the framing rest on it;
-    what comes shortly after it too, because it may decide what began inside.
+    Events before the window come without delay, because the predicted state and the framing depend
+    on them. So do events shortly after it, because they may complete what began inside.
     """
     rest = iter(events)
     after: list[Event] = []
@@ -58,9 +58,10 @@ def played(
 def interruptible(
     stopper: Stopper, meanwhile: Callable[[float], object]
 ) -> Callable[[float], None]:
-    """A sleep (s) that Ctrl-C ends; at least ten times a second `meanwhile` is told how far it is.
+    """Make a sleep function (s) that Ctrl-C ends and that reports its progress to `meanwhile`.
 
-    That is in seconds since it began, and always less than it lasts as a whole.
+    `meanwhile` is called at least ten times a second with the seconds slept so far, which are
+    always less than the whole duration.
     """
 
     def sleep(seconds: float) -> None:

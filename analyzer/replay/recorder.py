@@ -1,17 +1,27 @@
-"""Writes a run into a capture: the bytes as they came, and beside them what was decoded."""
+"""Records a session into a capture: the raw bytes, and the records decoded from them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.decode.records import DeviceRecord, Fault, HostRecord, Record, faults_of
-from analyzer.version import kit_version
-from captures.closing import Closing
-from captures.schemas import Asked, CaseMark, Chunk, Direction, Line, Log, Look, State, Time
-from captures.writer import CaptureWriter
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord, Record, faults_of
+from bilprov.analyzer.version import kit_version
+from bilprov.captures.closing import Closing
+from bilprov.captures.schemas import (
+    MS,
+    Asked,
+    CaseMark,
+    Chunk,
+    Direction,
+    Line,
+    Log,
+    Look,
+    State,
+    Time,
+)
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.protocol import Protocol
 
 
 def session_metadata(
@@ -24,11 +34,11 @@ def session_metadata(
     heard: Iterable[Direction],
     attached: bool = False,
 ) -> dict[str, str]:
-    """The capture's record `bilprov`: what a replay needs in order to decode in the same way.
+    """The capture's metadata record `bilprov`, which a replay needs to decode in the same way.
 
-    `ports` gives each port's part and name, `line` its settings as text, `timeout` and `skew` are
-    in ns, `heard` the directions that are listened to, `attached` whether listening began in the
-    midst of whatever was going on.
+    `ports` maps each port's role to its name, `line` is the line settings as text, `timeout` and
+    `skew` are in ns, `heard` are the directions that are listened to, and `attached` is true if
+    listening began in running traffic.
     """
     return {
         "version": kit_version(),
@@ -38,8 +48,8 @@ def session_metadata(
         **{f"port_{part}": name for part, name in ports.items()},
         "line": line,
         "clock": "monotonic; log_time = wall clock at start + monotonic",
-        "truncation_timeout_ms": f"{timeout / MILLISECOND:g}",
-        "skew_ms": f"{skew / MILLISECOND:g}",
+        "truncation_timeout_ms": f"{timeout / MS:g}",
+        "skew_ms": f"{skew / MS:g}",
         "heard": " ".join(sorted(heard)),
         "attached": "yes" if attached else "no",
     }
@@ -61,7 +71,7 @@ class Recorder(Closing):
         )
 
     def event(self, event: Chunk | Line) -> None:
-        """Write what came, before anything is made of it."""
+        """Write a raw event, before it is decoded."""
         if isinstance(event, Chunk):
             self._writer.chunk(event)
             self.bytes += len(event.data)
@@ -69,7 +79,7 @@ class Recorder(Closing):
             self._writer.write(event, event.t)
 
     def record(self, record: Record) -> None:
-        """Write what was decoded: the frame, the state when it changes, and the faults."""
+        """Write a decoded record: the frame, the state when it changes, and the anomalies."""
         if isinstance(record, HostRecord):
             self._writer.write(record.value, record.value.t)
             if record.state != self._state:
@@ -81,7 +91,7 @@ class Recorder(Closing):
             self._writer.write(self._log(fault), fault.t)
 
     def mark(self, value: CaseMark | Look | Asked, t: int) -> None:
-        """Write what belongs to a conformance run, at `t` ns since the start."""
+        """Write a message of a conformance run, at `t` ns since the start."""
         self._writer.write(value, t)
 
     def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
@@ -89,13 +99,13 @@ class Recorder(Closing):
         self._writer.attach(name, media_type, data, t)
 
     def tick(self, now: int) -> None:
-        """Let time pass (ns since the start): what has waited for 0.1 s reaches the disk."""
+        """Let time pass to `now` (ns since the start); flush data that has waited for 0.1 s."""
         self._writer.tick(now)
 
     def close(self) -> None:
         """Finish the file."""
         self._writer.close()
 
-    def _log(self, fault: Fault) -> Log:
+    def _log(self, fault: Anomaly) -> Log:
         seconds, nanoseconds = divmod(self._start + fault.t, 1_000_000_000)
         return Log(Time(seconds, nanoseconds), int(fault.severity), fault.reason, fault.kind)

@@ -1,4 +1,4 @@
-"""A device that bytes are sent to: writes, reads, decodes, and always leaves it homed."""
+"""The device that bytes are sent to: sends, reads and decodes, and homes the device at the end."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from analyzer.client.homing import home, home_once
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.decode.records import Record
-from analyzer.decode.session import Session
-from analyzer.replay.comparison import Run
-from analyzer.transport.errors import LinkError
-from analyzer.transport.ports import Port, wait_readable
-from analyzer.transport.signals import Stopper
-from analyzer.transport.wire import PortWire
-from captures.schemas import Chunk
-from spec.protocol import Protocol
+from bilprov.analyzer.client.homing import home, home_once
+from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.comparison import ReplayRun
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.wire import PortWire
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.spec.protocol import Protocol
 
 
 class Target:
     """One device on an open port; a context manager that homes it on every way out.
 
-    `timeout` (ns) is how long a frame may pause as it is sent here. `run` is what was sent and
-    answered so far; `shown` is told each record as well.
+    `timeout` (ns) is the longest pause inside a frame as it is sent here. `run` holds the
+    instructions and answers so far; `shown` is called with each record.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Target:
         stopper: Stopper,
         shown: Callable[[Record], object] = lambda record: None,
     ) -> None:
-        self.run = Run()
+        self.run = ReplayRun()
         self._shown = shown
         self._protocol = protocol
         self._port = port
@@ -46,7 +46,7 @@ class Target:
         self._start = time.monotonic_ns()
 
     def begin(self) -> None:
-        """Bring the device to a stop between frames. Raises LinkError if it never answers."""
+        """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
         answered = home(self._protocol, self._wire, lambda: self._stopper.stopped)
         if not answered and not self._stopper.stopped:
             raise LinkError(
@@ -62,7 +62,7 @@ class Target:
         self._port.write(data)
 
     def pump(self, seconds: float) -> None:
-        """Read what the device answers, waiting at most so long for it. Raises LinkError."""
+        """Read the device's answers, waiting at most `seconds` for them. Raises LinkError."""
         now = self._now()
         wait_readable([self._port], max(0.0, seconds), [self._stopper.fileno()])
         data = self._port.read()
@@ -77,12 +77,15 @@ class Target:
             self.pump(left)
 
     def settle(self) -> None:
-        """Read until nothing is awaited any more: each instruction is answered or given up."""
+        """Read until each instruction is answered or counts as unanswered. Raises LinkError."""
         while (due := self._session.deadline) is not None and not self._stopper.stopped:
             self.pump(min(0.1, (due - self._now()) / 1e9))
 
     def finish(self) -> None:
-        """The last byte was sent: wait for what is awaited, and close the account."""
+        """End the run after the last byte: wait for the answers and record what is left.
+
+        Raises LinkError.
+        """
         self.settle()
         self.pump(self._protocol.timing.answer_deadline / 1000)  # an answer too many
         for record in self._session.finish():
@@ -101,7 +104,7 @@ class Target:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with contextlib.suppress(LinkError):  # the port has gone: nothing can be said to it
+        with contextlib.suppress(LinkError):  # the port is lost: nothing can be sent to it
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
             home_once(self._protocol, self._wire)
         self._port.close()
@@ -112,4 +115,4 @@ class Target:
 
 def scaled_timeout(timeout: int, rate: float) -> int:
     """The truncation time-out (ns) of a recording that is sent `rate` times as fast."""
-    return max(MILLISECOND, round(timeout / rate)) if rate else timeout
+    return max(MS, round(timeout / rate)) if rate else timeout

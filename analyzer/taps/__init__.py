@@ -1,1 +1,1 @@
-"""What is put on or into a line."""
+"""Passive taps on a line, a bridge between host and device, and an impaired line."""

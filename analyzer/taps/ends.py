@@ -1,4 +1,4 @@
-"""The ends of a line as they are named on the command line: a device, a pty, or raw TCP served.
+"""The ends of a line, as named on the command line: a device, a pty, or a raw TCP listener.
 
 Every end reads and writes without waiting, and passes every byte unchanged.
 """
@@ -8,41 +8,42 @@ from __future__ import annotations
 import os
 from typing import Protocol
 
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.ports import Port, open_port
-from analyzer.transport.pty import PtyPair, open_pty
-from analyzer.transport.streams import Outlet, accept_all, listen_on, shown_address
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
 
 PTY = "pty"
 LISTEN = "listen:"
 
 
 class End(Protocol):
-    """One end of a line: `served` is the name that others open it by, "" for an opened device."""
+    """One end of a line; `served` is the name under which others open it, "" for a device."""
 
     served: str
 
     @property
     def port(self) -> Port | None:
-        """What wait_readable waits for, None where `descriptors` tell."""
+        """The port that wait_readable waits for, None if there are only `descriptors`."""
 
     def descriptors(self) -> list[int]:
-        """Return what select waits for beside the port."""
+        """Return the descriptors that select waits for besides the port."""
 
     def read(self) -> bytes:
-        """Return what is there. Raises LinkError once the end is lost."""
+        """Return the available bytes. Raises LinkError once the end is lost."""
 
     def write_some(self, data: bytes) -> int:
-        """Write what is taken now and return how many bytes. Raises LinkError."""
+        """Write as many bytes as are taken now and return their number. Raises LinkError."""
 
     def close(self) -> None:
-        """Close it; more than once is as good as once."""
+        """Close the end; further calls do nothing."""
 
 
 def require_two_ends(a: str, b: str) -> None:
-    """Raise ValueError where both ends are one device (also through a symbolic link).
+    """Raise ValueError if both ends are the same device (also through a symbolic link).
 
-    Ask before opening: the second opening of a path would only say that it is in use.
+    Call this before opening: opening a path twice would only report that it is in use.
     """
     if a == PTY or a.startswith(LISTEN):
         return
@@ -53,8 +54,8 @@ def require_two_ends(a: str, b: str) -> None:
 def open_end(name: str, settings: LineSettings) -> End:
     """Open an end: `pty`, `listen:HOST:PORT` (port 0 takes a free one), or a path or pyserial URL.
 
-    `settings` hold for a device. Raises ValueError for a listen address that is none; LinkError for
-    what cannot be had.
+    `settings` apply to a device. Raises ValueError for an invalid listen address, LinkError for an
+    end that cannot be opened.
     """
     if name == PTY:
         return PtyEnd(open_pty())
@@ -64,18 +65,18 @@ def open_end(name: str, settings: LineSettings) -> End:
 
 
 class DeviceEnd:
-    """A port that was opened; it is lost when it is unplugged or closed by the other side."""
+    """An opened port as an end; it is lost when unplugged or closed by the other side."""
 
     def __init__(self, port: Port) -> None:
         self.served = ""
         self.port = port
 
     def descriptors(self) -> list[int]:
-        """Return none: the port itself is waited for."""
+        """Return an empty list: the port itself is waited for."""
         return []
 
     def read(self) -> bytes:
-        """Return what is there. Raises LinkError once the port is lost."""
+        """Return the available bytes. Raises LinkError once the port is lost."""
         return self.port.read()
 
     def write_some(self, data: bytes) -> int:
@@ -88,7 +89,7 @@ class DeviceEnd:
 
 
 class PtyEnd:
-    """A pty that programs open by its path, one after the other; it is never lost."""
+    """A pty as an end; programs open it by its path, one after the other. It is never lost."""
 
     port = None
 
@@ -114,18 +115,18 @@ class PtyEnd:
 
 
 class ListeningEnd:
-    """Raw TCP for one client at a time; it is never lost, and the next client takes over.
+    """A raw TCP listener as an end, for one client at a time. It is never lost.
 
-    What arrives while nobody is connected is gone, as at the open end of a cable. A client that
-    only ended its sending still gets what arrives, until another one comes. Raises ValueError for
-    an address that is none, LinkError for one that cannot be had.
+    Bytes that arrive while no client is connected are dropped, as at the open end of a cable. A
+    client that only ended its sending still gets what arrives, until another one connects. Raises
+    ValueError for an invalid address, LinkError for one that is not available.
     """
 
     port = None
 
     def __init__(self, address: str) -> None:
         self._listener = listen_on(address)
-        self._client: Outlet | None = None
+        self._client: Stream | None = None
         self.served = f"socket://{shown_address(self._listener)}"
 
     def descriptors(self) -> list[int]:
@@ -137,26 +138,26 @@ class ListeningEnd:
         ]
 
     def read(self) -> bytes:
-        """Return what the client has sent, and take in the next one where the place is free."""
+        """Return what the client has sent; accept the next client once it has ended its sending."""
         data = self._client.take() if self._client is not None else b""
-        for outlet in accept_all(self._listener):
+        for stream in accept_all(self._listener):
             if self._client is not None and not self._client.ended:
-                outlet.close()
+                stream.close()
             else:
                 self._let_go()
-                self._client = outlet
-                data += outlet.take()
+                self._client = stream
+                data += stream.take()
         return data
 
     def write_some(self, data: bytes) -> int:
-        """Write what the client takes now; without a client all of it is gone."""
+        """Write what the client takes now; without a client all bytes are dropped."""
         if self._client is None:
             return len(data)
         try:
             return os.write(self._client.fileno(), data)
         except BlockingIOError:
             return 0
-        except OSError:  # it went
+        except OSError:  # the client has closed the connection
             self._let_go()
             return len(data)
 

@@ -1,8 +1,8 @@
-"""One direction of a faulty line: bytes in, and out again when they are due. No port, no clock.
+"""Impairs one direction of a line: drops, flips, doubles and delays bytes. Uses no port or clock.
 
-Chance is drawn byte by byte, so the same seed and the same bytes give the same faults however the
-bytes come in pieces. The times are drawn apart from the harm: a line with and one without a delay
-drop the same bytes.
+Random numbers are drawn byte by byte, so the same seed and the same bytes give the same faults,
+whatever the chunks are. Delays have a random generator of their own: a line with a delay and one
+without drop the same bytes.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from collections import deque
 from dataclasses import dataclass, field
 from random import Random
 
-from analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.noise import Noise
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back
 
 
 @dataclass(frozen=True, slots=True)
 class LineFaults:
-    """What a line does to its bytes: noise, and times.
+    """The faults of a line: noise and delays.
 
-    A byte is held back by `delay` ns with the chance `late` (0 to 1), and by 0 to `jitter` ns more,
-    evenly drawn; a byte that is not late is not held back at all. Raises ValueError for a chance
-    outside 0 to 1 and for times below 0 or above 60 s.
+    With probability `late` (0 to 1) a byte is held back by `delay` ns plus 0 to `jitter` ns, evenly
+    distributed; other bytes are not held back. Raises ValueError for a probability outside 0 to 1
+    and for times below 0 or, together, above 60 s.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -40,11 +40,11 @@ class LineFaults:
             )
 
 
-class Lane:
-    """One direction of a faulty line; `name` ("A to B") makes the chances of two lanes differ.
+class ImpairedDirection:
+    """One direction of a faulty line; `name` ("A to B") is part of its random seed.
 
-    `came` counts the bytes that were put in, `dropped`, `flipped`, `doubled` and `delayed` what
-    happened to how many of them. A byte that only waits behind a delayed one is not counted.
+    `came` counts the bytes that were put in; `dropped`, `flipped`, `doubled` and `delayed` count
+    the affected ones. A byte that only waits behind a delayed one does not count as delayed.
     """
 
     def __init__(self, faults: LineFaults, seed: int, name: str) -> None:
@@ -53,18 +53,18 @@ class Lane:
         self._faults = faults
         self._harm = Random(f"{seed} harm {name}")
         self._times = Random(f"{seed} times {name}")
-        self._waiting: deque[tuple[int, bytearray]] = deque()  # when they are due, in order
+        self._waiting: deque[tuple[int, bytearray]] = deque()  # due time (ns) and bytes, in order
 
     @property
     def deadline(self) -> int | None:
-        """When, in ns, the next bytes are due; None when nothing is on its way."""
+        """When (ns) the next bytes are due, None if none are waiting."""
         return self._waiting[0][0] if self._waiting else None
 
     def put(self, data: bytes, now: int) -> None:
-        """Take bytes that came at `now`, in ns, which never goes back."""
+        """Put in bytes that came at `now` (ns); `now` never goes back."""
         for byte in data:
             self.came += 1
-            harm, arriving = self._faults.noise.strike(byte, self._harm)
+            harm, arriving = self._faults.noise.impair(byte, self._harm)
             held = self._held()
             if harm:
                 setattr(self, harm, getattr(self, harm) + 1)
@@ -73,28 +73,28 @@ class Lane:
                 self._send(arriving, now + held)
 
     def take(self, now: int) -> bytes:
-        """Return what is due at `now`, in ns, in the order in which it came."""
+        """Take out the bytes that are due at `now` (ns), in the order in which they came."""
         due = bytearray()
         while self._waiting and self._waiting[0][0] <= now:
             due += self._waiting.popleft()[1]
         return bytes(due)
 
     def account(self) -> str:
-        """What passed and what happened to it, in words."""
+        """The counts of bytes and faults, in words."""
         return (
             f"{self.name}: {self.came} bytes, {self.dropped} dropped, {self.flipped} flipped, "
             f"{self.doubled} doubled, {self.delayed} delayed"
         )
 
     def _held(self) -> int:
-        """Draw how long the next byte is held back, in ns; each byte draws as often."""
+        """Draw the delay (ns) of the next byte; each byte draws the same number of times."""
         late, more = self._times.random(), self._times.random()
         if late >= self._faults.late:
             return 0
         return self._faults.delay + round(more * self._faults.jitter)
 
     def _send(self, data: bytes, due: int) -> None:
-        """Send `data` on its way, but not past what is on its way already."""
+        """Queue `data` for the time `due` (ns), but never before bytes that came earlier."""
         if self._waiting and due <= self._waiting[-1][0]:
             self._waiting[-1][1].extend(data)
         else:

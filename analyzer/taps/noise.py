@@ -1,7 +1,6 @@
-"""What a bad line does to a byte: it is flipped in one bit, dropped or doubled, by seeded chance.
+"""Noise on a line: flips one bit of a byte, drops or doubles bytes, at random with a seed.
 
-No port, no clock: bytes and a source of chance in, bytes out. The suite's noisy devices and the
-fault-injecting line share it.
+The test suite's noisy devices and the fault-injecting line share it. It uses no port and no clock.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ _BITS = 8
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """How likely (0 to 1) a byte on the line is flipped in one bit, dropped, or doubled.
+    """The probabilities (0 to 1) that a byte is flipped in one bit, dropped, or doubled.
 
     Raises ValueError for a probability outside 0 to 1, and if together they exceed 1.
     """
@@ -34,8 +33,8 @@ class Noise:
                 f"{self.doubled:g} doubled; each is 0 to 1, and all of them together at most 1"
             )
 
-    def strike(self, byte: int, chance: Random) -> tuple[Harm, bytes]:
-        """Return what happens to one byte ("" for nothing), and what arrives of it."""
+    def impair(self, byte: int, chance: Random) -> tuple[Harm, bytes]:
+        """Apply the noise to a byte; return the effect ("" for none) and the bytes that arrive."""
         drawn = chance.random()
         if drawn < self.flipped:
             return "flipped", bytes([byte ^ 1 << chance.randrange(_BITS)])
@@ -46,5 +45,5 @@ class Noise:
         return "", bytes([byte])
 
     def over(self, data: bytes, chance: Random) -> bytes:
-        """What arrives of the bytes that were sent."""
-        return b"".join(self.strike(byte, chance)[1] for byte in data)
+        """Apply the noise to each byte of `data` and return the bytes that arrive."""
+        return b"".join(self.impair(byte, chance)[1] for byte in data)

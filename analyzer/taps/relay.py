@@ -1,6 +1,6 @@
-"""Join two ends by a faulty line until told to stop: one thread, one loop.
+"""Connects two ends by a faulty line until a stop is requested, in one thread with one loop.
 
-Nothing is kept longer than its delay, except for a peer that does not read: 64 KiB, for 1 s.
+Bytes are kept only for their delay, or for a peer that does not read: at most 64 KiB, for 1 s.
 """
 
 from __future__ import annotations
@@ -8,25 +8,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from analyzer.taps.ends import End
-from analyzer.taps.impairment import Lane
-from analyzer.transport.forward import Forward
-from analyzer.transport.ports import LinkError, wait_readable
-from analyzer.transport.server import Stop
+from bilprov.analyzer.taps.ends import End
+from bilprov.analyzer.taps.impairment import ImpairedDirection
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.forward import Forward
+from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.server import Stop
 
-_RETRY = 1_000_000  # ns between tries to hand on what a peer did not take
+_RETRY = 1_000_000  # ns between attempts to forward bytes that a peer did not take
 
 
 class _Side:
-    """An end, and why nothing comes from it any more: `lost`, once all has been read."""
+    """An end with its error state: `lost` is set once the end failed and all of it was read."""
 
     def __init__(self, end: End) -> None:
         self.end = end
         self.lost: LinkError | None = None
-        self.deaf: LinkError | None = None  # it takes nothing; what it had sent may still be there
+        self.deaf: LinkError | None = None  # writing failed; bytes it sent may still be readable
 
     def read(self) -> bytes:
-        """Return what has come; b"" is nothing now, or never again."""
+        """Return the available bytes, b"" if there are none now or the end is lost."""
         if self.lost is not None:
             return b""
         try:
@@ -39,7 +40,7 @@ class _Side:
         return data
 
     def write_some(self, data: bytes) -> int:
-        """Write what is taken now; an end that has gone takes all of it to nowhere."""
+        """Write what the end takes now; for a lost end all bytes are dropped."""
         if self.lost is None and self.deaf is None:
             try:
                 return self.end.write_some(data)
@@ -49,54 +50,54 @@ class _Side:
 
 
 class _Way:
-    """From one side through a lane to the other."""
+    """One way of the line: from one side through an impaired direction to the other side."""
 
-    def __init__(self, start: _Side, lane: Lane, target: _Side) -> None:
+    def __init__(self, start: _Side, direction: ImpairedDirection, target: _Side) -> None:
         self.start = start
-        self.lane = lane
-        self.out = Forward(target.write_some, f"nobody reads what goes from {lane.name}")
+        self.direction = direction
+        self.out = Forward(target.write_some, f"nobody reads what goes from {direction.name}")
 
     def wanted(self, now: int) -> int | None:
-        """Return when this way next wants a turn by itself, in ns; None: not before bytes come."""
+        """Return when (ns) this way next needs a turn without new bytes, None if it does not."""
         soon = now + _RETRY if self.out.owed or self.start.deaf is not None else None
-        return min((t for t in (self.lane.deadline, soon) if t is not None), default=None)
+        return min((t for t in (self.direction.deadline, soon) if t is not None), default=None)
 
     def require_more(self) -> None:
-        """Raise the LinkError of a lost start, once what came from it has been handed on."""
-        if self.start.lost is not None and self.lane.deadline is None and not self.out.owed:
+        """Raise the LinkError of a lost start, once all bytes from it have been forwarded."""
+        if self.start.lost is not None and self.direction.deadline is None and not self.out.owed:
             raise self.start.lost
 
 
 def join(
     ends: tuple[End, End],
-    lanes: tuple[Lane, Lane],
+    directions: tuple[ImpairedDirection, ImpairedDirection],
     *,
     stop: Stop,
     note: Callable[[str], None],
     clock: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Carry bytes from the first end through the first lane to the second, and back by the second.
+    """Forward bytes from the first end through the first lane to the second, and back by the other.
 
     Returns once `stop` is readable. `note` gets a sentence when a peer does not read. Raises the
-    LinkError of an end that was lost, after what had come from it has been handed on; of that a pty
-    keeps nothing that its program has not read when it is closed.
+    LinkError of a lost end, after all bytes from it have been forwarded. Forwarded bytes that no
+    program has read from a pty are lost when the pty is closed.
     """
     a, b = _Side(ends[0]), _Side(ends[1])
-    ways = _Way(a, lanes[0], b), _Way(b, lanes[1], a)
+    ways = _Way(a, directions[0], b), _Way(b, directions[1], a)
     while not _stopped(ways, stop, clock()):
         for way in ways:
             data = way.start.read()
-            way.lane.put(data, clock())
+            way.direction.put(data, clock())
         for way in ways:
             now = clock()
-            complaint = way.out.push(way.lane.take(now), now)
+            complaint = way.out.push(way.direction.take(now), now)
             if complaint:
                 note(complaint)
             way.require_more()
 
 
 def _stopped(ways: Sequence[_Way], stop: Stop, now: int) -> bool:
-    """Wait until there is something to do; True once `stop` is readable."""
+    """Wait until a way needs a turn; return True once `stop` is readable."""
     ends = [way.start.end for way in ways if way.start.lost is None]
     turns = [t for way in ways if (t := way.wanted(now)) is not None]
     _, found = wait_readable(

@@ -1,1 +1,1 @@
-"""Ports, ptys, sockets, signals."""
+"""Serial ports, ptys, sockets and signals; the only package that uses pyserial and select."""

@@ -1,10 +1,12 @@
-"""What went wrong with a port, in one sentence that says what came and what to do. No port here."""
+"""Turns errors of ports into LinkErrors: one sentence that says what happened and what to do."""
 
 from __future__ import annotations
 
 import errno
 from collections.abc import Iterator, Sequence
 from urllib.parse import urlsplit
+
+from bilprov.spec.errors import UserError
 
 _OPENING = {
     errno.ENOENT: "there is no {name}; ports here: {ports}; see `bilprov ports`",
@@ -28,10 +30,10 @@ _LOSING = {
     errno.EIO: "{name} disappeared while it was in use; plug it in again and start anew",
     errno.ECONNRESET: "{name} was closed by the other side; is the program that serves it running?",
 }
-# Numbers that mean the same to a person.
+# Error numbers that get the same sentence as another number.
 _SAME_AS = {
     errno.EPERM: errno.EACCES,
-    errno.EAGAIN: errno.EBUSY,  # flock's word for "another program has it"
+    errno.EAGAIN: errno.EBUSY,  # flock: another program holds the lock
     errno.ENXIO: errno.EIO,
     errno.ENODEV: errno.EIO,
     errno.ENOTDIR: errno.ENOENT,
@@ -43,17 +45,17 @@ _SAME_AS = {
 }
 
 
-class LinkError(Exception):
-    """A port that cannot be opened, read or written; its text is one sentence for a person."""
+class LinkError(UserError):
+    """A port cannot be opened, read or written. The message is one sentence for the user."""
 
 
 def opening_failed(
     name: str, error: BaseException, settings: str, ports_here: Sequence[str]
 ) -> LinkError:
-    """Return why `name` could not be opened.
+    """Return a LinkError that says why `name` could not be opened.
 
     `settings` is the line as text, like `115200 8N1`; `ports_here` are the paths that could be
-    opened instead. pyserial often swallows the error number, so the whole chain of causes is read.
+    opened instead. pyserial often drops the error number, so the whole chain of causes is searched.
     """
     chain = list(_causes(error))
     number = _number(chain)
@@ -76,7 +78,7 @@ def opening_failed(
 
 
 def link_lost(name: str, error: BaseException) -> LinkError:
-    """Return why `name`, which was open, can no longer be used."""
+    """Return a LinkError that says why the open port `name` can no longer be used."""
     chain = list(_causes(error))
     number = _number(chain)
     if number == errno.EIO and "://" in name and not _is_wrapped_path(name):
@@ -88,9 +90,9 @@ def link_lost(name: str, error: BaseException) -> LinkError:
 
 
 def writing_failed(name: str, error: BaseException, timeout: float) -> LinkError:
-    """Return why `name` did not take what was written; `timeout` is how long it was tried, in s.
+    """Return a LinkError that says why a write to `name` failed; `timeout` (s) was its limit.
 
-    What pyserial raises at a write time-out is the only one of its errors without a number.
+    pyserial's error for a write time-out is its only one without an error number.
     """
     if _number(list(_causes(error))) is not None:
         return link_lost(name, error)
@@ -109,7 +111,7 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
 
 
 def _number(chain: Sequence[BaseException]) -> int | None:
-    """Return the first error number in the chain; termios.error keeps its own in args."""
+    """Return the first error number in the chain; termios.error has it in `args` only."""
     for error in chain:
         found = error.args[0] if error.args else None
         if isinstance(found, int) and found > 0:  # getaddrinfo's numbers are negative
@@ -118,7 +120,7 @@ def _number(chain: Sequence[BaseException]) -> int | None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return the last thing the system said, without its number."""
+    """Return the message of the system's error, without its number."""
     said = error.args[-1] if error.args else ""
     if isinstance(error, OSError) and error.strerror:
         said = error.strerror

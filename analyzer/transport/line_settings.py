@@ -1,16 +1,19 @@
-"""How a serial line is set, and how long a byte takes on it."""
+"""The settings of a serial line, and the time that a byte takes on it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bilprov.captures.schemas import MS
+from bilprov.spec.protocol import Protocol
+
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """How a serial line is set: `baud` in bits/s, `parity` one of N E O M S, `stopbits` 1 1.5 2.
+    """The settings of a serial line: `baud` in bits/s, `parity` of N E O M S, `stopbits` 1 1.5 2.
 
-    Raises ValueError, in one sentence, for anything else. Always 8 data bits. What
-    a line is where nobody says it is the grammar's to tell (`Protocol.line`).
+    There are always 8 data bits. The defaults are the grammar's (`Protocol.line`). Raises
+    ValueError, in one sentence, for any other value.
     """
 
     baud: int
@@ -27,9 +30,37 @@ class LineSettings:
 
     @property
     def byte_time(self) -> int:
-        """How long one byte takes on the wire, in ns: start, 8 data, parity and stop bits."""
+        """The time of one byte on the wire, in ns: start bit, 8 data, parity and stop bits."""
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         return round(bits * 1_000_000_000 / self.baud)
 
     def __str__(self) -> str:
         return f"{self.baud} 8{self.parity}{self.stopbits:g}"
+
+
+def line_settings(
+    protocol: Protocol, baud: int | None, parity: str | None, stopbits: str | None
+) -> LineSettings:
+    """The given line settings; the grammar's own for each that is None. Raises ValueError."""
+    line = protocol.line
+    return LineSettings(
+        baud=line.baud if baud is None else baud,
+        parity=line.parity if parity is None else parity.upper(),
+        stopbits=line.stopbits if stopbits is None else float(stopbits),
+    )
+
+
+def line_named(protocol: Protocol, text: str) -> LineSettings:
+    """Parse line settings as `str(LineSettings)` writes them; the grammar's own if invalid."""
+    baud, _, form = text.partition(" 8")
+    try:
+        return LineSettings(int(baud), form[:1], float(form[1:]))
+    except ValueError:
+        return line_settings(protocol, None, None, None)
+
+
+def timeout_in_ns(protocol: Protocol, milliseconds: float | None) -> int:
+    """The truncation time-out in ns, the grammar's own where none was given."""
+    if milliseconds is None:
+        milliseconds = protocol.timing.truncation_timeout
+    return round(milliseconds * MS)

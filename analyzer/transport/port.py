@@ -1,4 +1,4 @@
-"""One open port: read what is there, write all of it, close. Every fault is a LinkError."""
+"""An open port: non-blocking reads, complete writes, error counts. Every fault is a LinkError."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from analyzer.transport.errors import LinkError, link_lost, writing_failed
-from analyzer.transport.line_settings import LineSettings
-from captures.closing import Closing
+from bilprov.analyzer.transport.errors import LinkError, link_lost, writing_failed
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
@@ -30,18 +30,18 @@ FAULTS = (OSError, termios.error, ValueError, TypeError, queue.Full)
 
 
 class Port(Closing):
-    """An open port, made by `open_port`; every fault of it is a LinkError."""
+    """An open port, made by `open_port`. Every fault of the port is raised as a LinkError."""
 
     def __init__(self, name: str, settings: LineSettings, handle: Any) -> None:
         self.name = name
         self.settings = settings
         self._handle = handle
         self._fd = _descriptor(handle)
-        # spy:// shows what passes, so its bytes have to go through pyserial's own calls.
+        # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
         self._direct = self._fd is not None and not name.lower().startswith("spy://")
 
     def fileno(self) -> int | None:
-        """Return what select can wait for; None where the URL handler has none (loop, rfc2217).
+        """Return the descriptor for select, None where the URL handler has none (loop, rfc2217).
 
         Raises LinkError when the port is closed.
         """
@@ -50,18 +50,18 @@ class Port(Closing):
 
     @property
     def byte_time(self) -> int:
-        """How long a byte that was taken is on its way, in ns: a UART sends one after the other.
+        """The time, in ns, that each written byte takes until it is sent: a UART sends serially.
 
-        What a pty or a socket takes has arrived.
+        It is 0 for a pty or a socket, where written bytes have arrived.
         """
         there = "://" in self.name or os.path.realpath(self.name).startswith("/dev/pts/")
         return 0 if there else self.settings.byte_time
 
     def read(self) -> bytes:
-        """Return everything that is there now, at most 64 KiB, without waiting; b"" is nothing now.
+        """Return the available bytes, at most 64 KiB, without waiting; b"" if there are none now.
 
-        Raises LinkError at the end of the line (unplugged, closed by the other side), after all
-        that came before the end has been returned.
+        Raises LinkError at the end of the line (unplugged, closed by the other side), but only
+        after all bytes that came before the end have been returned.
         """
         self._require_open()
         taken = bytearray()
@@ -69,7 +69,7 @@ class Port(Closing):
             try:
                 data = self._take()
             except FAULTS as error:
-                if taken:  # first what came; the next read meets the same fault again
+                if taken:  # return these bytes first; the next read meets the same fault again
                     break
                 raise link_lost(self.name, error) from error
             if not data:
@@ -78,7 +78,7 @@ class Port(Closing):
         return bytes(taken)
 
     def write_some(self, data: bytes | memoryview) -> int:
-        """Write what the port takes now without waiting and return how many bytes that was.
+        """Write as many bytes as the port takes without waiting, and return their number.
 
         A port without fileno, and spy://, take up to 1 KiB and may wait as long as `write` does.
         Raises LinkError.
@@ -111,23 +111,23 @@ class Port(Closing):
                 give_up = now + WRITE_TIMEOUT
             elif now >= give_up:
                 raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
-            else:  # short waits: a UART reports room late, long after it would take some bytes
+            else:  # waits are short, since a UART reports room long after it could take some bytes
                 self._wait_writable()
 
     def drain_input(self) -> None:
-        """Read and drop until nothing comes any more, for at most 1 s. Raises LinkError.
+        """Read and discard bytes until none come, for at most 1 s. Raises LinkError.
 
-        `reset_input_buffer` does not reach the chip in a USB adapter; reading does.
+        Reading also empties the chip in a USB adapter, which `reset_input_buffer` does not.
         """
         give_up = time.monotonic() + _DRAIN_TIME
         while self.read() and time.monotonic() < give_up:
             pass
 
     def error_counts(self) -> Mapping[str, int] | None:
-        """Return how many `parity`, `framing`, `overrun` and `break` the driver has counted.
+        """Return the driver's counts of `parity`, `framing`, `overrun` and `break` errors.
 
-        None where there is no such count (pty, sockets, some adapters). pyserial clears INPCK and
-        IGNBRK, so a parity error passes as a byte and a break as 0x00: only these counts tell.
+        None where there are no such counts (pty, sockets, some adapters). pyserial clears INPCK and
+        IGNBRK, so a parity error passes as a byte and a break as 0x00: only the counts show them.
         """
         self._require_open()
         buffer = array.array("i", [0] * 20)
@@ -151,7 +151,7 @@ class Port(Closing):
             return None
 
     def close(self) -> None:
-        """Close the port; never raises, and more than once is as good as once."""
+        """Close the port. Never raises; further calls do nothing."""
         sock = getattr(self._handle, "_socket", None)
         if sock and self._fd is not None:
             # socket:// would sleep 0.3 s, and leaks the socket when the other side went first.
@@ -166,7 +166,7 @@ class Port(Closing):
         return f"<Port {self.name} {self.settings}>"
 
     def has_input(self) -> bool:
-        """Return whether a read would give something now, be it the end. Raises LinkError."""
+        """Return whether a read would give bytes or the end of the line now. Raises LinkError."""
         self._require_open()
         try:
             return bool(self._handle.in_waiting) or _gone(self._handle)
@@ -205,12 +205,12 @@ def _descriptor(handle: Any) -> int | None:
 
 
 def _gone(handle: Any) -> bool:
-    """Whether rfc2217's reader thread has ended, which it does when its peer has gone."""
+    """Whether rfc2217's reader thread has ended, as it does when the peer closes."""
     return hasattr(handle, "_read_buffer") and not handle._thread.is_alive()
 
 
 def _take_rfc2217(handle: Any) -> bytes:
-    """Return what the reader thread has queued; pyserial's read drops it once the peer has gone."""
+    """Return what the reader thread has queued; pyserial's read drops it once the peer closes."""
     gone = _gone(handle)
     taken = bytearray()
     while len(taken) < _READ_LIMIT:
@@ -218,7 +218,7 @@ def _take_rfc2217(handle: Any) -> bytes:
             byte = handle._read_buffer.get_nowait()
         except queue.Empty:
             break
-        if byte is None:  # the thread's last word
+        if byte is None:  # the thread's mark for the end
             gone = True
         else:
             taken += byte

@@ -1,4 +1,4 @@
-"""Which ports there are, opening one, waiting for several. The only file with pyserial."""
+"""Lists ports, opens them, and waits for several of them. The only module that uses pyserial."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports as serial_list_ports
 
-from analyzer.transport.errors import LinkError, opening_failed
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
-from analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.errors import LinkError, opening_failed
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
 
 __all__ = [
     "LineSettings",
@@ -38,9 +38,9 @@ _POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
 def open_port(name: str, settings: LineSettings | None = None) -> Port:
     """Open a path or a pyserial URL (`socket://HOST:PORT`, `rfc2217://`, `loop://`, `spy://PATH`).
 
-    Raw mode, 8 bits, no flow control, non-blocking; a path is locked against other programs that
-    ask for the lock (advisory). DTR and RTS are raised, as pyserial does: an Arduino resets.
-    `settings` are the built-in grammar's unless given; `socket://` has none. Raises LinkError.
+    The port is in raw mode with 8 bits, no flow control, and non-blocking. A path is locked
+    (advisory lock). pyserial raises DTR and RTS, which resets an Arduino. `settings` are the
+    built-in grammar's unless given; they have no effect on `socket://`. Raises LinkError.
     """
     settings = settings or _usual_settings()
     _require_address(name)
@@ -58,13 +58,13 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
                 write_timeout=None if name.lower().startswith("rfc2217:") else WRITE_TIMEOUT,
                 exclusive=True,
             )
-    except Exception as error:  # URL handlers raise whatever occurs to them (KeyError, TypeError)
+    except Exception as error:  # URL handlers raise any type of error (KeyError, TypeError)
         raise opening_failed(name, error, str(settings), _paths_here()) from error
     port = Port(name, settings, handle)
     try:
         sock = getattr(handle, "_socket", None)
         if sock is not None:
-            # Without it bytes that follow an answer arrive up to 43 ms late, in pieces.
+            # Without this option bytes that follow an answer arrive up to 43 ms late, in pieces.
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if port.fileno() is None:
                 sock.settimeout(WRITE_TIMEOUT)
@@ -77,7 +77,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
 
 
 def _usual_settings() -> LineSettings:
-    from analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.grammar_file import load_protocol
 
     line = load_protocol().line
     return LineSettings(line.baud, line.parity, line.stopbits)
@@ -88,9 +88,9 @@ def wait_readable(
 ) -> tuple[list[Port], list[int]]:
     """Wait until a port or another descriptor is readable, at most `timeout` s (None: for ever).
 
-    Returns the ports and the descriptors that are, in the order given, both empty when the time is
-    over. Ports without fileno are looked at every millisecond. A port at its end is readable: its
-    read raises. Raises LinkError for a closed port.
+    Returns the readable ports and descriptors, in the order given; both are empty after a time-out.
+    Ports without fileno are polled every millisecond. A port at its end counts as readable, and its
+    read raises LinkError. Raises LinkError for a closed port.
     """
     by_descriptor = {port.fileno(): port for port in ports}
     waited = [fd for fd in by_descriptor if fd is not None]
@@ -112,9 +112,9 @@ def wait_readable(
 
 @dataclass(frozen=True, slots=True, order=True)
 class PortInfo:
-    """A port of this machine: its path, what the system says it is, and whether it is USB.
+    """A serial port of this machine: its path, and its description and id from the system.
 
-    `likely` marks what a robot is probably plugged into: a USB adapter or board.
+    `likely` is true for a USB adapter or board, where a robot is probably connected.
     """
 
     path: str
@@ -139,12 +139,12 @@ def list_ports() -> list[PortInfo]:
 def _paths_here() -> list[str]:
     try:
         return [port.path for port in list_ports()]
-    except (OSError, TypeError, ValueError):  # an adapter that goes while its files are read
+    except (OSError, TypeError, ValueError):  # an adapter was unplugged while its files were read
         return []
 
 
 def _require_address(name: str) -> None:
-    """Raise LinkError for a network URL without host and port; pyserial's own words are opaque."""
+    """Raise LinkError for a network URL without host and port; pyserial's message is unclear."""
     if not name.lower().startswith(("socket://", "rfc2217://")):
         return
     try:
@@ -159,7 +159,7 @@ def _require_address(name: str) -> None:
 
 
 def _ignore_break_signal(fd: int | None) -> None:
-    """Clear BRKINT, which pyserial leaves as it was: a break would throw away pending input."""
+    """Clear BRKINT, which pyserial leaves unchanged: with it a break discards pending input."""
     if fd is None:
         return
     attributes = termios.tcgetattr(fd)

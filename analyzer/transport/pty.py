@@ -1,4 +1,4 @@
-"""A pseudo terminal that passes every byte unchanged: what a host program opens as its port."""
+"""A pseudo terminal (pty) in raw mode, which a host program opens as its port."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import contextlib
 import os
 import tty
 
-from analyzer.transport.errors import LinkError
-from captures.closing import Closing
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.captures.closing import Closing
 
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
 
@@ -15,8 +15,8 @@ _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the ca
 class PtyPair(Closing):
     """Both ends of a pty: `master` is our descriptor (non-blocking), `name` the path for others.
 
-    It holds the slave open itself, so that the master never meets EIO when the last program closes
-    the path. What nobody reads waits in the kernel (at least 4 KiB), as in a driver's buffer.
+    The pair keeps the slave open, so that the master never gets EIO when the last program closes
+    the path. Unread bytes wait in the kernel (at least 4 KiB), as in a driver's buffer.
     """
 
     def __init__(self, master: int, slave: int) -> None:
@@ -49,8 +49,8 @@ class PtyPair(Closing):
 def open_pty() -> PtyPair:
     """Return a new pty in raw mode: 8 bits, no echo, no signals, no flow control.
 
-    A pty is cooked until told otherwise: 0x03 would come back as "^C" and 0x11 would be XON.
-    Raises LinkError where the system has none left.
+    A new pty is in cooked mode, where 0x03 would come back as "^C" and 0x11 would be XON.
+    Raises LinkError if the system has no pty left.
     """
     try:
         master, slave = os.openpty()

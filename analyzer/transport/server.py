@@ -1,6 +1,6 @@
-"""Serve one simulated device on a pty, on TCP and with a probe: one thread, one select loop.
+"""Serves one simulated device on a pty, on TCP and with a probe, in one thread with select.
 
-A peer that does not read loses what does not fit into 64 KiB, silently, as on a serial line.
+For a peer that does not read, 64 KiB are kept; the rest is dropped silently, as on a serial line.
 """
 
 from __future__ import annotations
@@ -13,34 +13,34 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from analyzer.transport.pty import open_pty
-from analyzer.transport.signals import Stopper
-from analyzer.transport.streams import Outlet, accept_all, listen_on, shown_address
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
 
 __all__ = ["ByteDevice", "Stop", "Stopper", "serve"]
 
 _REQUEST_LIMIT = 1024  # bytes of a probe's request line
-_LINGER = 3_000_000_000  # ns without a byte, after which a client that sends no more has got all
+_LINGER = 3_000_000_000  # ns without a byte after which a client that ended its sending is closed
 
 
 class ByteDevice(Protocol):
-    """A device without I/O; `now` is the clock's time in ns and never goes back."""
+    """A simulated device without I/O of its own; `now` is in ns and never goes back."""
 
     def receive(self, data: bytes, now: int) -> None:
-        """Take bytes from the host that arrived at `now`, after whatever was due before."""
+        """Take bytes from the host that arrived at `now`; process first what was due earlier."""
 
     def advance(self, now: int) -> bytes:
         """Let time pass until `now` and return what the device sends by then."""
 
     def deadline(self) -> int | None:
-        """Return when, in ns, `advance` is wanted next (after `now`); None: not before bytes."""
+        """Return the time (ns) of the next needed `advance`, None if bytes must come first."""
 
     def probe(self, now: int) -> bytes:
-        """Return what can be seen of the device at `now`: one line of JSON without newline."""
+        """Return the observable state of the device at `now`: a line of JSON without newline."""
 
 
 class Stop(Protocol):
-    """What ends the serving: a Stopper, or anything that becomes readable."""
+    """An object that ends `serve` when it becomes readable, such as a Stopper."""
 
     def fileno(self) -> int:
         """Return the descriptor that select waits for."""
@@ -60,86 +60,87 @@ def serve(
 
     `pty` asks for a pty; `listen` and `probe_listen` are addresses like `127.0.0.1:0` (port 0
     takes a free one). `announce` gets one line for each once all are open: the pty's path,
-    `socket://HOST:PORT`, `probe tcp:HOST:PORT`. Answers go to the host side that spoke last.
+    `socket://HOST:PORT`, `probe tcp:HOST:PORT`. Answers go to the host that sent last.
 
-    Raises ValueError for an address that is none, or when there is nothing to serve; LinkError for
-    one that cannot be had.
+    Raises ValueError for an invalid address or when there is nothing to serve; LinkError for a pty
+    or an address that is not available.
     """
     if not pty and listen is None:
         raise ValueError("nothing to serve: ask for a pty or an address to listen on")
     with contextlib.ExitStack() as stack:
-        room = _Room(device, clock)
-        stack.callback(room.close)
+        server = _Server(device, clock)
+        stack.callback(server.close)
         lines = []
         if pty:
             pair = stack.enter_context(open_pty())
-            room.pty = Outlet(pair.master, pair.close)
+            server.pty = Stream(pair.master, pair.close)
             lines.append(pair.name)
         if listen is not None:
-            room.listener = stack.enter_context(listen_on(listen))
-            lines.append(f"socket://{shown_address(room.listener)}")
+            server.listener = stack.enter_context(listen_on(listen))
+            lines.append(f"socket://{shown_address(server.listener)}")
         if probe_listen is not None:
-            room.probe_listener = stack.enter_context(listen_on(probe_listen))
-            lines.append(f"probe tcp:{shown_address(room.probe_listener)}")
+            server.probe_listener = stack.enter_context(listen_on(probe_listen))
+            lines.append(f"probe tcp:{shown_address(server.probe_listener)}")
         for line in lines:
             announce(line)
-        while room.turn(stop):
+        while server.turn(stop):
             pass
 
 
-class _Room:
-    """The device, the sides that talk to it, and the probes that look at it."""
+class _Server:
+    """State of the server: the device, the connections of hosts, and those of probe clients."""
 
     def __init__(self, device: ByteDevice, clock: Callable[[], int]) -> None:
         self.device = device
         self.clock = clock
-        self.pty: Outlet | None = None
-        self.client: Outlet | None = None
-        self.speaker: Outlet | None = None
-        self.last = clock()  # when a byte went or came
-        self.probes: list[tuple[Outlet, bytearray]] = []
+        self.pty: Stream | None = None
+        self.client: Stream | None = None
+        self.active_host: Stream | None = None
+        self.last = clock()  # time of the last byte in either direction
+        self.probes: list[tuple[Stream, bytearray]] = []
         self.listener: socket.socket | None = None
         self.probe_listener: socket.socket | None = None
 
     def turn(self, stop: Stop) -> bool:
-        """Wait for something to do and do it; False once `stop` is readable."""
-        outlets = [*self._hosts(), *(outlet for outlet, _ in self.probes)]
+        """Run one turn of the loop: wait for events and handle them; False once `stop` is set."""
+        streams = [*self._hosts(), *(stream for stream, _ in self.probes)]
         listeners = [one for one in (self.listener, self.probe_listener) if one is not None]
         readable, _, _ = select.select(
-            [stop, *listeners, *(outlet for outlet in outlets if not outlet.ended)],
-            [outlet for outlet in outlets if outlet.backlog],
+            [stop, *listeners, *(stream for stream in streams if not stream.ended)],
+            [stream for stream in streams if stream.backlog],
             [],
             self._patience(),
         )
         if stop in readable:
             return False
-        # The order is a rule: what was asked first, then the host's bytes that were there when it
-        # was asked (1 MiB at most), then the answers: a look after an answer sees the newest state.
+        # The order matters: probe requests are read first, then the host's bytes that had arrived
+        # by then (1 MiB at most), then the requests are answered. So a look that follows an answer
+        # sees the newest state.
         asked = [
-            (outlet, request)
-            for outlet, pending in self.probes
-            for request in _requests(outlet, pending)
+            (stream, request)
+            for stream, pending in self.probes
+            for request in _requests(stream, pending)
         ]
         now = self._pump()
-        for outlet, request in asked:
-            outlet.give(self._reply(request, now) + b"\n")
-        for outlet in outlets:
-            outlet.flush()
+        for stream, request in asked:
+            stream.give(self._reply(request, now) + b"\n")
+        for stream in streams:
+            stream.flush()
         self._let_go(now)
         if self.listener is not None and self.listener in readable:
             self._accept_client(self.listener)
         if self.probe_listener is not None and self.probe_listener in readable:
-            for outlet in accept_all(self.probe_listener):
-                self.probes.append((outlet, bytearray()))
+            for stream in accept_all(self.probe_listener):
+                self.probes.append((stream, bytearray()))
         return True
 
     def close(self) -> None:
         """Close every connection; the pty and the listeners belong to `serve`."""
-        for outlet in [self.client, *(outlet for outlet, _ in self.probes)]:
-            if outlet is not None:
-                outlet.close()
+        for stream in [self.client, *(stream for stream, _ in self.probes)]:
+            if stream is not None:
+                stream.close()
 
-    def _hosts(self) -> list[Outlet]:
+    def _hosts(self) -> list[Stream]:
         return [host for host in (self.pty, self.client) if host is not None]
 
     def _patience(self) -> float | None:
@@ -148,16 +149,16 @@ class _Room:
         return None if deadline is None else max(0, deadline - self.clock()) / 1e9
 
     def _pump(self) -> int:
-        """Hand the device what the hosts have sent and the hosts what it says; return the time."""
+        """Pass the hosts' bytes to the device and its answers back; return the time (ns)."""
         heard = [(host, host.take()) for host in self._hosts()]
         now = self.clock()
         for host, data in heard:
             if data:
                 self.device.receive(data, now)
-                self.speaker = host
+                self.active_host = host
         said = self.device.advance(now)
         if said:
-            for host in self._hosts() if self.speaker is None else [self.speaker]:
+            for host in self._hosts() if self.active_host is None else [self.active_host]:
                 host.give(said)
         if said or any(data for _, data in heard):
             self.last = now
@@ -170,38 +171,38 @@ class _Room:
         return json.dumps({"error": f"the request is {came!r}, allowed is 'state'"}).encode()
 
     def _let_go(self, now: int) -> None:
-        """Close what has gone. A client that only ended its sending still gets its last answers."""
+        """Close ended connections; a client that only ended its sending gets its last answers."""
         client = self.client
         quiet = self.device.deadline() is None or now - self.last > _LINGER
         if client is not None and (client.lost or (client.idle and quiet)):
             self._drop_client()
-        for outlet, _ in self.probes:
-            if outlet.lost or outlet.idle:
-                outlet.close()
+        for stream, _ in self.probes:
+            if stream.lost or stream.idle:
+                stream.close()
         self.probes = [probe for probe in self.probes if not probe[0].closed]
 
     def _drop_client(self) -> None:
         if self.client is not None:
             self.client.close()
-            if self.speaker is self.client:
-                self.speaker = None
+            if self.active_host is self.client:
+                self.active_host = None
             self.client = None
 
     def _accept_client(self, listener: socket.socket) -> None:
-        """Take a client in when the place is free, which a client at its end leaves at once."""
-        for outlet in accept_all(listener):
+        """Accept a client if there is none, or if the present one has ended; refuse others."""
+        for stream in accept_all(listener):
             if self.client is not None and not self.client.ended:
-                outlet.close()
+                stream.close()
             else:
                 self._drop_client()
-                self.client = outlet
+                self.client = stream
 
 
-def _requests(outlet: Outlet, pending: bytearray) -> list[bytes]:
-    """Return the whole lines that a probe has sent; `pending` keeps the part without newline."""
-    pending += outlet.take()
+def _requests(stream: Stream, pending: bytearray) -> list[bytes]:
+    """Return the complete lines a probe client has sent; `pending` keeps the incomplete rest."""
+    pending += stream.take()
     *lines, rest = bytes(pending).split(b"\n")
     pending[:] = rest
-    if len(rest) > _REQUEST_LIMIT:  # not a line of ours
-        outlet.ended = outlet.lost = True
+    if len(rest) > _REQUEST_LIMIT:  # no request is that long
+        stream.ended = stream.lost = True
     return [line.strip() for line in lines]

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal as something a select loop can wait for."""
+"""Handling of SIGINT (Ctrl-C), SIGTERM and SIGHUP: a select loop can wait for them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from typing import Any, Self
 class Stopper:
     """Turns SIGINT, SIGTERM and SIGHUP into a clean stop: `fileno()` is readable from then on.
 
-    As a context manager it takes the three signals over (in the main thread; elsewhere it only
-    offers `stop`) and puts the old handlers back at the end. A second signal changes nothing, so
-    that a command can finish its file in peace; SIGQUIT (Ctrl-\\) still ends the process at once.
+    As a context manager it installs handlers for the three signals (in the main thread; elsewhere
+    it only offers `stop`) and restores the old handlers at the end. A SIGHUP that is ignored
+    already, as under nohup, stays ignored. A second signal has no effect, so that a command can
+    finish its file; SIGQUIT (Ctrl-\\) still ends the process at once.
     """
 
     def __init__(self) -> None:
@@ -38,18 +39,18 @@ class Stopper:
         return self._reader.fileno()
 
     def stop(self) -> None:
-        """Ask for a stop, from any thread or signal handler; more than once is as good as once."""
+        """Request a stop, from any thread or signal handler; further calls do nothing."""
         if not self._stopped:
             self._stopped = True
-            with contextlib.suppress(OSError):  # closed already: nobody waits any more
+            with contextlib.suppress(OSError):  # closed already: no loop waits any more
                 self._writer.send(b"\0")
 
     def close(self) -> None:
-        """Put the old handlers back and close; more than once is as good as once."""
+        """Restore the old handlers and close; further calls do nothing."""
         if self._old_wakeup is not None:
             try:
                 signal.set_wakeup_fd(self._old_wakeup)
-            except OSError:  # the one before us closed before us
+            except OSError:  # the old wakeup descriptor was closed in the meantime
                 signal.set_wakeup_fd(-1)
             self._old_wakeup = None
         while self._old:
@@ -60,12 +61,11 @@ class Stopper:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                # None is a handler that was not set from Python and cannot be put back from here.
-                if signal.getsignal(number) is not None:
-                    self._old[number] = signal.signal(number, self._on_signal)
-            # A signal between the interpreter's own check and the select call would be heard only
-            # at the next event: its number is written below Python, and ends the select.
+            for number in _heeded():
+                self._old[number] = signal.signal(number, self._on_signal)
+            # A signal that comes between the interpreter's own check and the select call would be
+            # handled only at the next event. The wakeup descriptor, which C code writes, ends the
+            # select at once.
             self._old_wakeup = signal.set_wakeup_fd(
                 self._writer.fileno(), warn_on_full_buffer=False
             )
@@ -85,15 +85,18 @@ class Stopper:
 
 @contextmanager
 def undisturbed(*, again: bool) -> Iterator[None]:
-    """Ctrl-C and the like are heard only afterwards, if `again`: the robot is stopped first."""
+    """Hold signals back until the block ends, so that it can stop the robot first.
+
+    If `again`, the first signal that came is raised afterwards. Without effect outside the main
+    thread.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     heard: list[int] = []
     before: dict[int, Any] = {}
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not None:  # else it cannot be put back from here
-            before[number] = signal.signal(number, lambda got, frame: heard.append(got))
+    for number in _heeded():
+        before[number] = signal.signal(number, lambda got, frame: heard.append(got))
     try:
         yield
     finally:
@@ -105,10 +108,9 @@ def undisturbed(*, again: bool) -> Iterator[None]:
 
 @contextmanager
 def ending_in_order() -> Iterator[None]:
-    """SIGTERM and SIGHUP, where nobody heeds them, end the block by SystemExit instead of at once.
+    """Turn SIGTERM and SIGHUP, where they have no handler, into SystemExit inside the block.
 
-    So what the block has to leave behind is done, as it is after Ctrl-C. Without effect outside of
-    the main thread.
+    So the block's cleanup runs, as it does after Ctrl-C. Without effect outside the main thread.
     """
     old: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -120,6 +122,17 @@ def ending_in_order() -> Iterator[None]:
     finally:
         while old:
             signal.signal(*old.popitem())
+
+
+def _heeded() -> Iterator[signal.Signals]:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        handler = signal.getsignal(number)
+        # nohup ignores SIGHUP so that the run goes on without its terminal. A shell's background
+        # jobs ignore SIGINT too, but there `kill -INT` is how a script ends what it started.
+        nohup = number is signal.SIGHUP and handler is signal.SIG_IGN
+        # None is a handler that was not set from Python and cannot be put back from here.
+        if handler is not None and not nohup:
+            yield number
 
 
 def _exit(number: int, frame: FrameType | None) -> None:

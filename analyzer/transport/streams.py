@@ -1,4 +1,4 @@
-"""Where a served device meets its peers: listening sockets and non-blocking byte streams."""
+"""Listening sockets and non-blocking byte streams, which connect a served device to its peers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import socket
 from collections.abc import Callable, Iterator
 
-from analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.errors import LinkError
 
 _READ_LIMIT = 1 << 20  # bytes taken in one turn, so that a flood cannot hold the loop
 _BACKLOG_LIMIT = 1 << 16  # bytes kept for a peer that does not read; what follows is dropped
@@ -18,8 +18,11 @@ _LISTENING = {
 }
 
 
-class Outlet:
-    """A non-blocking stream to one peer: `ended` when no more comes, `lost` when it is broken."""
+class Stream:
+    """A non-blocking byte stream to one peer.
+
+    `ended` is true once the peer sends no more, `lost` once the connection is broken.
+    """
 
     def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
         self.backlog = bytearray()
@@ -31,7 +34,7 @@ class Outlet:
 
     @property
     def idle(self) -> bool:
-        """Whether the peer sends no more and has got everything."""
+        """Whether the peer has ended its sending and all bytes for it are sent."""
         return self.ended and not self.backlog
 
     def fileno(self) -> int:
@@ -39,7 +42,7 @@ class Outlet:
         return self._descriptor
 
     def take(self) -> bytes:
-        """Return what has come, without waiting; sets `ended` or `lost` where that is known."""
+        """Return the received bytes without waiting; set `ended` and `lost` if the stream ended."""
         taken = bytearray()
         while not self.ended and len(taken) < _READ_LIMIT:
             try:
@@ -54,14 +57,14 @@ class Outlet:
         return bytes(taken)
 
     def give(self, data: bytes) -> None:
-        """Send `data` as far as the peer takes it, and keep the rest as far as it fits."""
+        """Send `data` as far as the peer takes it; keep at most 64 KiB of the rest, drop more."""
         if not self.closed:
             self.backlog += data
             self.flush()
             del self.backlog[_BACKLOG_LIMIT:]
 
     def flush(self) -> None:
-        """Send of what was kept as much as the peer takes now."""
+        """Send as many of the kept bytes as the peer takes now."""
         while self.backlog and not self.closed:
             try:
                 count = os.write(self._descriptor, self.backlog)
@@ -74,7 +77,7 @@ class Outlet:
             del self.backlog[:count]
 
     def close(self) -> None:
-        """Close the stream; more than once is as good as once."""
+        """Close the stream; further calls do nothing."""
         if not self.closed:
             self.closed = True
             self._close()
@@ -93,7 +96,10 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def listen_on(address: str) -> socket.socket:
-    """Return a listening socket. Raises ValueError for what is no address, LinkError otherwise."""
+    """Return a listening socket.
+
+    Raises ValueError for an invalid address, LinkError for one that cannot be listened on.
+    """
     host, port = parse_address(address)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
@@ -106,18 +112,18 @@ def listen_on(address: str) -> socket.socket:
 
 
 def shown_address(listener: socket.socket) -> str:
-    """Return where `listener` listens as HOST:PORT, an IPv6 host in brackets."""
+    """Return the address of `listener` as HOST:PORT, with an IPv6 host in brackets."""
     host, port = listener.getsockname()[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def accept_all(listener: socket.socket) -> Iterator[Outlet]:
-    """Yield every connection that waits at `listener`, without delay for small writes."""
+def accept_all(listener: socket.socket) -> Iterator[Stream]:
+    """Yield a Stream for every connection that waits at `listener`, with TCP_NODELAY set."""
     while True:
         try:
             connection, _ = listener.accept()
-        except OSError:  # none left, or one that went before it was taken in
+        except OSError:  # none left, or a connection that closed before it was accepted
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        yield Outlet(connection.fileno(), connection.close)
+        yield Stream(connection.fileno(), connection.close)

@@ -1,1 +1,1 @@
-"""MCAP bytes in, whole records out."""
+"""Low-level reading of MCAP files: complete records only; whatever is inconsistent is rejected."""

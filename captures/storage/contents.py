@@ -1,4 +1,4 @@
-"""What one pass over a capture file found: values only."""
+"""The results of one survey pass over a capture file: values only."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a survey found. Times are `log_time` in ns, 0 where there is no message.
+    """The results of a survey. Times are `log_time` in ns, 0 if there is no message.
 
-    `size` is the file's in bytes; `regions` are its stretches of whole records, as first byte and
-    byte after the last. `own` says that bilprov recorded it, so that the order in the file is the
-    order of events; `counted` that no other program rewrote it since, so that a jump of `sequence`
-    is a loss. `starts` are what the file says of its start (digits, ns), best vouched for first.
-    `channels` gives topic and encoding by channel id; `counts` and `sizes` are messages and bytes
-    by topic.
+    `size` is the file's size in bytes; `regions` are its ranges of complete records, as the first
+    byte and the byte after the last. `own` is true if bilprov recorded the file, so that the order
+    in the file is the order of events; `counted` is true if no other program rewrote it since, so
+    that a jump of `sequence` is a loss. `starts` are the file's statements of its start (digits,
+    ns), the best protected one first. `channels` maps channel ids to topic and encoding; `counts`
+    and `sizes` are messages and bytes by topic.
     """
 
     size: int
@@ -35,7 +35,7 @@ class Contents:
 
 @dataclass(slots=True)
 class Tally:
-    """Messages and bytes by channel id, and the times, of one chunk or of a file."""
+    """Counts of messages and bytes by channel id, and the times, of one chunk or of a file."""
 
     counts: dict[int, int] = field(default_factory=dict)
     sizes: dict[int, int] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Tally:
             self.times[1] = time
 
     def add(self, other: Tally) -> None:
-        """Count what another tally counted, as coming later in the file."""
+        """Add the counts of another tally, whose messages come later in the file."""
         for channel, count in other.counts.items():
             self.counts[channel] = self.counts.get(channel, 0) + count
             self.sizes[channel] = self.sizes.get(channel, 0) + other.sizes[channel]

@@ -1,4 +1,4 @@
-"""The messages of a surveyed file in order, each with what is known to be lost before it."""
+"""Reads the messages of a surveyed file in order, each with a note of what is lost before it."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from io import BufferedReader
 from typing import NamedTuple
 
-from captures.storage import records
-from captures.storage.contents import Contents
-from captures.storage.limits import MESSAGE_BYTES
-from captures.storage.recovery import SKIPPED, RecordFile
-from captures.storage.time_order import TimeWindow
+from bilprov.captures.storage import records
+from bilprov.captures.storage.contents import Contents
+from bilprov.captures.storage.limits import MESSAGE_BYTES
+from bilprov.captures.storage.recovery import SKIPPED, RecordFile
+from bilprov.captures.storage.time_order import TimeWindow
 
 
 class Stored(NamedTuple):
-    """A message as it stands in the file; `lost` is empty where nothing is missing before it."""
+    """A message as stored in the file; `lost` says what is missing before it, "" for nothing."""
 
     log_time: int
     sequence: int
@@ -24,9 +24,9 @@ class Stored(NamedTuple):
 
 
 def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
-    """The messages of an open file: ours in file order, foreign ones by time.
+    """Yield the messages of an open file: of our own files in file order, of others by time.
 
-    Raises Damaged if the file is not what was surveyed any more.
+    Raises Damaged if the file has changed since the survey.
     """
     if contents.own:
         return _in_file_order(file, contents)
@@ -54,7 +54,7 @@ def _in_file_order(file: BufferedReader, contents: Contents) -> Iterator[Stored]
 
 
 def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, int, int, str]]:
-    # The survey judged each record of these regions; here they only have to be whole still.
+    # The survey has checked each record of these regions; here they only must still be complete.
     source = RecordFile(file, contents.size)
     source.past_data = True
     where = ""

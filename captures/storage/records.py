@@ -1,4 +1,4 @@
-"""The byte layouts of MCAP records: bytes in, values out, nothing believed that does not fit."""
+"""Parses MCAP records from their byte layouts; raises Damaged for whatever is inconsistent."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from captures.storage.limits import STRING_BYTES
+from bilprov.captures.storage.limits import STRING_BYTES
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
-"""What the library's name starts with in our own files."""
+"""The prefix of the library's name in our own files."""
 
 HEADER: Final = 0x01
 FOOTER: Final = 0x02
@@ -37,16 +37,16 @@ _U64 = struct.Struct("<Q")
 
 
 class Damaged(Exception):
-    """A record that is not what it says. The message says what is wrong, without where."""
+    """A record is inconsistent. The message says what is wrong, but not where."""
 
 
 class CutOff(Damaged):
-    """A record that ends after the file: the usual end of a capture that was not finished."""
+    """A record ends after the end of the file, as usual in a capture that was not finished."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelRecord:
-    """What a channel record says. Foreign text: show it only through `errors.shown`."""
+    """The fields of a channel record. Its text is foreign: show it only through `printable`."""
 
     id: int
     topic: str
@@ -56,13 +56,13 @@ class ChannelRecord:
 
 @dataclass(slots=True)
 class Cursor:
-    """Reads little-endian fields off the front of a record; raises Damaged where they end early."""
+    """Reads the little-endian fields of a record in order; raises Damaged if they end early."""
 
     data: bytes
     at: int = field(default=0)
 
     def number(self, layout: struct.Struct) -> int:
-        """The next integer."""
+        """Read the next integer."""
         start = self.at
         self.at += layout.size
         if self.at > len(self.data):
@@ -71,7 +71,7 @@ class Cursor:
         return value
 
     def block(self, length: int) -> bytes:
-        """The next `length` bytes."""
+        """Read the next `length` bytes."""
         start = self.at
         self.at += length
         if self.at > len(self.data):
@@ -79,14 +79,14 @@ class Cursor:
         return self.data[start : self.at]
 
     def text(self) -> str:
-        """The next string; broken UTF-8 becomes escapes."""
+        """Read the next string; invalid UTF-8 becomes escapes."""
         length = self.number(_U32)
         if length > STRING_BYTES:
             raise Damaged(f"a string is {length} bytes, allowed are {STRING_BYTES}")
         return self.block(length).decode("utf-8", "backslashreplace")
 
     def texts(self) -> dict[str, str]:
-        """The next map of strings."""
+        """Read the next map of strings."""
         end = self.number(_U32) + self.at
         pairs: dict[str, str] = {}
         while self.at < end:
@@ -107,7 +107,7 @@ def header_library(content: bytes, own: bool = False) -> str:
 
 
 def channel_record(content: bytes, own: bool = False) -> ChannelRecord:
-    """A channel record's fields that matter here."""
+    """Parse a channel record."""
     cursor = Cursor(content)
     channel = cursor.number(_U16)
     cursor.number(_U16)
@@ -117,7 +117,7 @@ def channel_record(content: bytes, own: bool = False) -> ChannelRecord:
 
 
 def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, str]]:
-    """A metadata record's name and pairs."""
+    """Parse a metadata record into its name and pairs."""
     cursor = Cursor(content)
     name = cursor.text()
     pairs = cursor.texts()
@@ -126,7 +126,10 @@ def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, s
 
 
 def attachment_record(content: bytes, own: bool = True) -> tuple[str, bytes]:
-    """An attachment's name and data. Raises Damaged where its fields or its checksum do not fit."""
+    """Parse an attachment into its name and data.
+
+    Raises Damaged if its fields or its checksum are wrong.
+    """
     cursor = Cursor(content)
     cursor.block(16)
     name = cursor.text()
@@ -140,12 +143,12 @@ def attachment_record(content: bytes, own: bool = True) -> tuple[str, bytes]:
 
 
 def check_attachment(content: bytes, own: bool) -> None:
-    """Raise Damaged unless an attachment's fields and its checksum fit."""
+    """Raise Damaged if an attachment's fields or its checksum are wrong."""
     attachment_record(content, own)
 
 
 def check_schema(content: bytes, own: bool) -> None:
-    """Raise Damaged unless a schema record's fields fit; what it says does not matter here."""
+    """Raise Damaged if a schema record's fields are inconsistent; the schema itself is not read."""
     cursor = Cursor(content)
     cursor.number(_U16)
     cursor.text()
@@ -155,7 +158,7 @@ def check_schema(content: bytes, own: bool) -> None:
 
 
 def check_message_index(content: bytes, own: bool) -> None:
-    """Raise Damaged unless a message index record's fields fit."""
+    """Raise Damaged if a message index record's fields are inconsistent."""
     cursor = Cursor(content)
     cursor.number(_U16)
     length = cursor.number(_U32)
@@ -166,9 +169,9 @@ def check_message_index(content: bytes, own: bool) -> None:
 
 
 def chunk_fields(content: bytes) -> tuple[int, int, str, int]:
-    """Unpacked size, CRC, compression and where the packed bytes start, of a chunk or its front.
+    """Parse a chunk, or its front: unpacked size, CRC, compression, offset of the packed bytes.
 
-    The packed length that the chunk announces stands in the 8 bytes before the packed ones.
+    The packed length that the chunk announces is in the 8 bytes before the packed ones.
     """
     cursor = Cursor(content)
     cursor.block(16)
@@ -189,9 +192,9 @@ def packed_length(content: bytes, start: int) -> int:
 
 
 def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Walk a chunk's unpacked bytes: opcode, start and end of each record's content.
+    """Yield opcode, start and end of the content of each record in a chunk's unpacked bytes.
 
-    Raises Damaged where a record does not fit.
+    Raises Damaged if a record is inconsistent.
     """
     at = 0
     total = len(content)
@@ -210,6 +213,6 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _ends(cursor: Cursor, own: bool) -> None:
-    # The format lets other writers append fields; ours does not.
+    # The format lets other writers append fields; our writer does not.
     if own and cursor.at != len(cursor.data):
         raise Damaged("a record is longer than its fields")

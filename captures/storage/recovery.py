@@ -1,4 +1,4 @@
-"""One whole record at a time off a file that may be damaged anywhere, and the next good chunk."""
+"""Reads complete records from a file that may be damaged, and finds the next intact chunk."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from collections.abc import Callable
 from io import BufferedReader
 from typing import Final, NamedTuple
 
-from captures.storage import records
-from captures.storage.limits import ATTACHMENT_BYTES, CHUNK_BYTES, MESSAGE_BYTES, RECORD_BYTES
-from captures.storage.records import CutOff, Damaged
-from captures.storage.unpack import unpacked_chunk
+from bilprov.captures.storage import records
+from bilprov.captures.storage.limits import (
+    ATTACHMENT_BYTES,
+    CHUNK_BYTES,
+    MESSAGE_BYTES,
+    RECORD_BYTES,
+)
+from bilprov.captures.storage.records import CutOff, Damaged
+from bilprov.captures.storage.unpack import unpacked_chunk
 
 SKIPPED: Final = -1
-"""Opcode of a record that was stepped over because it is larger than allowed."""
+"""Opcode of a record that was skipped because it is larger than allowed."""
 
 HEAD_ROOM: Final = 64  # bytes before a chunk's packed data, more than enough
 WINDOW: Final = 1024 * 1024
@@ -27,7 +32,7 @@ CHUNK_FRONT = re.compile(
 )
 
 ATTACHED: Final = ATTACHMENT_BYTES + 1024
-"""Bytes that a record with the largest attachment may have, its names included."""
+"""Largest size in bytes of an attachment record, its names included."""
 
 INDEX_RECORDS = {0x08, 0x0A, 0x0B, 0x0D, 0x0E, records.FOOTER}
 
@@ -42,9 +47,9 @@ CHECKS: dict[int, Callable[[bytes, bool], object]] = {
 
 
 class Found(NamedTuple):
-    """A whole record: its opcode, where it ends, its content (a chunk's is unpacked).
+    """A complete record: its opcode, the offset of its end, its content (unpacked for a chunk).
 
-    `verified` tells whether a checksum vouches for the content; `note` says why it was skipped.
+    `verified` is true if a checksum covers the content; `note` says why a record was skipped.
     """
 
     opcode: int
@@ -55,10 +60,10 @@ class Found(NamedTuple):
 
 
 class RecordFile:
-    """An open MCAP file of `size` bytes from which whole records are read by their offset.
+    """An open MCAP file of `size` bytes, from which complete records are read by their offset.
 
-    `own` says that bilprov wrote it: then nothing that bilprov never writes is believed.
-    `past_data` says that the data has ended: before it no record of an index is believed.
+    `own` is true if bilprov wrote the file: then records that bilprov never writes are rejected.
+    `past_data` is true after the end of the data: before it, records of an index are rejected.
     """
 
     def __init__(self, file: BufferedReader, size: int) -> None:
@@ -66,13 +71,13 @@ class RecordFile:
         self.past_data = False
         self.size = size
         self._file = file
-        # Each false chunk front may cost 16 MiB of reading; a hostile file has millions of them.
+        # A false chunk front may cost 16 MiB of reading, and a hostile file has millions of them.
         self._patience = 4 * size + 4 * CHUNK_BYTES
 
     def record(self, offset: int) -> Found:
-        """The record at `offset`.
+        """Read the record at `offset`.
 
-        Raises Damaged if it is not whole, CutOff if the file ends first.
+        Raises Damaged if it is inconsistent, CutOff if the file ends before the record.
         """
         self._file.seek(offset)
         head = self._file.read(records.RECORD_HEAD.size)
@@ -89,10 +94,10 @@ class RecordFile:
         return self._other(opcode, length, end)
 
     def next_chunk(self, offset: int) -> int | None:
-        """Where the next chunk with a right checksum starts, at `offset` or later; None if nowhere.
+        """Find the start of the next chunk with a correct checksum, at `offset` or later, or None.
 
-        A foreign chunk without a checksum counts if it is compressed and unpacks to exactly what it
-        declares.
+        A foreign chunk without a checksum counts if it is compressed and unpacks to exactly the
+        size it declares.
         """
         while offset < self.size and self._patience > 0:
             self._file.seek(offset)
@@ -145,7 +150,7 @@ class RecordFile:
         return Found(records.MESSAGE, end, self._content(length))
 
     def _other(self, opcode: int, length: int, end: int) -> Found:
-        # Foreign attachments are stepped over: nothing in them is wanted.
+        # Foreign attachments are skipped, since none of their content is used.
         if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
             most = ATTACHED if opcode == records.ATTACHMENT else RECORD_BYTES
             if length > most:

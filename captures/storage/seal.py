@@ -1,6 +1,7 @@
-"""The seal of a finished capture: a sha256 over all that stands before it, the end's own checksums.
+"""The seal of a finished capture: a sha256 over all bytes before it.
 
-It tells damage, not forgery: whoever changes a file on purpose can write a new seal too.
+The parts after it have checksums of their own. A seal detects damage, not forgery: a person who
+changes a file on purpose can write a new seal too.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ SEAL_BYTES: Final = "bytes"
 
 
 class HashedFile:
-    """A new file that hashes what it is given, in order; nothing is ever written twice."""
+    """A new file that hashes the data as they are written; it is only ever appended to."""
 
     def __init__(self, file: BufferedWriter) -> None:
         self._file = file
@@ -27,13 +28,13 @@ class HashedFile:
         return self._file.write(data)
 
     def tell(self) -> int:
-        """How many bytes were written."""
+        """The number of bytes written."""
         return self._file.tell()
 
     def flush(self) -> None:
-        """Hand what was written to the operating system. Raises OSError."""
+        """Pass the written data to the operating system. Raises OSError."""
         self._file.flush()
 
     def seal(self) -> dict[str, str]:
-        """The pairs of the metadata record that vouches for everything written so far."""
+        """The pairs of the metadata record that seals all data written so far: hash and size."""
         return {SEAL_HASH: self._hash.hexdigest(), SEAL_BYTES: str(self.tell())}

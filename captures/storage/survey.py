@@ -1,4 +1,4 @@
-"""One bounded pass over a file: which stretches are whole, what they hold, what is damaged."""
+"""Surveys a capture file in one pass with bounded memory: intact regions, contents, damage."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Final
 
 import msgspec
 
-from captures import topics
-from captures.schemas import Line
-from captures.storage import limits, records
-from captures.storage.contents import Contents, Tally
-from captures.storage.records import MAGIC, ChannelRecord, CutOff, Damaged
-from captures.storage.recovery import SKIPPED, Found, RecordFile
-from captures.storage.time_order import TimeWindow
+from bilprov.captures import topics
+from bilprov.captures.schemas import Line
+from bilprov.captures.storage import limits, records
+from bilprov.captures.storage.contents import Contents, Tally
+from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff, Damaged
+from bilprov.captures.storage.recovery import SKIPPED, Found, RecordFile
+from bilprov.captures.storage.time_order import TimeWindow
 
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
 JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
-"""What undecodable JSON raises; deep nesting is a RecursionError."""
+"""Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
 
 
 def surveyed(file: BufferedReader, size: int) -> Contents:
-    """Survey an open MCAP file of `size` bytes. The magic at its start has been seen."""
+    """Survey an open MCAP file of `size` bytes, whose magic at the start was checked before."""
     survey = _Survey(file, size)
     survey.walk()
     return survey.contents()
@@ -141,7 +141,7 @@ class _Survey:
             self._note(found.note)
 
     def _take_chunk(self, found: Found) -> None:
-        # Counted apart first: a chunk that breaks off is left out as a whole.
+        # The chunk has a tally of its own at first, since a damaged chunk is left out as a whole.
         content = found.content
         tally = Tally()
         channels: list[ChannelRecord] = []

@@ -1,4 +1,4 @@
-"""Messages in as a foreign writer stored them, out by time, with a bounded number held back."""
+"""Sorts the messages of foreign writers by time, holding back a bounded number of them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import heapq
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
-from captures.storage.limits import WINDOW_BYTES, WINDOW_MESSAGES
+from bilprov.captures.storage.limits import WINDOW_BYTES, WINDOW_MESSAGES
 
 Item = TypeVar("Item")
 
 
 class TimeWindow(Generic[Item]):
-    """Holds back up to 4,096 messages or 16 MiB and gives them by time.
+    """A sorting window that holds back up to 4,096 messages or 16 MiB and yields them by time.
 
-    Equal times keep their order. `late` counts messages that came out after a later one, because
-    the window was too small.
+    Messages with equal times keep their order. `late` counts messages that came out after a later
+    one, because the window was too small.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class TimeWindow(Generic[Item]):
         self._latest = 0
 
     def push(self, time: int, size: int, item: Item) -> Iterator[Item]:
-        """Take a message of `size` bytes at `time` (ns); give those that need not wait any more."""
+        """Add a message of `size` bytes at `time` (ns); yield those that exceed the window."""
         heapq.heappush(self._held, (time, self._count, size, item))
         self._count += 1
         self._bytes += size
@@ -34,7 +34,7 @@ class TimeWindow(Generic[Item]):
             yield self._pop()
 
     def rest(self) -> Iterator[Item]:
-        """Give everything that is still held."""
+        """Yield all messages that are still held."""
         while self._held:
             yield self._pop()
 

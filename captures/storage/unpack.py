@@ -1,4 +1,4 @@
-"""A chunk's packed bytes in, its records out: never more than it declares, checksum checked."""
+"""Unpacks the records of a chunk, at most the size it declares, and checks their checksum."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import zlib
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from captures.storage.limits import CHUNK_BYTES
-from captures.storage.records import Damaged, chunk_fields, packed_length
+from bilprov.captures.storage.limits import CHUNK_BYTES
+from bilprov.captures.storage.records import Damaged, chunk_fields, packed_length
 
 ZSTD_WINDOW = 16 * 1024 * 1024  # bytes; a chunk is no larger
 
 
 def unpacked_chunk(content: bytes, own: bool) -> tuple[bytes, bool]:
-    """The records of a chunk, and whether a checksum vouches for them.
+    """Unpack the records of a chunk; also return whether a checksum covers them.
 
-    A CRC of 0 means that there is none, which is taken from foreign writers only. Raises Damaged
-    for everything that is not as declared.
+    A CRC of 0 means that there is none, which is accepted from foreign writers only. Raises Damaged
+    if anything is not as declared.
     """
     size, crc, compression, start = chunk_fields(content)
     if max(size, len(content) - start) > CHUNK_BYTES:

@@ -1,1 +1,1 @@
-"""Every test case as a value."""
+"""Test cases as values (preamble, stimulus, expectation), their generation and their selection."""

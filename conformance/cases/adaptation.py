@@ -1,20 +1,26 @@
-"""A frame as the device under test reads it: what the options allow and the device has chosen.
+"""Adapts a test step to the choices of the device under test, where the options allow them.
 
 A device may take the LED's instruction under another ID, not know it at all, take the data of an
-unused ID for instructions, or ignore upper bits. Where that was allowed, and seen, the suite sends
-and expects accordingly, so that the rest of the device is still judged in full.
+unused ID for instructions, or ignore upper bits. Where such a choice was allowed, and observed, the
+suite sends and expects accordingly, so that the rest of the device is still judged in full.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.cases.steps import Accepted, Class, Step, code_of, cut, unused
-from conformance.oracle.choices import Choices
-from conformance.oracle.state_model import FAULT, Deed
-from conformance.oracle.verdicts import Verdict
-from spec.fields import Outcome
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.conformance.cases.steps import (
+    FrameClass,
+    Step,
+    code_of,
+    truncated_frame,
+    unused_id_frame,
+)
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
+from bilprov.conformance.oracle.verdicts import Accepted, Verdict
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
 def led_instruction(protocol: Protocol) -> InstructionSpec | None:
@@ -23,45 +29,49 @@ def led_instruction(protocol: Protocol) -> InstructionSpec | None:
 
 
 def on_the_wire(protocol: Protocol, choices: Choices, frame: bytes) -> bytes:
-    """The frame with its LED ID as the device takes it; b"" for one that it does not know."""
+    """The frame with the LED ID that the device uses; b"" if the device does not know the frame."""
     if not frame or not choices.others:
         return frame
     led = led_instruction(protocol)
     if led is None:
         return frame
     identity, length = protocol.headers[frame[0]]
-    if choices.is_other("R-version"):
+    if choices.differs("R-version"):
         return b"" if identity == led.id else frame
-    if choices.is_other("R-led-id") and choices.led_id is not None:
+    if choices.differs("R-led-id") and choices.led_id is not None:
         swapped = {led.id: choices.led_id, choices.led_id: led.id}.get(identity, identity)
         return bytes([protocol.header_bytes[swapped, length]]) + frame[1:]
     return frame
 
 
-def as_chosen(protocol: Protocol, choices: Choices, step: Step) -> Step:
-    """The step as it is sent to, and judged on, a device with these choices."""
+def adapt_to_device(protocol: Protocol, choices: Choices, step: Step) -> Step:
+    """The step as it is sent to a device with these choices, and judged there."""
     if choices.others.isdisjoint(_POINTS):
         return step
     identity, length = protocol.headers[step.frame[0]]
     data = step.frame[1:]
     led = led_instruction(protocol)
-    if choices.is_other("R-version") and led is not None and identity == led.id:
-        make = cut if step.cut else unused
+    if choices.differs("R-version") and led is not None and identity == led.id:
+        make = truncated_frame if step.truncated else unused_id_frame
         step = _as_unused(protocol, make(protocol, protocol.unused_ids[0], length, data), step)
-    elif choices.is_other("R-led-id"):
+    elif choices.differs("R-led-id"):
         step = replace(step, frame=on_the_wire(protocol, choices, step.frame))
         identity = protocol.headers[step.frame[0]][0]
     spec = protocol.by_id.get(identity)
-    nobody = step.kind is Class.UNUSED_ID or (step.kind is Class.TRUNCATED and spec is None)
-    if nobody and choices.word("R-drain-unused") == "run" and length:
-        only = unused(protocol, protocol.unused_ids[0], length, data[:length].ljust(length, b"\0"))
-        return replace(_as_unused(protocol, only, step), frame=step.frame[:1], cut=False)
-    bad = step.faulty and not step.cut and spec is not None and length == spec.length
-    if bad and spec is not None and choices.is_other("R-led-upper-bits"):
+    unused_id = step.kind is FrameClass.UNUSED_ID or (
+        step.kind is FrameClass.TRUNCATED and spec is None
+    )
+    if unused_id and choices.word("R-drain-unused") == "run" and length:
+        only = unused_id_frame(
+            protocol, protocol.unused_ids[0], length, data[:length].ljust(length, b"\0")
+        )
+        return replace(_as_unused(protocol, only, step), frame=step.frame[:1], truncated=False)
+    bad = step.faulty and not step.truncated and spec is not None and length == spec.length
+    if bad and spec is not None and choices.differs("R-led-upper-bits"):
         values = {f.name: f.parse(data[f.offset :][: f.size]) & f.high for f in spec.fields}
         ok = (code_of(protocol, Outcome.VALID),)
         accepted = (Accepted(ok, Verdict.NON_STRICT, "R-led-upper-bits", "ignored"),)
-        return replace(step, accepted=accepted, deed=Deed(spec.effect, values))
+        return replace(step, accepted=accepted, frame_effect=FrameEffect(spec.effect, values))
     return step
 
 
@@ -69,12 +79,12 @@ _POINTS = ("R-version", "R-led-id", "R-drain-unused", "R-led-upper-bits")
 
 
 def _as_unused(protocol: Protocol, model: Step, step: Step) -> Step:
-    """The step, judged as a frame with an unused ID."""
+    """The step, judged like `model`, which is a frame with an unused ID."""
     return replace(
         step,
         kind=model.kind,
         accepted=model.accepted,
-        deed=FAULT,
+        frame_effect=FAULT,
         clause=model.clause,
         point=model.point,
         reading=model.reading,

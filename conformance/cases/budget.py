@@ -1,6 +1,6 @@
-"""Chooses the cases that are worth the most in a given time: what meets most that is new a second.
+"""Selects the cases that add the most coverage per second within a time budget.
 
-Pure: cases and their estimated seconds in, the chosen ones out, in their own order.
+Pure: takes the cases and their estimated seconds, returns the chosen cases in the order given.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from conformance.cases.coverage import Fact, facts
-from conformance.cases.levels import AnyCase
-from spec.protocol import Protocol
+from bilprov.conformance.cases.coverage import Fact, facts
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.spec.protocol import Protocol
 
 
 def within(
@@ -22,15 +22,15 @@ def within(
 ) -> tuple[AnyCase, ...]:
     """The cases that fit into `budget` s and together exercise the most, in the order given.
 
-    One after the other the case is taken that adds most facts (see `coverage`) for its time; what
-    adds none is taken last, as long as there is time.
+    The next case chosen is always the one that adds the most facts (see `coverage`) per second;
+    cases that add none are chosen last, as long as there is time.
     """
     told = {case.id: frozenset(facts(protocol, case)) for case in cases}
     cost = {case.id: max(seconds(case), 1e-4) for case in cases}
     order = {case.id: index for index, case in enumerate(cases)}
     met: set[Fact] = set()
     chosen: set[str] = set()
-    # What a case adds only shrinks as others are taken: an old estimate is never too low.
+    # A case adds fewer facts as others are chosen, never more: an old estimate is never too low.
     heap = [(-len(told[case.id]) / cost[case.id], order[case.id], case.id) for case in cases]
     heapq.heapify(heap)
     left = budget
@@ -53,6 +53,6 @@ def dropped(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> dict[str, in
 
 
 def group(ident: str) -> str:
-    """The group that a case belongs to: the first part of its id, for walks the first two."""
+    """The group that a case belongs to: the first part of its id, for sequences the first two."""
     first, *rest = ident.split("/")
     return f"{first}/{rest[0]}" if first in ("sequence", "pipelined", "split") and rest else first

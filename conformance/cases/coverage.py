@@ -1,7 +1,8 @@
-"""What a run exercised, as facts: which frames, pairs, states and deliveries, out of how many.
+"""Coverage of a run: which frames, pairs, states and deliveries its cases exercise, of how many.
 
-A fact is a pair (what is counted, the item). A walk's facts come from the model with the kit's own
-readings; the totals leave out what cannot be reached (a motion is over after a stop).
+Coverage is counted in facts; a fact is a pair (what is counted, the item). A sequence's facts come
+from the model with the kit's own readings. The totals leave out what cannot be reached (no motion
+goes on after a stop).
 """
 
 from __future__ import annotations
@@ -9,15 +10,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from math import prod
 
-from conformance.cases.levels import AnyCase
-from conformance.cases.preamble import moves
-from conformance.cases.sequence import Walk
-from conformance.cases.single_frames import moving_motions
-from conformance.cases.steps import Class, Step
-from spec.codec import all_data, bad_data
-from spec.motion import Motion, State
-from spec.protocol import Protocol
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.steps import FrameClass, Step
+from bilprov.spec.by_effect import moves, moving_motions
+from bilprov.spec.codec import bad_data
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 Fact = tuple[str, object]
 
@@ -33,24 +34,27 @@ _WAYS = ("waited", "pipelined", "split", "left alone")
 
 
 def kind_of(protocol: Protocol, step: Step) -> str:
-    """An instruction's name, or the class of the fault: `too-many` and `too-few` apart."""
+    """The kind that a step counts as: its instruction's name, or the class of its fault.
+
+    A wrong length is `too-many` or `too-few`.
+    """
     identity, length = protocol.headers[step.frame[0]]
     spec = protocol.by_id.get(identity)
     if not step.faulty and spec is not None:
         return spec.name
-    if step.cut:
-        return Class.TRUNCATED
+    if step.truncated:
+        return FrameClass.TRUNCATED
     if spec is None:
-        return Class.UNUSED_ID
+        return FrameClass.UNUSED_ID
     if length == spec.length:
-        return Class.BAD_DATA
+        return FrameClass.BAD_DATA
     return "too-many" if length > spec.length else "too-few"
 
 
 def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
-    """What a case exercises."""
-    if isinstance(case, Walk):
-        yield from _walked(protocol, case)
+    """The facts that a case exercises."""
+    if isinstance(case, SequenceCase):
+        yield from _run(protocol, case)
         return
     yield from _sent(protocol, case.step, case.setup.visible_motion, "waited")
 
@@ -59,22 +63,22 @@ def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[
     kind = kind_of(protocol, step)
     yield HEADERS, step.frame[0]
     yield STATES, (kind, motion)
-    if not step.cut and way != "cut":
+    if not step.truncated and way != "cut":
         yield DELIVERIES, (kind, way)
-    if step.cut:
+    if step.truncated:
         yield CUTS, (step.frame[0], len(step.frame) - 1)
     elif not step.faulty:
         yield VALID, step.frame
-    elif kind == Class.BAD_DATA:
+    elif kind == FrameClass.BAD_DATA:
         yield BAD, step.frame
 
 
-def _walked(protocol: Protocol, walk: Walk) -> Iterator[Fact]:
+def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
     state, last = protocol.power_on, ""
-    for step in walk.setup:
+    for step in sequence.setup:
         state = _after(protocol, state, step)
         last = kind_of(protocol, step)
-    for burst in walk.bursts:
+    for burst in sequence.bursts:
         for step in burst.steps:
             kind, motion = kind_of(protocol, step), state.visible_motion
             yield from _sent(protocol, step, motion, burst.delivery)
@@ -85,38 +89,44 @@ def _walked(protocol: Protocol, walk: Walk) -> Iterator[Fact]:
 
 
 def _after(protocol: Protocol, state: State, step: Step) -> State:
-    return (step.deed.effect or protocol.on_fault).apply(state, step.deed.values)
+    return (step.frame_effect.effect or protocol.on_fault).apply(state, step.frame_effect.values)
+
+
+def _frames(spec: InstructionSpec) -> int:
+    """How many valid frames an instruction has."""
+    return prod(part.high - part.low + 1 for part in spec.fields)
 
 
 @lru_cache(maxsize=4)
 def totals(protocol: Protocol) -> dict[str, int]:
-    """How much there is of what is counted."""
+    """How many facts of each kind there are."""
     lengths, specs = protocol.lengths, protocol.instructions
     motions = (Motion.STOPPED, *moving_motions(protocol))
-    faults = [Class.TRUNCATED, "too-many"]
-    faults += [Class.UNUSED_ID] if protocol.unused_ids else []
+    faults = [FrameClass.TRUNCATED, "too-many"]
+    faults += [FrameClass.UNUSED_ID] if protocol.unused_ids else []
     faults += ["too-few"] if any(spec.length for spec in specs) else []
-    faults += [Class.BAD_DATA] if any(True for s in specs for _ in bad_data(s)) else []
+    faults += [FrameClass.BAD_DATA] if any(True for s in specs for _ in bad_data(s)) else []
     kinds = len(specs) + len(faults)
-    # After a motion it moves so, or not at all (speed 0); after a setting anything goes on.
+    # After a motion the robot moves so, or stands still (speed 0); a setting leaves any motion on.
     reached = sum(
         2 if moves(s) else 1 if s.effect.motion is Motion.STOPPED else len(motions) for s in specs
     ) + len(faults)
     return {
         HEADERS: len(protocol.headers),
-        VALID: sum(len(list(all_data(spec))) for spec in specs),
-        BAD: sum(len(list(bad_data(spec))) for spec in specs),
+        # These totals hold every value; where data are wide, a level sends only a sample of them.
+        VALID: sum(map(_frames, specs)),
+        BAD: sum(256**spec.length - _frames(spec) for spec in specs),
         CUTS: sum(lengths),
         STATES: kinds * len(motions),
         PAIRS: kinds * kinds,
         TRIPLES: reached * kinds,
-        # A frame that is cut short has no end that could come in pieces, or be waited for.
+        # A truncated frame has one delivery: its end cannot come in pieces or be waited for.
         DELIVERIES: (kinds - 1) * len(_WAYS),
     }
 
 
 def covered(protocol: Protocol, cases: Iterable[AnyCase]) -> dict[str, tuple[int, int]]:
-    """How much of what there is these cases exercise: (done, of) by what is counted."""
+    """How many facts these cases exercise, out of how many: (done, of) by what is counted."""
     of = totals(protocol)
     met: set[Fact] = set()
     for case in cases:

@@ -1,7 +1,7 @@
-"""The levels of the suite: which cases and walks each of them holds, and what it promises.
+"""The levels of the suite: which cases and sequences each of them holds, and what it promises.
 
-smoke: a look at everything in a few seconds. standard: every single frame and every pair, in every
-way of delivery. deep: every cut of every frame, three times as long tours, and a soak if asked for.
+smoke: some of everything in a few seconds. standard: every single frame and every pair, in every
+way of delivery. deep: every truncation of every frame, and more than three times as many tours.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from conformance.cases.sequence import Walk
-from conformance.cases.single_frames import Case, all_cases
-from conformance.cases.steps import Class
-from conformance.cases.sweeps import (
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.cases.sweeps import (
     bad_data_sweep,
     data_sweep,
     dense,
@@ -22,18 +23,18 @@ from conformance.cases.sweeps import (
     header_sweep,
     soak,
 )
-from conformance.cases.tours import Tours
-from spec.protocol import Protocol
+from bilprov.conformance.cases.tours import Tours
+from bilprov.spec.protocol import Protocol
 
-AnyCase = Case | Walk
+AnyCase = Case | SequenceCase
 
-# How long (ms) the robot is left alone after each frame of such a walk.
+# How long (ms) the robot is sent nothing after each frame of a left-alone sequence.
 _DWELLS = (65, 35, 130, 65, 35, 65, 140, 35, 65, 20, 130, 65)
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """How much of each kind a level holds: walks of tours, bursts of each, faults in a row."""
+    """How much a level holds: sequences of each kind, truncations in a tour, faults in a row."""
 
     name: str
     promise: str
@@ -45,8 +46,8 @@ class Level:
     alone: int
     faults: int
     sweeps: bool
-    singles: str  # few, each header once (`headers`), or `all` with every cut
-    idle: int  # ms that nobody talks to a robot that drives
+    singles: str  # `few`, `headers` (one truncation of each) or `all` (every truncation)
+    idle: int  # ms for which a moving robot is sent nothing
 
 
 SMOKE = Level(
@@ -104,23 +105,23 @@ def level_cases(protocol: Protocol, name: str, seed: int, soaked: int = 0) -> tu
     found: list[AnyCase] = []
     singles = all_cases(protocol, seed, every_cut=level.singles == "all")
     found += _few(singles) if level.singles == "few" else singles
-    found += _walks(protocol, level, seed)
+    found += _sequences(protocol, level, seed)
     found += soak(protocol, seed, soaked) if soaked else ()
     return tuple(found)
 
 
 def _few(singles: Sequence[Case]) -> Iterator[Case]:
-    """One of each class of faults, and each instruction once."""
+    """One case of each class of faults, and one of each instruction."""
     met: set[str] = set()
     for case in singles:
         first, *rest = case.id.split("/")
-        name = "/".join((first, *rest[:1])) if case.kind is Class.VALID else first
-        if case.kind is not Class.RECOVERY and name not in met:
+        name = "/".join((first, *rest[:1])) if case.kind is FrameClass.VALID else first
+        if case.kind is not FrameClass.RECOVERY and name not in met:
             met.add(name)
             yield case
 
 
-def _walks(protocol: Protocol, level: Level, seed: int) -> Iterator[Walk]:
+def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
     tours = Tours(protocol, seed)
     if level.sweeps:
         yield dense(protocol)

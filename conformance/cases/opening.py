@@ -1,38 +1,40 @@
-"""The cases that open every run, whatever else it holds: power-on, the link, the time-out.
+"""The cases that open every run: power-on, the link check, the truncation time-out.
 
-As values, like all cases; `first_bytes` and `timeout` run them.
+They are values, like all cases; `runner.power_on` and `runner.truncation_timeout` run them.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.cases.preamble import moves, setting
-from conformance.cases.single_frames import Case, special
-from conformance.cases.steps import Accepted
-from conformance.oracle.verdicts import Verdict
-from spec.codec import judge
-from spec.protocol import Protocol
+from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.oracle.verdicts import Accepted, Verdict
+from bilprov.spec.by_effect import moves, setting
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol
 
 
 def opening_cases(protocol: Protocol) -> tuple[Case, ...]:
-    """All of them, in the order in which they run."""
+    """All opening cases, in the order in which they run."""
     found = (at_rest(protocol), *link_check(protocol), motion_first(protocol))
     return tuple(case for case in (*found, truncation_timeout(protocol)) if case is not None)
 
 
 def at_rest(protocol: Protocol) -> Case:
-    """A look before any byte."""
+    """The case that observes the robot before any byte is sent."""
     requirement = "stands still before the first byte"
-    return special(
+    return runner_case(
         protocol, "power-on/at-rest", protocol.clauses.safety, requirement, b"", "R-power-on"
     )
 
 
 def link_check(protocol: Protocol, taken: int | None = None) -> tuple[Case, ...]:
-    """A setting (must not move), an unused ID (not the one that is `taken`), and missing data."""
+    """The cases that check the link: a setting, an unused ID, and missing data.
+
+    The setting must not move the robot. `taken` is an unused ID to leave out.
+    """
     low, high = protocol.limits.get("speed", (0, 0))
-    speed = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.filler])
+    speed = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
     judged = judge(protocol, speed)
     cases = [_answered(protocol, f"power-on/{judged.name}", "a setting does not move it", speed)]
     free = [identity for identity in protocol.unused_ids if identity != taken]
@@ -46,7 +48,10 @@ def link_check(protocol: Protocol, taken: int | None = None) -> tuple[Case, ...]
 
 
 def motion_first(protocol: Protocol) -> Case | None:
-    """A motion as the first instruction after power-on: a Stop there would hide what it does."""
+    """The case of a motion as the first instruction after power-on: a Stop would hide its effect.
+
+    None where every motion takes data.
+    """
     spec = next((s for s in protocol.instructions if moves(s) and not s.length), None)
     if spec is None:
         return None
@@ -56,7 +61,10 @@ def motion_first(protocol: Protocol) -> Case | None:
 
 
 def truncation_timeout(protocol: Protocol) -> Case | None:
-    """A header whose data never come, with one long wait for its answer."""
+    """The case of a header whose data never come, with one long wait for its answer.
+
+    None where no instruction takes data.
+    """
     spec = next((s for s in protocol.instructions if s.length), None)
     if spec is None:
         return None
@@ -71,11 +79,11 @@ def truncation_timeout(protocol: Protocol) -> Case | None:
 def _answered(
     protocol: Protocol, ident: str, requirement: str, frame: bytes, reading: str = ""
 ) -> Case:
-    """A frame with the answer and the state that it brings after power-on."""
+    """A case of one frame, with the answer and the state that are due for it after power-on."""
     judgement = judge(protocol, frame)
     after = protocol.power_on
     if judgement.valid and judgement.instruction:
         after = judgement.instruction.effect.apply(after, dict(judgement.fields))
-    case = special(protocol, ident, judgement.clause, requirement, frame, reading)
+    case = runner_case(protocol, ident, judgement.clause, requirement, frame, reading)
     accepted = (Accepted((judgement.response.code,)),)
     return replace(case, accepted=accepted, expected=after)

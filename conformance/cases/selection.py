@@ -1,4 +1,4 @@
-"""Which cases of a suite a run takes: by globs of their ids, and its shard of them. Pure."""
+"""Selects the cases of a run: by globs of their ids, and by its shard. Pure."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
 
-from conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.levels import AnyCase
 
-BY_THEMSELVES = (
+CONDITIONAL_CASES = (
     "line/unsolicited",
     "line/lost",
     "line/pipelining",
@@ -27,7 +27,10 @@ _SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")
 
 
 def matching(globs: Iterable[str]) -> Callable[[str], bool]:
-    """Whether an id fits one of some globs, in which * crosses /. Quick for thousands of ids."""
+    """A predicate: whether an id matches one of the globs, in which * crosses /.
+
+    It is fast for thousands of ids.
+    """
     words = tuple(globs)
     exact = frozenset(words)
     wild = tuple(word for word in words if _WILD.intersection(word))

@@ -1,7 +1,8 @@
-"""Walks: sequences of frames from the motion model, delivered in every way, looked at as they go.
+"""Test sequences: frames from the motion model, sent in bursts, with a look after each burst.
 
-A walk is a value, like every case: what is sent, in which bursts and with which pauses. What must
-come of it is the model's (`conformance.model`), with the choices that the device has shown.
+A sequence is a value, like every case: what is sent, in which bursts and with which pauses. The
+expected states are the model's (`conformance.oracle.state_model`), with the choices that the device
+has shown.
 """
 
 from __future__ import annotations
@@ -9,24 +10,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from conformance.cases.steps import Step
-from conformance.oracle.verdicts import Axis
+from bilprov.conformance.cases.steps import Step
 
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """Frames that are sent in one go, then answered, then looked at.
+    """Frames that are sent in one go; their answers and then the robot's state are judged.
 
     `pauses` are the places (bytes from the burst's beginning) where the line pauses, well below the
-    time-out; a cut frame stands last and is left alone until its time-out. `looks` is false where
-    the state between two bursts is not asked for. `dwell` (ms) is how long the robot is then left
-    alone and looked at.
+    time-out; a truncated frame stands last and is followed by nothing until its time-out. `looks`
+    is false where the state after the burst is not observed. `idle_ms` (ms) is how long the robot
+    is then sent nothing and observed.
     """
 
     steps: tuple[Step, ...]
     pauses: tuple[int, ...] = ()
     looks: bool = True
-    dwell: int = 0
+    idle_ms: int = 0
 
     @property
     def data(self) -> bytes:
@@ -35,21 +35,22 @@ class Burst:
 
     @property
     def delivery(self) -> str:
-        """How it is delivered: waited, pipelined, split or cut."""
-        if self.steps[-1].cut:
+        """How the burst is delivered: waited, pipelined, split, left alone or cut (truncated)."""
+        if self.steps[-1].truncated:
             return "cut"
         if self.pauses:
             return "split"
-        if self.dwell:
+        if self.idle_ms:
             return "left alone"
         return "pipelined" if len(self.steps) > 1 else "waited"
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
-    """A case of many frames.
+class SequenceCase:
+    """A test case of many frames.
 
-    `setup` brings the robot to a known state, one instruction at a time, before the first burst.
+    `setup`, the preamble, brings the robot to a known state, one instruction at a time, before the
+    first burst.
     """
 
     id: str
@@ -74,17 +75,3 @@ class Walk:
         """Every step in order."""
         for burst in self.bursts:
             yield from burst.steps
-
-
-@dataclass(frozen=True, slots=True)
-class Mismatch:
-    """Where a walk went wrong: the step, the axis that says how, and the clause that it breaks.
-
-    `burst` is the burst's index, below 0 in the set-up.
-    """
-
-    step: Step
-    name: str
-    axis: Axis
-    clause: str
-    burst: int = 0

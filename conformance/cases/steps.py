@@ -1,7 +1,7 @@
-"""One frame as the suite sends it: its bytes, the answers that may come, what it does.
+"""Test steps: single frames with their bytes, accepted answers and effects.
 
-Each maker states the rule that it stands for (table 1, table 2, the safety rule) and the other
-readings that the document leaves open; it never asks the judge.
+Each function that makes a step states the rule that it stands for (table 1, table 2, the safety
+rule) and the other readings that the document leaves open; it never calls `spec.codec.judge`.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from conformance.oracle.choices import POINTS
-from conformance.oracle.state_model import FAULT, Deed
-from conformance.oracle.verdicts import Verdict
-from spec.codec import build, lying
-from spec.fields import Outcome
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.conformance.oracle.choices import POINTS
+from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
+from bilprov.conformance.oracle.verdicts import Accepted, Verdict
+from bilprov.spec.codec import build, raw_frame
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
-class Class(StrEnum):
+class FrameClass(StrEnum):
     """The classes of frames; the id of a case of single frames begins with it."""
 
     VALID = "valid"
@@ -30,39 +30,26 @@ class Class(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Accepted:
-    """A list of answers that may come, the verdict it earns and the reading it rests on.
-
-    `word` is the choice of the case's point that it shows, "" for the default.
-    """
-
-    codes: tuple[int, ...]
-    verdict: Verdict = Verdict.PASS
-    reading: str = ""
-    word: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class Step:
-    """One frame: its bytes, class, accepted answers (the expected first) and deed.
+    """One frame: its bytes, class, accepted answers (the expected first) and effect.
 
-    `point` is what the choice between the answers is about, `reading` what the frame is about;
-    `clause` is where its rule stands. A cut frame is one of which some bytes never come.
+    `point` is the open point that decides between the answers, `reading` the one that the frame is
+    about; `clause` is where its rule stands. Of a `truncated` frame some bytes never come.
     """
 
     frame: bytes
-    kind: Class
+    kind: FrameClass
     accepted: tuple[Accepted, ...]
-    deed: Deed
+    frame_effect: FrameEffect
     clause: str
     point: str = ""
     reading: str = ""
-    cut: bool = field(default=False)
+    truncated: bool = field(default=False)
 
     @property
     def faulty(self) -> bool:
         """Whether the frame is a faulty instruction, which stops the robot."""
-        return self.deed.effect is None
+        return self.frame_effect.effect is None
 
 
 def code_of(protocol: Protocol, outcome: Outcome) -> int:
@@ -79,21 +66,21 @@ def _others(protocol: Protocol, reading: str, *outcomes: Outcome) -> tuple[Accep
     )
 
 
-def valid(protocol: Protocol, spec: InstructionSpec, values: Mapping[str, int]) -> Step:
+def valid_frame(protocol: Protocol, spec: InstructionSpec, values: Mapping[str, int]) -> Step:
     """A valid instruction with these field values."""
     frame = build(protocol, spec.name, values)
     accepted = (Accepted((code_of(protocol, Outcome.VALID),)),)
     clause = protocol.clauses.instructions
-    return Step(frame, Class.VALID, accepted, Deed(spec.effect, dict(values)), clause)
+    return Step(frame, FrameClass.VALID, accepted, FrameEffect(spec.effect, dict(values)), clause)
 
 
-def unused(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
+def unused_id_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """An unused ID with `length` data bytes, all of which follow."""
     others = _others(protocol, "R-unused-length", Outcome.TOO_MANY, Outcome.TOO_FEW)
     reading = "R-unused-length" if length else ""
     return Step(
-        lying(protocol, identity, length, data),
-        Class.UNUSED_ID,
+        raw_frame(protocol, identity, length, data),
+        FrameClass.UNUSED_ID,
         (Accepted((code_of(protocol, Outcome.UNKNOWN_ID),)), *(others if length else ())),
         FAULT,
         protocol.clauses.instructions,
@@ -102,8 +89,8 @@ def unused(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     )
 
 
-def wrong_length(protocol: Protocol, spec: InstructionSpec, length: int, data: bytes) -> Step:
-    """A known instruction that announces, and brings, another length than its own."""
+def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, data: bytes) -> Step:
+    """A known instruction that announces another length than its own; all `length` bytes follow."""
     many = length > spec.length
     outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
     others: tuple[Accepted, ...] = ()
@@ -111,8 +98,8 @@ def wrong_length(protocol: Protocol, spec: InstructionSpec, length: int, data: b
         # Data out of range *and* too many: judging the data first is a legal other reading.
         others = _others(protocol, "R-competing-errors", Outcome.BAD_DATA)
     return Step(
-        lying(protocol, spec.id, length, data),
-        Class.WRONG_LENGTH,
+        raw_frame(protocol, spec.id, length, data),
+        FrameClass.WRONG_LENGTH,
         (Accepted((code_of(protocol, outcome),)), *others),
         FAULT,
         protocol.clauses.responses,
@@ -122,17 +109,17 @@ def wrong_length(protocol: Protocol, spec: InstructionSpec, length: int, data: b
 
 
 def _out_of_range(spec: InstructionSpec, data: bytes) -> bool:
-    """Whether the data that the instruction would take hold a value that it does not."""
+    """Whether the data that the instruction would take hold a value out of range."""
     parts = ((part, data[part.offset : part.offset + part.size]) for part in spec.fields)
     return any(not part.low <= part.parse(coded) <= part.high for part, coded in parts)
 
 
-def bad(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:
+def bad_data_frame(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:
     """A known instruction of the right length with data out of range."""
     reading = next((f.reading for f in spec.fields if f.reading), "")
     return Step(
-        lying(protocol, spec.id, spec.length, data),
-        Class.BAD_DATA,
+        raw_frame(protocol, spec.id, spec.length, data),
+        FrameClass.BAD_DATA,
         (Accepted((code_of(protocol, Outcome.BAD_DATA),)),),
         FAULT,
         protocol.clauses.instructions,
@@ -141,7 +128,7 @@ def bad(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:
     )
 
 
-def cut(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
+def truncated_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """A frame of which only `data` arrive, fewer bytes than the `length` it announces."""
     spec = protocol.by_id.get(identity)
     silent = Accepted((), Verdict.NON_STRICT, "R-truncated-known", "silent")
@@ -155,26 +142,26 @@ def cut(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     else:
         outcome, reading = Outcome.TOO_FEW, "R-truncated-known"
     return Step(
-        lying(protocol, identity, length, data),
-        Class.TRUNCATED,
+        raw_frame(protocol, identity, length, data),
+        FrameClass.TRUNCATED,
         (Accepted((code_of(protocol, outcome),)), *others, silent),
         FAULT,
         protocol.clauses.responses if spec else protocol.clauses.instructions,
         reading,
         reading,
-        cut=True,
+        truncated=True,
     )
 
 
-def whole(protocol: Protocol, header: int, data: bytes) -> Step:
-    """A header byte with all the data that it announces, whatever comes of it."""
+def complete_frame(protocol: Protocol, header: int, data: bytes) -> Step:
+    """A header byte with all the data that it announces, as a step of whatever class it is."""
     identity, length = protocol.headers[header]
     spec = protocol.by_id.get(identity)
     if spec is None:
-        return unused(protocol, identity, length, data)
+        return unused_id_frame(protocol, identity, length, data)
     if length != spec.length:
-        return wrong_length(protocol, spec, length, data)
+        return wrong_length_frame(protocol, spec, length, data)
     values = {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
     if all(f.low <= values[f.name] <= f.high for f in spec.fields):
-        return valid(protocol, spec, values)
-    return bad(protocol, spec, data)
+        return valid_frame(protocol, spec, values)
+    return bad_data_frame(protocol, spec, data)

@@ -1,8 +1,8 @@
-"""Walks that cover the model: each next frame is the one that meets the most that was not met yet.
+"""Tours: sequences that cover the model; each frame is chosen to cover the most that is new.
 
-What counts as met is a tuple of what came before (the last two kinds, motion, speed, steering, LED)
-and the frame's kind. Part of the frames is drawn at random, so that a tour is also a seeded random
-walk. The data rotate through all their values by themselves (`inputs`).
+What is covered are tuples of what came before (the last two kinds, motion, speed, steering, LED)
+and the frame's kind. Part of the frames is drawn at random, from a seed, so that a tour is also a
+random test. The data rotate through all their values by themselves (`frame_source`).
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from conformance.cases.frame_source import Inputs
-from conformance.cases.preamble import frames_to
-from conformance.cases.sequence import Burst, Walk
-from conformance.cases.steps import Class, Step, whole
-from spec.motion import Motion, State
-from spec.protocol import Protocol
+from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import frames_to
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.steps import FrameClass, Step, complete_frame
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
 
-_LENGTH = 40  # bursts of a walk
-CUT = Class.TRUNCATED
-_RANDOM = 0.35  # of the frames are drawn without regard to what was met
+_LENGTH = 40  # bursts of a sequence
+CUT = FrameClass.TRUNCATED
+_RANDOM = 0.35  # share of the frames that are drawn without regard to what was covered
 
 
 @dataclass
 class _Where:
-    """Where a walk is: the model's state, and the last two kinds of frames."""
+    """The position in a tour: the model's state, and the last two kinds of frames."""
 
     state: State
     last: str = ""
@@ -33,7 +33,7 @@ class _Where:
 
 
 class Tours:
-    """An endless supply of walks through the model. One object remembers what was met."""
+    """An endless supply of sequences that cover the model; it remembers what was covered."""
 
     def __init__(self, protocol: Protocol, seed: int) -> None:
         self._protocol = protocol
@@ -45,8 +45,8 @@ class Tours:
         self._leds = limits.get("led", (0, 0))
         self._steers = limits.get("steering", (0, 0))
 
-    def waited(self, name: str, number: int, bursts: int = _LENGTH, cuts: int = 1) -> Walk:
-        """A walk of frames that are each waited for; `cuts` of them are cut short."""
+    def waited(self, name: str, number: int, bursts: int = _LENGTH, cuts: int = 1) -> SequenceCase:
+        """A sequence that waits for each frame's answer; `cuts` of the frames are truncated."""
         setup, where = self._begin()
         places = set(self._draw.sample(range(bursts), min(cuts, bursts)))
         made = []
@@ -55,18 +55,21 @@ class Tours:
                 made.append(Burst((self._cut(where),)))
             else:
                 made.append(Burst((self._next(where),)))
-        return self._walk(f"sequence/{name}/{number:03}", setup, made)
+        return self._sequence(f"sequence/{name}/{number:03}", setup, made)
 
-    def left_alone(self, name: str, number: int, dwells: Sequence[int]) -> Walk:
-        """A walk of frames, after each of which the robot is left alone for a while (ms)."""
+    def left_alone(self, name: str, number: int, dwells: Sequence[int]) -> SequenceCase:
+        """A sequence of frames, after each of which the robot is sent nothing for a time.
+
+        `dwells` are these times in ms, one for each frame.
+        """
         setup, where = self._begin()
         made = []
         for dwell in dwells:
-            made.append(Burst((self._alone(where),), dwell=dwell))
-        return self._walk(f"sequence/{name}/{number:03}", setup, made)
+            made.append(Burst((self._alone(where),), idle_ms=dwell))
+        return self._sequence(f"sequence/{name}/{number:03}", setup, made)
 
     def _alone(self, where: _Where) -> Step:
-        """The next frame, for what it does after a pause and before one."""
+        """The next frame of a left-alone sequence: a kind that is new in this motion, if any is."""
         kinds = (*self._inputs.kinds, CUT)
         motion = where.state.visible_motion
         new = [k for k in kinds if (8, k, motion) not in self._met]
@@ -77,11 +80,13 @@ class Tours:
         return self._go(where, self._inputs.next(kind), kind)
 
     def _cut(self, where: _Where) -> Step:
-        """A frame that is cut short; a motion has come before it, so that its stop shows."""
+        """The next truncated frame."""
         return self._go(where, self._inputs.next(CUT), CUT)
 
-    def pipelined(self, name: str, number: int, bursts: int, sizes: tuple[int, int]) -> Walk:
-        """A walk of bursts of that many frames, each sent in one go."""
+    def pipelined(
+        self, name: str, number: int, bursts: int, sizes: tuple[int, int]
+    ) -> SequenceCase:
+        """A sequence of `bursts`, each of `sizes` (least, most) frames sent in one go."""
         setup, where = self._begin()
         made = []
         cut, alone, long = self._draw.sample(range(bursts), 3)
@@ -90,11 +95,11 @@ class Tours:
             if index == cut:
                 steps[-1] = self._cut(where)
             dwell = 25 if index == alone else 130 if index == long and number % 2 else 0
-            made.append(Burst(tuple(steps), dwell=dwell))
-        return self._walk(f"pipelined/{name}/{number:03}", setup, made)
+            made.append(Burst(tuple(steps), idle_ms=dwell))
+        return self._sequence(f"pipelined/{name}/{number:03}", setup, made)
 
-    def split(self, name: str, number: int, bursts: int) -> Walk:
-        """A walk of frames that come in pieces, with pauses well below the time-out."""
+    def split(self, name: str, number: int, bursts: int) -> SequenceCase:
+        """A sequence of frames that come in pieces, with pauses well below the time-out."""
         setup, where = self._begin()
         made: list[Burst] = []
         while len(made) < bursts:
@@ -103,21 +108,21 @@ class Tours:
             if size < 2:
                 made.append(Burst(steps))
                 continue
-            # Four pauses at most: also a time-out over the whole frame is not reached by them.
+            # Four pauses at most: they do not reach a time-out over the whole frame either.
             most = min(4, size - 1)
             every = range(1, most + 1)
             some = sorted(self._draw.sample(range(1, size), self._draw.randint(1, min(2, most))))
             where_to = (1,) if self._draw.random() < 0.4 else tuple(some)
             made.append(Burst(steps, tuple(every) if self._draw.random() < 0.2 else where_to))
-        return self._walk(f"split/{name}/{number:03}", setup, made)
+        return self._sequence(f"split/{name}/{number:03}", setup, made)
 
-    def _walk(self, ident: str, setup: tuple[Step, ...], bursts: list[Burst]) -> Walk:
+    def _sequence(self, ident: str, setup: tuple[Step, ...], bursts: list[Burst]) -> SequenceCase:
         clauses = self._protocol.clauses
         requirement = "each frame does and answers what it says, whatever came before it"
-        return Walk(ident, clauses.instructions, requirement, setup, tuple(bursts))
+        return SequenceCase(ident, clauses.instructions, requirement, setup, tuple(bursts))
 
     def _begin(self) -> tuple[tuple[Step, ...], _Where]:
-        """A set-up that leaves nothing open, and drives."""
+        """A preamble that sets the whole state and makes the robot drive, and where it leads."""
         protocol = self._protocol
         motions = [s.effect.motion for s in protocol.instructions if s.name in self._inputs.movers]
         state = State(
@@ -134,9 +139,9 @@ class Tours:
         return self._go(where, self._inputs.next(kind), kind)
 
     def _go(self, where: _Where, step: Step, kind: str) -> Step:
-        effect = step.deed.effect or self._protocol.on_fault
+        effect = step.frame_effect.effect or self._protocol.on_fault
         self._met.update(self._tuples(where, kind))
-        where.state = effect.apply(where.state, dict(step.deed.values))
+        where.state = effect.apply(where.state, dict(step.frame_effect.values))
         where.before, where.last = where.last, kind
         return step
 
@@ -178,4 +183,4 @@ class Tours:
 
 
 def _as_step(protocol: Protocol, frame: bytes) -> Step:
-    return whole(protocol, frame[0], frame[1:])
+    return complete_frame(protocol, frame[0], frame[1:])

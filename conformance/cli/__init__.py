@@ -1,1 +1,1 @@
-"""The suite's commands."""
+"""The suite's commands and the options they share."""

@@ -1,46 +1,58 @@
-"""`bilprov conform`."""
+"""`bilprov conform`: tests a device, and writes the report in the formats asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 import rich_click as click
 from rich.console import Console
 
-from analyzer.cli.confirm import confirm_motion
-from analyzer.grammar_file import load_protocol
-from analyzer.options import line_options, line_settings, note
-from analyzer.transport.ports import open_port
-from analyzer.whole_file import write_whole
-from conformance.api import Options, always, estimated_seconds, select_cases
-from conformance.cases.levels import LEVELS, STANDARD
-from conformance.cases.selection import matching, shard_named
-from conformance.cli.job import SIM, Job
-from conformance.cli.options import named_device
-from conformance.cli.outputs import (
+from bilprov.analyzer.cli.confirm import confirm_motion
+from bilprov.analyzer.cli.options import line_options, note
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import undisturbed
+from bilprov.conformance.api import (
+    Options,
+    estimated_seconds,
+    opening_and_reading_cases,
+    planned,
+    select_cases,
+)
+from bilprov.conformance.cases.levels import LEVELS, STANDARD
+from bilprov.conformance.cases.selection import matching, shard_named
+from bilprov.conformance.cli.begin import Begin
+from bilprov.conformance.cli.job import SIM, ConformRun
+from bilprov.conformance.cli.options import (
+    expect_failures_option,
+    expected_file,
+    named_device,
+    read_profile,
+    update_expected_option,
+    with_expected,
+)
+from bilprov.conformance.cli.outputs import (
     STANDARD_OUTPUT,
+    Output,
     deliver,
     report_options,
     require_writable,
     wanted,
 )
-from conformance.dut.boards.target import board_named
-from conformance.dut.power import by_command
-from conformance.dut.probes import open_probe
-from conformance.dut.simulator import Simulator
-from conformance.expect_option import (
-    expect_failures_option,
-    expected_file,
-    update_expected_option,
-    with_expected,
-)
-from conformance.oracle.choices import parse_allowed
-from conformance.oracle.profile_file import profile_text, read_profile
-from conformance.report.summary import show
+from bilprov.conformance.dut.boards.target import board_named
+from bilprov.conformance.dut.power import by_command
+from bilprov.conformance.dut.probes import open_probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.oracle.profile_file import profile_text
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.report.summary import show
+from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -91,7 +103,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="How data and motions rotate.")
 @click.option("--strict", is_flag=True, help="Count non-strict as failed.")
-@_milliseconds("--deadline", "How soon an answer is due.")
+@_milliseconds("--deadline", "How soon an answer is due: later is slow, and non-strict.")
 @_milliseconds("--silence", "How long the line is listened to after an answer.")
 @_milliseconds("--truncation-timeout", "The pause that ends a frame; measured unless given.")
 @click.option(
@@ -148,7 +160,8 @@ def conform(
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
     virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
-    something could not be judged.
+    something could not be judged. Where a file or something for the screen could not be written,
+    the run goes on to its end and the exit code is 2.
     """
     protocol = load_protocol(grammar)
     options = Options(
@@ -166,19 +179,25 @@ def conform(
     )
     given = read_profile(protocol, profile_path, allow)
     options = replace(options, profile=given)
+    settings = line_settings(protocol, None, None, None)
     try:
         board = board_named(target)
+        if target != SIM and not board:  # the simulator and emulated boards have their own line
+            settings = line_settings(protocol, baud, parity, stopbits)
         parse_allowed(protocol, allow)
         options = replace(options, shard=shard_named(shard) if shard is not None else None)
-        cases = select_cases(protocol, options)
+        cases = select_cases(protocol, options, settings)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     virtual = target == SIM or bool(board and board.virtual)
     if listing:
         chosen = matching(only or "*")
-        for case in filter(lambda case: chosen(case.id), (*always(protocol), *cases)):
+        for case in filter(
+            lambda case: chosen(case.id), (*opening_and_reading_cases(protocol), *cases)
+        ):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
+    promise_verdict()
     if (virtual or board) and probe not in (None, SIM):
         raise click.UsageError(
             f"the target {target} brings its own probe; --probe {probe} is for ports"
@@ -191,32 +210,50 @@ def conform(
     fresh = profile_path if not given else None
     outputs = wanted({"json": json_path, "junit": junit, "markdown": markdown, "html": html})
     require_writable(outputs)
-    known = expected_file(protocol, options, expect_failures, update=update_expected)
+    known = expected_file(protocol, options, expect_failures, settings, update=update_expected)
     switch = by_command(power.removeprefix("exec:")) if power else None
-    job = Job(protocol, options, record, switch)
+    job = ConformRun(protocol, options, record, switch)
+    count = planned(protocol, options, cases)
+    begin = Begin()
     with ExitStack() as stack:
         if board:
-            report = job.on_board(stack, board, target, len(cases))
+            report = job.on_board(stack, board, target, count)
         elif virtual:
             device = Simulator(protocol, named_device(protocol, fault, variant))
-            report = job.on_simulator(stack, device, len(cases))
+            report = job.on_simulator(stack, device, count)
         else:
-            settings = line_settings(protocol, baud, parity, stopbits)
             port = stack.enter_context(open_port(target, settings))
-            seconds = estimated_seconds(protocol, cases, options)
+            seconds = estimated_seconds(protocol, cases, options, settings)
             probe = "none" if probe is None else probe
             eye = open_probe(probe, port)
             if eye:
                 stack.callback(eye.close)
             what = f"the robot at {target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=yes)
-            note(f"{len(cases)} cases, about {seconds:.0f} s")
-            report = job.on_port(stack, port, eye, probe, len(cases))
-    if fresh is not None and not report.unusable:
-        write_whole(Path(fresh), profile_text(report.grammar, report.profile).encode())
-        note(f"{fresh}: the profile of this device; give it again with --profile")
-    report = with_expected(report, known, expect_failures)
+            note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
+            begin = Begin()  # the time until the user confirmed does not count
+            report = job.on_port(stack, port, eye, probe, count)
+    report = begin.told(report)
     onto_stdout = any(output.path == STANDARD_OUTPUT for output in outputs)
-    show(report, Console(stderr=onto_stdout, highlight=False, soft_wrap=True), everything=verbose)
-    deliver(outputs, [report], protocol)
+    if fresh is not None and not report.unusable:
+        outputs.append(Output("--profile", fresh, _profile))
+    # What can be written is, even if something else fails: the robot should not drive again for it.
+    try:
+        with undisturbed(again=False):
+            report = with_expected(report, known, expect_failures)
+    finally:
+        try:
+            deliver(outputs, [report], protocol)
+        finally:
+            console = Console(stderr=onto_stdout, highlight=False, soft_wrap=True)
+            show(report, console, everything=verbose)
+    if fresh is not None and not report.unusable:
+        note(f"{fresh}: the profile of this device; give it again with --profile")
+    if job.broken:
+        raise job.broken
     return report.exit
+
+
+def _profile(reports: Sequence[Report], protocol: Protocol) -> str:
+    (report,) = reports
+    return profile_text(report.grammar, report.profile)

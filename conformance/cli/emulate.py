@@ -1,4 +1,4 @@
-"""`bilprov emulate`."""
+"""`bilprov emulate`: serves a board's firmware, run under simavr, on a pty or over TCP."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from pathlib import Path
 
 import rich_click as click
 
-from analyzer.grammar_file import load_protocol
-from analyzer.options import line_settings, note
-from analyzer.transport.server import serve
-from analyzer.transport.signals import Stopper
-from conformance.dut.boards.elf import ARM, architecture
-from conformance.dut.boards.emulator import EmulatorError
-from conformance.dut.boards.paced import PacedBoard
-from conformance.dut.boards.simavr import SimavrBoard
-from conformance.dut.boards.target import PREFIX, QEMU
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.dut.boards import EmulatorError
+from bilprov.conformance.dut.boards.elf import ARM, architecture
+from bilprov.conformance.dut.boards.paced import PacedBoard
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.boards.target import PREFIX, QEMU
 
 
 @click.command()

@@ -1,32 +1,34 @@
-"""One run as the command line asks for it: in virtual time or on a port, watched and recorded."""
+"""Runs the suite for the command line, in virtual time or on a port, with a bar and a recording."""
 
 from __future__ import annotations
 
 import time
 from contextlib import ExitStack
 
-from analyzer.decode.session import Session
-from analyzer.options import line_settings, note, timeout_in_ns
-from analyzer.replay.recorder import session_metadata
-from analyzer.transport.port import Port
-from analyzer.transport.signals import Stopper
-from captures.errors import CaptureError
-from conformance.api import Options, conform, conform_port
-from conformance.cli.progress import Progress
-from conformance.dut.boards.target import BoardName
-from conformance.dut.link import Device
-from conformance.dut.power import Power
-from conformance.dut.probes import Probe
-from conformance.dut.simulator import CONFORMING, Simulator
-from conformance.report.run_report import Report
-from conformance.runner.listeners.recorder import RunRecorder
-from spec.protocol import Protocol
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.recorder import session_metadata
+from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.errors import CaptureError
+from bilprov.conformance.api import Options, conform, conform_port
+from bilprov.conformance.cli.progress import Progress
+from bilprov.conformance.dut.boards.target import BoardName
+from bilprov.conformance.dut.fault import CONFORMING
+from bilprov.conformance.dut.link import Device
+from bilprov.conformance.dut.power import Power
+from bilprov.conformance.dut.probes import Probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
+from bilprov.spec.protocol import Protocol
 
 SIM = "sim"
 
 
-class Job:
-    """One run as the command line asks for it, with its progress bar and its recording."""
+class ConformRun:
+    """One run of the suite with the command line's options, a progress bar and a recording."""
 
     def __init__(
         self, protocol: Protocol, options: Options, record: str | None, power: Power | None
@@ -50,7 +52,7 @@ class Job:
     def on_board(self, stack: ExitStack, board: BoardName, name: str, count: int) -> Report:
         """Run an emulated board: it is its own probe, and nothing moves. Raises EmulatorError."""
         if board.virtual:
-            from conformance.dut.boards.simavr import SimavrBoard
+            from bilprov.conformance.dut.boards.simavr import SimavrBoard
 
             device = SimavrBoard(board.firmware)
             stack.callback(device.close)
@@ -58,7 +60,7 @@ class Job:
             if device.crashed:
                 note(f"{board.firmware} crashed: the board has been silent since")
             return report
-        from conformance.dut.boards.qemu import running
+        from bilprov.conformance.dut.boards.qemu import running
 
         settings = line_settings(self._protocol, None, None, None)
         port, robot = stack.enter_context(running(board.firmware, settings))
@@ -81,7 +83,7 @@ class Job:
             device,
             grammar=self._protocol,
             options=self._options,
-            watcher=stack.enter_context(Progress(count, tap)),
+            listener=stack.enter_context(Progress(count, tap)),
             tap=tap,
             interrupted=lambda: stopper.stopped or str(self.broken or ""),
             name=name,
@@ -98,7 +100,7 @@ class Job:
         count: int,
         name: str | None = None,
     ) -> Report:
-        """Run in real time; the robot moves."""
+        """Run on an open port in real time; the robot moves."""
         stopper = stack.enter_context(Stopper())
         tap = self._recorder(stack, name or port.name, str(port.settings))
         return conform_port(
@@ -109,7 +111,7 @@ class Job:
             options=self._options,
             stop=stopper.fileno(),
             interrupted=lambda: stopper.stopped or str(self.broken or ""),
-            watcher=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
+            listener=stack.enter_context(Progress(count, tap, shown=probe_name != "ask")),
             tap=tap,
             power=self._power,
             name=name,

@@ -1,17 +1,30 @@
-"""The device that `--fault` or `--variant` names."""
+"""Options that several commands share: `--fault`, `--variant`, profile, expected failures."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
 import rich_click as click
 
-from conformance.dut.simulator import Fault
-from conformance.mutation.catalogue import find_fault
-from conformance.mutation.variants import find_variant
-from spec.protocol import Protocol
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.captures.text import printable
+from bilprov.conformance.api import Options, suite_ids
+from bilprov.conformance.cases.levels import DEEP
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.mutation.catalogue import find_fault, find_variant
+from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.oracle.profile_file import profile_from
+from bilprov.conformance.report.expected_file import ExpectedFile
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
 
 
 def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> Fault | None:
-    """What `--fault` or `--variant` names, None for neither. Raises UsageError, in one sentence."""
+    """The device that the options name, None for none. Raises UsageError, in one sentence."""
     if fault is not None and variant is not None:
         raise click.UsageError("--fault and --variant are two devices: give one of them")
     try:
@@ -20,3 +33,85 @@ def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> 
         return None if fault is None else find_fault(protocol, fault)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
+
+
+def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -> str:
+    """The text of a profile, "" where none is asked for or its file does not exist yet.
+
+    Raises click's UsageError, in one sentence, for one that does not fit or cannot be written.
+    """
+    if path is None:
+        return ""
+    file = Path(path)
+    try:
+        if not file.exists() and file.absolute().parent.is_dir():
+            return ""
+        text = file.read_text(encoding="utf-8")
+        profile_from(protocol, text, parse_allowed(protocol, allow))
+    except (OSError, ValueError) as error:
+        raise click.UsageError(f"--profile {path} cannot be used: {error}") from error
+    return text
+
+
+_SHOWN = 8  # changed lines
+
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def expect_failures_option(command: Command) -> Command:
+    """Add `--expect-failures FILE` to a command, as its argument `expect_failures`."""
+    return click.option(
+        "--expect-failures",
+        metavar="FILE",
+        help="Failures that do not count: lines of GLOB : MESSAGE, a glob of case ids and how the "
+        "failure begins (answer: no answer came); # begins a comment. One that no longer fails is "
+        "itself a failure.",
+    )(command)
+
+
+def update_expected_option(command: Command) -> Command:
+    """Add `--update-expected` to a command, as its argument `update_expected`."""
+    return click.option(
+        "--update-expected",
+        is_flag=True,
+        help="Write that file anew from what fails now; comments stay.",
+    )(command)
+
+
+def expected_file(
+    protocol: Protocol,
+    options: Options,
+    path: str | None,
+    line: LineSettings,
+    *,
+    update: bool = False,
+) -> ExpectedFile | None:
+    """The file of expected failures, None where none was given.
+
+    One file may be used for every level, so its entries may match cases that only the deep level
+    has. Raises ExpectedError, and UsageError for an update of no file.
+    """
+    if path is None:
+        if update:
+            raise click.UsageError("--update-expected needs --expect-failures FILE to write")
+        return None
+    known = suite_ids(protocol, replace(options, level=DEEP.name), line)
+    suite = suite_ids(protocol, options, line)
+    return ExpectedFile(path, dict.fromkeys(known), dict.fromkeys(suite), update=update)
+
+
+def with_expected(report: Report, file: ExpectedFile | None, path: str | None) -> Report:
+    """The report with its comparison; prints the lines of the file that were changed."""
+    if file is None:
+        return report
+    compared, change = file.applied(report)
+    if change is not None:
+        for sign, lines in (("-", change.removed), ("+", change.added)):
+            for line in lines[:_SHOWN]:
+                note(f"{sign} {printable(line)}")
+            if len(lines) > _SHOWN:
+                note(f"{sign} and {len(lines) - _SHOWN} more")
+        added, removed = len(change.added), len(change.removed)
+        note(f"{path}: {added} added, {removed} removed" if added + removed else f"{path} fits")
+    return compared

@@ -1,63 +1,35 @@
-"""Writes reports where the command line asks for them: whole, or not at all."""
+"""Writes reports to the files that the command line names; each is written whole or not at all."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import rich_click as click
 
-from analyzer.whole_file import write_whole
-from conformance.report.run_report import Report, as_json
-from spec.protocol import Protocol
+from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.transport.signals import undisturbed
+from bilprov.conformance.report.formats import FORMATS, Writer, writer_of
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-Writer = Callable[[Sequence[Report], Protocol], str]
 
 STANDARD_OUTPUT = "-"
 
 
-class Format(NamedTuple):
-    """One way to write reports: its option, what it is for, and where its writer lives."""
-
-    option: str
-    help: str
-    module: str
-    writer: str
-
-
-FORMATS = {
-    "json": Format(
-        "--json", "The report as JSON, for machines.", "conformance.cli.outputs", "_as_json"
-    ),
-    "junit": Format(
-        "--junit", "JUnit XML, for a CI's list of tests.", "conformance.report.junit", "as_junit"
-    ),
-    "markdown": Format(
-        "--markdown", "A summary for a CI's page.", "conformance.report.markdown", "as_markdown"
-    ),
-    "html": Format(
-        "--html",
-        "One page with matrix, wire logs and timing pictures.",
-        "conformance.report.html.page",
-        "as_html",
-    ),
-}
-
-
 def report_options(command: Command) -> Command:
-    """`--junit`, `--markdown` and `--html`, each a path, - for standard output, or None."""
+    """Add `--junit`, `--markdown` and `--html` to a command: path, - (standard output) or None."""
     for form in reversed([form for name, form in FORMATS.items() if name != "json"]):
         command = click.option(form.option, metavar="FILE", help=form.help)(command)
     return command
 
 
 class Output(NamedTuple):
-    """One file that is asked for: the option that did, the path, and who writes it."""
+    """One file to write: the option that asks for it, its path, and the writer of its format."""
 
     option: str
     path: str
@@ -65,31 +37,18 @@ class Output(NamedTuple):
 
 
 def wanted(paths: Mapping[str, str | None]) -> list[Output]:
-    """The outputs that are asked for, by the names of FORMATS."""
+    """The outputs that are asked for; `paths` are keyed by the names of FORMATS."""
     return [
-        Output(FORMATS[name].option, path, _writer(FORMATS[name]))
+        Output(FORMATS[name].option, path, writer_of(FORMATS[name]))
         for name, path in paths.items()
         if path is not None
     ]
 
 
-def _writer(form: Format) -> Writer:
-    def write(reports: Sequence[Report], protocol: Protocol) -> str:
-        written: str = getattr(import_module(form.module), form.writer)(reports, protocol)
-        return written
-
-    return write
-
-
-def _as_json(reports: Sequence[Report], protocol: Protocol) -> str:
-    (report,) = reports
-    return as_json(report).decode()
-
-
 def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> None:
-    """Refuse what cannot be written: that is better known before the robot moves.
+    """Raise UsageError, in one sentence, for an output that cannot be written.
 
-    `inputs` are files that must not be overwritten. Raises UsageError in one sentence.
+    It is called before the robot moves. `inputs` are files that must not be overwritten.
     """
     taken = {Path(path).resolve(): f"the input {path}" for path in inputs}
     on_standard_output = ""
@@ -127,19 +86,25 @@ def _may_write(file: Path) -> bool:
 
 
 def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Protocol) -> None:
-    """Write every output; one that cannot be written does not keep the others from it.
+    """Write every output, the files first, even if one of them cannot be written.
 
-    Raises the first OSError. A file that was there and could not be written is as it was.
+    Ctrl-C and the like take effect only when the files are written. Raises the first OSError. An
+    existing file that could not be written stays as it was.
     """
     failed: list[OSError] = []
-    for output in outputs:
-        text = output.write(reports, protocol)
-        if output.path == STANDARD_OUTPUT:
-            sys.stdout.write(text)
-            continue
-        try:
-            write_whole(Path(output.path), text.encode(errors="backslashreplace"))
-        except OSError as error:
-            failed.append(error)
+    onto_stdout: list[str] = []
+    with undisturbed(again=False):
+        for output in outputs:
+            text = output.write(reports, protocol)
+            if output.path == STANDARD_OUTPUT:
+                onto_stdout.append(text)
+                continue
+            try:
+                write_whole(Path(output.path), text.encode(errors="backslashreplace"))
+            except OSError as error:
+                failed.append(error)
+    for text in onto_stdout:
+        sys.stdout.write(text)
+        sys.stdout.flush()
     if failed:
         raise failed[0]

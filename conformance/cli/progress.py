@@ -1,4 +1,4 @@
-"""Shows how a run goes: a progress bar on a terminal, nothing in a pipe."""
+"""Shows the progress of a run as a bar on a terminal; shows nothing in a pipe."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.runner.listeners.recorder import RunRecorder
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
 
 
 class Progress:
-    """A watcher that draws a bar on standard error, and passes the marks on to a recording.
+    """A run listener that draws a bar on standard error, and passes each call on to a recorder.
 
-    `shown` is false where the terminal is wanted for something else: questions to a person.
+    `shown` is false where the terminal is needed for something else: questions to a person.
     """
 
     def __init__(self, total: int, recorder: RunRecorder | None, *, shown: bool = True) -> None:
@@ -32,7 +32,7 @@ class Progress:
             disable=not (shown and console.is_terminal),
         )
         self._task = self._bar.add_task("", total=total, failed="")
-        self._failed = 0
+        self._total, self._done, self._failed = total, 0, 0
         self._recorder = recorder
 
     def begin(self, ident: str) -> None:
@@ -45,7 +45,9 @@ class Progress:
         """A case is final."""
         self._failed += result.verdict >= Verdict.FAIL
         failed = f"[red]{self._failed} failed" if self._failed else ""
-        self._bar.update(self._task, advance=1, failed=failed)
+        self._done += 1
+        total = max(self._total, self._done)  # a fault may add cases of its own
+        self._bar.update(self._task, total=total, advance=1, failed=failed)
         if self._recorder:
             self._recorder.end(result)
 

@@ -1,4 +1,4 @@
-"""`bilprov recheck`: a recorded run judged again."""
+"""`bilprov recheck`: judges a recorded run again, and lists the differences."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from pathlib import Path
 
 import rich_click as click
 
-from analyzer.grammar_file import load_protocol
-from analyzer.options import note
-from captures.errors import shown
-from conformance.recheck import Difference, Recheck
-from conformance.recheck import recheck as judged_again
-from conformance.report.run_report import as_json
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.text import printable
+from bilprov.conformance.recheck import Difference, Recheck
+from bilprov.conformance.recheck import recheck as judged_again
+from bilprov.conformance.report.run_report import as_json
 
 
 @click.command()
@@ -27,32 +30,44 @@ def recheck(grammar: str | None, path: str, json_path: str | None) -> int:
     judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and every case
     that comes out otherwise than recorded is named. A hash tells damage, not forgery.
 
-    Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, 3
-    the same as far as a recording goes that was never finished.
+    Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, or
+    there is no report for --json because the run strayed from its recording, 3 the same as far as a
+    recording goes that was never finished.
     """
+    promise_verdict()
     if json_path not in (None, "-") and not Path(str(json_path)).absolute().parent.is_dir():
         raise click.UsageError(
             f"--json {json_path} cannot be written: name a file in a folder that exists"
         )
     found = judged_again(path, load_protocol(grammar) if grammar else None)
-    for sentence in found.notes:
-        note(sentence)
-    for difference in found.differences:
-        click.echo(_line(difference), err=json_path == "-")
-    click.echo(_sum(found), err=json_path == "-")
-    if json_path is not None and found.report is not None:
-        report = as_json(found.report)
-        if json_path == "-":
-            click.echo(report, nl=False)
-        else:
-            Path(json_path).write_bytes(report)
+    try:
+        if json_path is not None and found.report is not None:
+            _write(json_path, as_json(found.report))
+    finally:
+        for sentence in found.notes:
+            note(sentence)
+        for difference in found.differences:
+            click.echo(_line(difference), err=json_path == "-")
+        click.echo(_sum(found), err=json_path == "-")
+    if json_path is not None and found.report is None:
+        raise CaptureError(
+            f"{printable(path)} has no new report to write: the run strayed from its recording"
+        )
     return found.exit
+
+
+def _write(path: str, report: bytes) -> None:
+    if path == "-":
+        click.echo(report, nl=False)
+    else:
+        write_whole(Path(path), report)
 
 
 def _line(difference: Difference) -> str:
     return (
-        f"{shown(difference.about)}: {difference.what} recorded: {shown(difference.recorded)}; "
-        f"judged again: {shown(difference.judged)}"
+        f"{printable(difference.about)}: {difference.what} recorded: "
+        f"{printable(difference.recorded)}; "
+        f"judged again: {printable(difference.judged)}"
     )
 
 

@@ -1,24 +1,22 @@
-"""`bilprov report`: results of runs, read back and written as pages or shown side by side."""
+"""`bilprov report`: reads reports of runs back, and writes them as pages or shows them here."""
 
 from __future__ import annotations
 
-import msgspec
 import rich_click as click
 from rich.console import Console
 
-from analyzer.grammar_file import load_protocol
-from conformance.cli.outputs import (
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.conformance.cli.outputs import (
     STANDARD_OUTPUT,
     deliver,
     report_options,
     require_writable,
     wanted,
 )
-from conformance.report.json_report import read_report
-from conformance.report.run_report import Report
-from conformance.report.side_by_side_table import show_compared
-from conformance.report.summary import show
-from conformance.visible import all_visible
+from bilprov.conformance.report.json_report import read_report
+from bilprov.conformance.report.side_by_side_table import show_compared
+from bilprov.conformance.report.summary import show, visible_report
 
 
 @click.command()
@@ -39,6 +37,7 @@ def report(
     Without --html, --junit or --markdown a table is shown here. Exit code: 0 once it is written,
     whatever the verdicts are.
     """
+    promise_verdict()
     outputs = wanted({"junit": junit, "markdown": markdown, "html": html})
     require_writable(outputs, inputs=results)
     try:
@@ -50,15 +49,10 @@ def report(
     if not outputs:
         console = Console(highlight=False, soft_wrap=True)
         if len(reports) == 1:
-            show(_visible(reports[0]), console, everything=verbose)
+            show(visible_report(reports[0]), console, everything=verbose)
         else:
-            show_compared([_visible(one) for one in reports], console, everything=verbose)
+            show_compared([visible_report(one) for one in reports], console, everything=verbose)
     for output in outputs:
         if output.path != STANDARD_OUTPUT:
             click.echo(f"{output.path} written", err=True)
     return 0
-
-
-def _visible(report: Report) -> Report:
-    """The report with nothing in it that could control the terminal."""
-    return msgspec.convert(all_visible(msgspec.to_builtins(report)), Report)

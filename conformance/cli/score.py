@@ -1,4 +1,4 @@
-"""`bilprov score`: the suite against every faulty device there is."""
+"""`bilprov score`: runs the suite against every faulty device, and shows what it catches."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from analyzer.grammar_file import load_protocol
-from conformance.mutation.score import Score, chosen_faults, levels, score
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.conformance.mutation.score import Score, chosen_faults, levels, score
 
 _SHOWN = 4  # faults named behind a case group
 

@@ -1,15 +1,15 @@
-"""`bilprov simulate`."""
+"""`bilprov simulate`: serves the reference device on a pty or over TCP."""
 
 from __future__ import annotations
 
 import rich_click as click
 
-from analyzer.grammar_file import load_protocol
-from analyzer.transport.server import serve
-from analyzer.transport.signals import Stopper
-from conformance.cli.options import named_device
-from conformance.dut.simulator import Simulator
-from conformance.mutation.catalogue import listed_faults, listed_variants
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.cli.options import named_device
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 
 
 @click.command()

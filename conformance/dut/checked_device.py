@@ -1,25 +1,25 @@
-"""A device object of somebody's own, whose every reply is looked at before the suite takes it."""
+"""Checks every reply of a user's device object before the suite uses it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from captures.errors import shown
-from captures.schemas import Look
-from conformance.dut.link import Device
+from bilprov.captures.schemas import Look
+from bilprov.captures.text import printable
+from bilprov.conformance.dut.link import Device
 
 _METHODS = ("receive", "advance", "deadline")
 
 
 class DeviceError(TypeError):
-    """A device object breaks what `conformance.drive.Device` asks for. One sentence."""
+    """A device object breaks the interface `bilprov.conformance.dut.link.Device`. One sentence."""
 
 
 class CheckedDevice:
-    """The device, with each method's fault told as one: which method, and what it gave or raised.
+    """A device whose every wrong reply or exception becomes a DeviceError that names the method.
 
-    Raises DeviceError where a method is missing.
+    Raises DeviceError where a method is missing. Times are in ns.
     """
 
     def __init__(self, device: Device) -> None:
@@ -36,14 +36,14 @@ class CheckedDevice:
         self._call("receive", self._device.receive, data, now)
 
     def advance(self, now: int) -> bytes:
-        """What the device sends until `now`."""
+        """The bytes the device sends until `now`."""
         data = self._call("advance", self._device.advance, now)
         if not isinstance(data, bytes):
             raise self._gave("advance", data, "bytes, b'' where it sends nothing")
         return data
 
     def deadline(self) -> int | None:
-        """When it next acts by itself, None if it only waits."""
+        """When the device next acts by itself, None if it only waits for bytes."""
         due = self._call("deadline", self._device.deadline)
         if due is not None and type(due) is not int:
             raise self._gave("deadline", due, "a time in ns as an int, or None")
@@ -57,15 +57,17 @@ class CheckedDevice:
         return look
 
     def power_cycle(self, now: int) -> None:
-        """Off and on; only asked of a device that can."""
+        """Switch the device off and on at `now`; called only if the device has this method."""
         self._call("power_cycle", getattr(self._device, "power_cycle"), now)  # noqa: B009
 
     def _call(self, name: str, method: Callable[..., Any], *arguments: object) -> Any:
         try:
             return method(*arguments)
         except Exception as error:
-            what = f"{type(error).__name__}: {shown(error)}"
+            what = f"{type(error).__name__}: {printable(error)}"
             raise DeviceError(f"the device's {name} raised {what}") from error
 
     def _gave(self, name: str, value: object, wanted: str) -> DeviceError:
-        return DeviceError(f"the device's {name} gave {shown(repr(value))}; it must give {wanted}")
+        return DeviceError(
+            f"the device's {name} gave {printable(repr(value))}; it must give {wanted}"
+        )

@@ -1,30 +1,26 @@
-"""What a fault may change of a device: the values it is made of. No behaviour of its own."""
+"""The value types of a fault: the hooks with which it changes a device, and what they are given."""
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import msgspec
 
-from captures.schemas import Look
-from spec.codec import Judgement
-from spec.motion import State
-
-if TYPE_CHECKING:
-    from conformance.dut.simulator import Simulator
-
-MS = 1_000_000
+from bilprov.captures.schemas import Look
+from bilprov.spec.codec import Judgement
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import Protocol
 
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """What a frame brings about.
+    """How a device reacts to a frame: its answers and its states.
 
-    `answers` are (delay in ns, code); `state` holds at once; `later` are states that come by
-    themselves, (delay in ns, state), and `unasked` answers that do, (delay in ns, code): both only
-    as long as no other frame comes.
+    `answers` are (delay in ns, code); `state` holds at once. `later` are states that follow by
+    themselves, (delay in ns, state), and `unasked` answers that do, (delay in ns, code): both are
+    dropped when another frame comes.
     """
 
     answers: tuple[tuple[int, int], ...]
@@ -34,14 +30,14 @@ class Reaction:
 
 
 class Event(msgspec.Struct, frozen=True, gc=False):
-    """A frame that arrived: its judgement, the state before it, and what came before it.
+    """A frame that arrived, with its judgement, the state before it, and the frames before it.
 
-    `frames` and `faults` count what came before it since power-on, `truncated` those that were cut
-    short, `row` the faults in a row that ended just before it. `kind` is `instruction` or
-    `truncated`, `now` when it was known to be over (ns). `previous` is the judgement of the frame
-    before, `gap` the time (ns) from its end to this frame's header; both None after power-on.
-    `pause` is the longest pause (ns) between two of its bytes. `pipelined` is true when its header
-    came sooner than any host can that waits for the answer before.
+    `frames` and `faults` count the frames before it since power-on, `truncated` the truncated ones,
+    `row` the consecutive faults right before it. `kind` is `instruction` or `truncated`, `now` the
+    time (ns) when the frame was over. `previous` is the judgement of the frame before, `gap` the
+    time (ns) from its end to this frame's header; both None after power-on. `pause` is the longest
+    pause (ns) between two of its bytes. `pipelined` is true when its header came too soon for a
+    host that waits for the previous answer.
     """
 
     judgement: Judgement
@@ -59,25 +55,52 @@ class Event(msgspec.Struct, frozen=True, gc=False):
     pipelined: bool = False
 
 
-React = Callable[["Simulator", Event, Reaction], Reaction]
-Hear = Callable[["Simulator", bytes, int], bytes]
+class MutatedDevice(typing.Protocol):
+    """The part of a device that the hooks of its fault may read and change.
+
+    `byte_time` is a byte's time on the line (ns), `over_at` when the frame before was over (ns,
+    None after power-on); `faults` and `row` count as in Event.
+    """
+
+    protocol: Protocol
+    state: State
+    memory: dict[str, int]
+    byte_time: int
+    over_at: int | None
+    faults: int
+    row: int
+    step: Callable[[bytes, State], tuple[Judgement, State]]
+
+    @property
+    def held(self) -> bytes:
+        """The bytes of the frame that is not complete yet."""
+
+    def answer(self, code: int, at: int) -> None:
+        """Queue an answer byte for the time `at` (ns)."""
+
+    def drop(self) -> None:
+        """Discard the incomplete frame: the next byte is a header."""
+
+
+React = Callable[[MutatedDevice, Event, Reaction], Reaction]
+Hear = Callable[[MutatedDevice, bytes, int], bytes]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One named way to misbehave.
+    """One named deviation of a device from the document.
 
     `doc` says in a sentence what it does. `caught_by` are globs of the case ids that are meant to
     fail, `exit` the exit code of a run against it, `clauses` the fields of `spec.fields.Clauses`
     that it breaks (a case that fails names one of them), `needs` is `soak` where only very many
-    frames show it. What is left out behaves well: `react` changes the reaction to a frame, `hear`
-    each byte before it is framed (it may answer at once), `lengths` the data length of each header
-    byte, `timeout` (ns, None for never) the pause that cuts a frame short and `timeouts` the same
-    for each header byte, `whole_frame` counts it from the header on, `remains` is what stays of a
-    frame that was cut short, `show` what a probe can see, `power_on` the state it starts in,
-    `banner` what it sends then, `begins` what happens when a header has arrived whose data are
-    still to come. `hints` are data values at which it shows, for a search. Of the past a hook knows
-    what it is given and the device's `memory` alone.
+    frames show it. Each other field is a hook or a setting; one left out conforms: `react` changes
+    the reaction to a frame, `hear` each byte before it is framed (it may answer at once), `lengths`
+    the data length of each header byte, `timeout` (ns, None for never) the pause that truncates a
+    frame and `timeouts` the same for each header byte, `whole_frame` counts it from the header on,
+    `remains` gives the bytes kept of a truncated frame, `show` changes what a probe sees,
+    `power_on` is the state at power-on, `banner` the bytes sent then, `begins` gives the codes
+    answered to a header whose data are still to come. `hints` are data values at which the fault
+    shows, for a search. A hook knows of the past only its arguments and the device's `memory`.
     """
 
     name: str
@@ -91,12 +114,12 @@ class Fault:
     timeout: int | str | None = "default"
     show: Callable[[Look], Look] | None = None
     power_on: State | None = None
-    begins: Callable[[Simulator, int], Sequence[int]] | None = None
+    begins: Callable[[MutatedDevice, int], Sequence[int]] | None = None
     clauses: tuple[str, ...] = ()
     needs: str = ""
     timeouts: Callable[[int], int | None] | None = None
     whole_frame: bool = False
-    remains: Callable[[Simulator, bytes], bytes] | None = None
+    remains: Callable[[MutatedDevice, bytes], bytes] | None = None
     banner: bytes = b""
     hints: tuple[int, ...] = ()
 

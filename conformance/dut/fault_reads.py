@@ -1,7 +1,7 @@
-"""Notes which parts of an Event a fault looks at, and how: what its future can depend on.
+"""Records which inputs a fault reads: fields of an Event, counter thresholds, divisors.
 
-A counter is noted with what it is compared with, so that counts on which nothing more depends are
-the same to a search.
+So the equivalence search can merge states that the fault cannot distinguish, such as counts beyond
+every threshold with which the fault compares them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ COUNTED = ("frames", "faults", "truncated", "row")
 _PREVIOUS = "previous."
 
 
-class Reads:
-    """What was looked at so far: names, and for each counter its thresholds and divisors."""
+class FaultReads:
+    """The inputs read so far: names, and each counter's highest threshold and divisors."""
 
     def __init__(self) -> None:
         self.names: set[str] = set()
@@ -26,17 +26,17 @@ class Reads:
         return len(self.names) + sum(self._most.values()) + divisors
 
     def compared(self, name: str, value: int) -> None:
-        """The counter was compared with this value."""
+        """Record that the counter `name` was compared with this value."""
         self.names.add(name)
         self._most[name] = max(self._most.get(name, 0), value)
 
     def divided(self, name: str, divisor: int) -> None:
-        """Its remainder by this divisor was taken."""
+        """Record that the remainder of the counter `name` by this divisor was taken."""
         self.names.add(name)
         self._divisors.setdefault(name, set()).add(divisor)
 
     def seen(self, name: str, value: int) -> Hashable:
-        """What of the counter's value can matter; None if it was never looked at."""
+        """The part of the counter's value that can matter to the fault; None if it was not read."""
         if name not in self.names:
             return None
         most = self._most.get(name)
@@ -47,7 +47,7 @@ class Reads:
         )
 
     def of_previous(self, judgement: object) -> Hashable:
-        """What was looked at of the frame before."""
+        """The fields that were read of the previous frame's judgement; None without any."""
         if "previous" not in self.names or judgement is None:
             return None
         names = sorted(name for name in self.names if name.startswith(_PREVIOUS))
@@ -55,11 +55,11 @@ class Reads:
 
 
 class Count:
-    """A counter that notes what it is compared with; anything else is a TypeError."""
+    """A counter that records its comparisons and remainders; other arithmetic is a TypeError."""
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, value: int, name: str, reads: Reads, offset: int = 0) -> None:
+    def __init__(self, value: int, name: str, reads: FaultReads, offset: int = 0) -> None:
         self._value = value
         self._name = name
         self._reads = reads
@@ -95,10 +95,10 @@ class Count:
         return (self._value + self._offset) % divisor
 
 
-class Watched:
-    """Stands for an Event, or for the judgement of the frame before, and notes what is read."""
+class RecordingProxy:
+    """A proxy of an Event, or of the previous frame's judgement, that records the fields read."""
 
-    def __init__(self, event: object, reads: Reads, prefix: str = "") -> None:
+    def __init__(self, event: object, reads: FaultReads, prefix: str = "") -> None:
         self._event = event
         self._reads = reads
         self._prefix = prefix
@@ -112,5 +112,5 @@ class Watched:
         elif name in ("previous", "previous_kind", "pipelined", "gap"):
             self._reads.names.add(name)
             if name == "previous" and value is not None:
-                return Watched(value, self._reads, _PREVIOUS)
+                return RecordingProxy(value, self._reads, _PREVIOUS)
         return value

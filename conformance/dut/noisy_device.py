@@ -1,7 +1,7 @@
-"""A bad line around a device: bytes flipped, dropped, doubled and delayed both ways, seeded.
+"""A device behind a noisy line: bytes flipped, dropped, doubled and delayed both ways, seeded.
 
 It is itself a device, so a run over it is the same every time. The probe is another line: looks
-and power pass through it unharmed.
+and power cycles are not affected.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections import deque
 from random import Random
 
-from analyzer.taps.noise import Noise
-from captures.schemas import Look
-from conformance.dut.link import Device
+from bilprov.analyzer.taps.noise import Noise
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.link import Device
 
 __all__ = ["Noise", "NoisyDevice"]
 
 
 class NoisyDevice:
-    """A device behind a bad line; `hurt` counts the pieces that came out otherwise than sent.
+    """A device behind a noisy line; `hurt` counts the chunks that the noise changed.
 
     Each byte takes `delay` ns in each direction, besides its time on the wire.
     """
@@ -27,7 +27,7 @@ class NoisyDevice:
         self._noise = noise
         self._chance = Random(seed)
         self._delay = delay
-        self._inward: deque[tuple[int, bytes]] = deque()  # when they arrive
+        self._inward: deque[tuple[int, bytes]] = deque()  # (arrival in ns, bytes)
         self._outward: deque[tuple[int, bytes]] = deque()
         self.hurt = 0
 
@@ -39,7 +39,7 @@ class NoisyDevice:
             self._deliver(now)
 
     def advance(self, now: int) -> bytes:
-        """Let time pass until `now` (ns): what has come through of what the device sends."""
+        """Let time pass until `now` (ns); return the device's bytes that have come through."""
         self._deliver(now)
         self._listen(now)
         come = []
@@ -48,7 +48,7 @@ class NoisyDevice:
         return b"".join(come)
 
     def deadline(self) -> int | None:
-        """When something next arrives or the device acts by itself; None if it only waits."""
+        """When (ns) bytes next arrive or the device acts by itself; None if it only waits."""
         first = (queue[0][0] for queue in (self._inward, self._outward) if queue)
         own = self._device.deadline()
         return min((*first, *(() if own is None else (own,))), default=None)
@@ -64,7 +64,7 @@ class NoisyDevice:
         power(now)
 
     def _deliver(self, now: int) -> None:
-        """The device gets what has arrived by `now`, each piece at its own time."""
+        """Give the device the bytes that have arrived by `now`, each chunk at its own time."""
         while self._inward and self._inward[0][0] <= now:
             at, data = self._inward.popleft()
             self._listen(at)

@@ -1,31 +1,33 @@
-"""What the runner asks for and what it gets: it sends, listens and looks only through these values.
+"""The operations of a test procedure (send, listen, observe, power-cycle) and their results.
 
-Times are integers in nanoseconds on the drive's own clock, virtual or real.
+A link does them; the runner reaches the device in no other way. Times are integers in nanoseconds
+on the link's clock, virtual or real.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
-from captures.schemas import Look
+from bilprov.captures.schemas import Look
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Send:
-    """Send these bytes; the reply is the time when the last one had gone."""
+    """Send these bytes; the reply is the time (ns) when the last one was sent."""
 
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Listen:
-    """Wait until `count` answer bytes have come (None: never enough) or `patience` ns are over.
+    """Wait until `count` answer bytes have come or `patience` ns are over.
 
-    The reply is Heard: everything that came since the last time.
+    With `count` None it waits the whole time. The reply is Received: all that came since the last
+    Listen.
     """
 
     count: int | None
@@ -33,18 +35,18 @@ class Listen:
 
 
 @dataclass(frozen=True, slots=True)
-class See:
-    """Look at the robot through the probe; the reply is Seen."""
+class Observe:
+    """Look at the robot through the probe; the reply is an Observation."""
 
 
 @dataclass(frozen=True, slots=True)
 class PowerCycle:
-    """Switch the robot off and on; the reply is the time when it is on again."""
+    """Switch the robot off and on; the reply is the time (ns) when it is on again."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """Answer bytes as (time, byte), and the time when listening ended."""
+class Received:
+    """Answer bytes as (time in ns, byte), and the time (ns) when listening ended."""
 
     answers: tuple[tuple[int, int], ...]
     now: int
@@ -56,41 +58,67 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """A reading of the probe with the time it was asked and the time it was there."""
+class Observation:
+    """A look with the times (ns) when the probe was asked and when its reply was complete."""
 
     asked: int
     now: int
     look: Look
 
 
-Ask = Send | Listen | See | PowerCycle
-Script = Generator[Ask, Any, T]
+Operation = Send | Listen | Observe | PowerCycle
+Procedure = Generator[Operation, Any, T]
 
 
-def send(data: bytes) -> Script[int]:
-    """Send bytes; returns the time (ns) when the last one had gone."""
+def send(data: bytes) -> Procedure[int]:
+    """Send bytes; returns the time (ns) when the last one was sent."""
     sent = yield Send(data)
     assert isinstance(sent, int)
     return sent
 
 
-def listen(count: int | None, patience: int) -> Script[Heard]:
-    """Listen for `count` answers or `patience` ns."""
+def listen(count: int | None, patience: int) -> Procedure[Received]:
+    """Listen for `count` answers, for at most `patience` ns; returns what was received."""
     heard = yield Listen(count, patience)
-    assert isinstance(heard, Heard)
+    assert isinstance(heard, Received)
     return heard
 
 
-def power_cycle() -> Script[int]:
+def power_cycle() -> Procedure[int]:
     """Switch the robot off and on; returns the time (ns) when it is on again."""
     now = yield PowerCycle()
     assert isinstance(now, int)
     return now
 
 
-def see() -> Script[Seen]:
-    """Look through the probe."""
-    seen = yield See()
-    assert isinstance(seen, Seen)
+def observe() -> Procedure[Observation]:
+    """Look at the robot through the probe; returns the observation."""
+    seen = yield Observe()
+    assert isinstance(seen, Observation)
     return seen
+
+
+class Ended(Exception):
+    """The run cannot go on: raised by a link, and thrown into the procedure, with one sentence.
+
+    `error` is true when the kit, the port or the probe failed, false when the user interrupted;
+    `line_works` tells whether the robot can still be homed.
+    """
+
+    def __init__(self, sentence: str, *, error: bool, line_works: bool) -> None:
+        super().__init__(sentence)
+        self.error = error
+        self.line_works = line_works
+
+
+OperationName = Literal["send", "listen", "look", "power", "interrupt"]
+
+
+OPERATION_NAMES: dict[type, OperationName] = {
+    Send: "send",
+    Listen: "listen",
+    Observe: "look",
+    PowerCycle: "power",
+    type(None): "interrupt",
+}
+"""The name of each operation in a recording; None stands for an interruption."""

@@ -1,24 +1,33 @@
-"""Does asks on a real port, in real time: the port is read while anything is waited for."""
+"""A link over a real port, in real time: during every wait the port is read."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-from analyzer.transport.errors import LinkError
-from analyzer.transport.port import Port
-from analyzer.transport.ports import wait_readable
-from conformance.dut.link import HELD, Tap
-from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.dut.power import Power, PowerError
-from conformance.dut.probes import Probe, ProbeError
-from conformance.runner.run import Ended
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.conformance.dut.link import HELD_ANSWERS, LinkListener
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    PowerCycle,
+    Received,
+    Send,
+)
+from bilprov.conformance.dut.power import Power, PowerError
+from bilprov.conformance.dut.probes import Probe, ProbeError
 
 
 class PortLink:
-    """A port and, where there is one, a probe. `stop` is readable once the user wants to stop.
+    """Does operations on a port and, where there is one, a probe, in real time.
 
-    `power` switches the robot off and on.
+    `stop` is a file descriptor that is readable once the user wants to stop. `power` switches the
+    robot off and on. `clock` gives the time in ns.
     """
 
     def __init__(
@@ -26,7 +35,7 @@ class PortLink:
         port: Port,
         probe: Probe | None,
         stop: int,
-        tap: Tap | None = None,
+        tap: LinkListener | None = None,
         power: Power | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
@@ -46,17 +55,17 @@ class PortLink:
         """The time in ns since the link was made."""
         return self._clock() - self._start
 
-    def do(self, ask: Ask) -> int | Heard | Seen:
-        """Do one ask. Raises Ended when the port or the probe is lost."""
+    def do(self, operation: Operation) -> int | Received | Observation:
+        """Do one operation. Raises Ended when the port, the probe or the power switch fails."""
         try:
-            match ask:
+            match operation:
                 case PowerCycle():
                     return self._power_cycle()
                 case Send(data):
                     return self._send(data)
                 case Listen(count, patience):
                     return self._listen(count, patience)
-                case See():
+                case Observe():
                     return self._see()
         except LinkError as error:
             raise Ended(str(error), error=True, line_works=False) from error
@@ -82,7 +91,7 @@ class PortLink:
         self._sent = max(self.now(), begun + len(data) * self._byte_time)
         return self._sent
 
-    def _listen(self, count: int | None, patience: int) -> Heard:
+    def _listen(self, count: int | None, patience: int) -> Received:
         until = max(self.now(), self._sent) + patience
         while True:
             self._read()
@@ -91,9 +100,9 @@ class PortLink:
             if enough or now >= until or self._wait(until - now):
                 break
         heard, self._heard = tuple(self._heard), []
-        return Heard(heard, self.now())
+        return Received(heard, self.now())
 
-    def _see(self) -> Seen:
+    def _see(self) -> Observation:
         assert self._probe is not None
         asked = self.now()
         until = asked + int(self._probe.patience * 1e9)
@@ -108,10 +117,10 @@ class PortLink:
             if look is not None:
                 if self._tap:
                     self._tap.looked(look)
-                return Seen(asked, self.now(), look)
+                return Observation(asked, self.now(), look)
 
     def _wait(self, patience: int, other: int | None = None) -> bool:
-        """Wait for the port, and read it. True if the user wants to stop or `other` is ready."""
+        """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready."""
         also = [fd for fd in (other, None if self._stopping else self._stop) if fd is not None]
         _, ready = wait_readable([self._port], max(patience, 0) / 1e9, also)
         self._read()
@@ -126,5 +135,5 @@ class PortLink:
             now = self.now()
             if self._tap:
                 self._tap.received(data, now)
-            room = HELD - len(self._heard)
+            room = HELD_ANSWERS - len(self._heard)
             self._heard += [(now, byte) for byte in data[:room]]

@@ -1,4 +1,4 @@
-"""What switches a robot on a port off and on again."""
+"""Power switches for a robot on a port: they switch it off and on again."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import subprocess
 from collections.abc import Callable
 
 Power = Callable[[], None]
-"""Off and on; returns once the robot has its power again. Raises PowerError."""
+"""Switches the robot off and on; returns once it has its power again. Raises PowerError."""
 
 _PATIENCE = 60  # s that a command may take
 
 
 class PowerError(Exception):
-    """A switch that did not work, in one sentence."""
+    """The power switch did not work; the message says why, in one sentence."""
 
 
 def by_command(command: str) -> Power:
-    """The switch that a shell command is: it takes the power away and gives it back."""
+    """A power switch that runs a shell command, which switches the power off and on again."""
 
     def cycle() -> None:
         nothing = subprocess.DEVNULL

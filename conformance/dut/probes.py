@@ -1,6 +1,6 @@
-"""How a stop is seen: the probes of `--probe`. Each is asked, and answers with a Look.
+"""The probes of `--probe`, which tell whether the robot moves: each is asked and returns a Look.
 
-A probe offers something that select can wait for, so that the port goes on being read meanwhile.
+A probe has a file descriptor to wait for with select, so that the port is read meanwhile.
 """
 
 from __future__ import annotations
@@ -10,44 +10,45 @@ import os
 import socket
 import subprocess
 import sys
-from typing import Any, Protocol
+from typing import Annotated, Protocol
 
 import msgspec
 
-from analyzer.transport.port import Port
-from analyzer.transport.streams import parse_address
-from captures.errors import shown
-from captures.schemas import Look
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.streams import parse_address
+from bilprov.captures.schemas import Look
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
 
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
 
 
-class ProbeError(Exception):
+class ProbeError(UserError):
     """The probe cannot be asked or does not answer as agreed, in one sentence."""
 
 
 class Probe(Protocol):
-    """Something that sees whether the robot moves."""
+    """An observer of the robot: sees whether it moves, and possibly more of its state."""
 
     @property
-    def sparse(self) -> bool:
-        """Whether a look is dear, so that only the thorough cases are looked at."""
+    def costly(self) -> bool:
+        """Whether a look is costly, so that only the thorough cases are observed."""
 
     @property
     def patience(self) -> float:
-        """How long an answer may take, in s."""
+        """How long (s) a look may take."""
 
     def ask(self) -> None:
         """Begin a look. Raises ProbeError."""
 
     def fileno(self) -> int | None:
-        """What select waits for until `take` has something; None if it has it at once."""
+        """The file descriptor to wait for before `take`; None if the look is there at once."""
 
     def take(self, now: int) -> Look | None:
-        """The look, as of `now` (ns); None while it is not there yet. Raises ProbeError."""
+        """The look, as of `now` (ns); None while it is incomplete. Raises ProbeError."""
 
     def close(self) -> None:
-        """Give the probe up."""
+        """Release the probe."""
 
 
 def open_probe(name: str, port: Port) -> Probe | None:
@@ -72,16 +73,20 @@ def open_probe(name: str, port: Port) -> Probe | None:
     )
 
 
+# Beyond the range of every facet; larger numbers could not be recorded either.
+_Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+
+
 class _Facets(msgspec.Struct):
-    """What a line of the tcp probe may say; anything else in it is ignored."""
+    """The facets in a line of the tcp probe; anything else in it is ignored."""
 
     moving: bool | None = None
     motion: str | None = None
-    speed: float | None = None
-    steering: float | None = None
-    led: float | None = None
-    left: float | None = None
-    right: float | None = None
+    speed: _Number | None = None
+    steering: _Number | None = None
+    led: _Number | None = None
+    left: _Number | None = None
+    right: _Number | None = None
 
 
 def _whole(value: float | None) -> int | None:
@@ -93,26 +98,30 @@ def _whole(value: float | None) -> int | None:
 
 
 def parse_look(line: bytes, now: int) -> Look:
-    """A line of JSON as a Look. Raises ProbeError for what is not an object of known facets."""
+    """A line of JSON as a Look. Raises ProbeError unless it is an object of known facets."""
     try:
-        facets = msgspec.json.decode(line, type=_Facets)
-    except msgspec.DecodeError as error:
+        facets = msgspec.json.decode(line.decode(), type=_Facets)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProbeError(
-            f"the probe answered {shown(line.decode(errors='replace'))!r}, which is not a line of "
+            f"the probe answered {printable(line.decode(errors='replace'))!r}, "
+            "which is not a line of "
             f'JSON such as {{"moving": true}} ({error})'
         ) from error
     numbers = {
         name: _whole(getattr(facets, name))
         for name in ("speed", "steering", "led", "left", "right")
     }
-    motion = None if facets.motion is None else shown(facets.motion)
+    motion = None if facets.motion is None else printable(facets.motion)
     return Look(t=now, moving=facets.moving, motion=motion, **numbers)
 
 
 class TcpProbe:
-    """One connection for the whole run: `state` and a newline, one line of JSON back."""
+    """A program on a TCP port: it gets `state` and a newline and returns one line of JSON.
 
-    sparse = False
+    There is one connection for the whole run.
+    """
+
+    costly = False
     patience = 1.0
 
     def __init__(self, address: str) -> None:
@@ -143,7 +152,7 @@ class TcpProbe:
         return self._socket.fileno()
 
     def take(self, now: int) -> Look | None:
-        """The answer, once its line is complete."""
+        """The look, once the line of the reply is complete. Raises ProbeError."""
         try:
             data = self._socket.recv(4096)
         except BlockingIOError:
@@ -172,9 +181,12 @@ class TcpProbe:
 
 
 class ExecProbe:
-    """A command a look: exit 0 stopped; exit 1 and `moving` on its output moving; else unknown."""
+    """A command run for each look: exit 0 is stopped, exit 1 with `moving` on stdout is moving.
 
-    sparse = True
+    Any other result is unknown.
+    """
+
+    costly = True
     patience = 10.0
 
     def __init__(self, command: str) -> None:
@@ -189,17 +201,17 @@ class ExecProbe:
             self._process = subprocess.Popen(
                 self._command, shell=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
             )
-        except OSError as error:
+        except (OSError, ValueError) as error:  # ValueError: a nul byte
             raise ProbeError(f"--probe exec: {error}") from error
 
     def fileno(self) -> int:
-        """The command's output."""
+        """The pipe of the command's output."""
         assert self._process is not None
         assert self._process.stdout is not None
         return self._process.stdout.fileno()
 
     def take(self, now: int) -> Look | None:
-        """What the command said, once it has ended."""
+        """The look, once the command has ended. Raises ProbeError."""
         assert self._process is not None
         data = os.read(self.fileno(), 4096)
         self._output = (self._output + data)[:4096]
@@ -231,7 +243,7 @@ class ExecProbe:
 class ModemProbe:
     """A modem line of the port itself, wired so that it is asserted while the robot moves."""
 
-    sparse = False
+    costly = False
     patience = 1.0
 
     def __init__(self, port: Port, line: str) -> None:
@@ -241,23 +253,23 @@ class ModemProbe:
             raise ProbeError(f"{port.name} has no modem lines, so --probe modem:{line} cannot see")
 
     def ask(self) -> None:
-        """Nothing to begin."""
+        """Do nothing: the line can be read at any time."""
 
     def fileno(self) -> None:
-        """It is there at once."""
+        """None: the look is there at once."""
 
     def take(self, now: int) -> Look:
-        """The line as it is."""
+        """The look, from the present state of the modem line."""
         return Look(t=now, moving=self._port.modem_line(self._line))
 
     def close(self) -> None:
-        """Nothing to give up."""
+        """Do nothing: the port is closed by its owner."""
 
 
 class AskProbe:
     """A person who watches the robot and answers yes or no."""
 
-    sparse = True
+    costly = True
     patience = 600.0
 
     def __init__(self) -> None:
@@ -265,7 +277,7 @@ class AskProbe:
             raise ProbeError("--probe ask needs a terminal where somebody can answer")
 
     def ask(self) -> None:
-        """Put the question."""
+        """Print the question on the terminal."""
         sys.stderr.write("\rDoes the robot move now? [y/n, Enter = cannot tell] ")
         sys.stderr.flush()
 
@@ -274,9 +286,9 @@ class AskProbe:
         return sys.stdin.fileno()
 
     def take(self, now: int) -> Look:
-        """The answer as typed."""
-        answer: Any = sys.stdin.readline().strip().lower()
-        moving = {"y": True, "yes": True, "n": False, "no": False}.get(answer)
+        """The look, from the answer typed; whether it moves is unknown unless that is yes or no."""
+        answer = sys.stdin.buffer.readline().strip().lower()
+        moving = {b"y": True, b"yes": True, b"n": False, b"no": False}.get(answer)
         return Look(t=now, moving=moving)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""Answers each ask out of a recording: the same bytes at the same times, the same looks, no device.
+"""A link that replies to each operation from a recording: the same bytes, times and looks.
 
-What the runner sends must be what was recorded as sent; where it asks for anything else the
-recording cannot answer, and `Strayed` says so.
+There is no device. The runner must request the operations that were recorded and send the same
+bytes; otherwise the recording has no reply, and `Strayed` says so.
 """
 
 from __future__ import annotations
@@ -12,17 +12,25 @@ from typing import TypeVar
 
 import msgspec
 
-from captures import topics
-from captures.reader import Message
-from captures.schemas import Asked, Look
-from conformance.dut.link import HELD
-from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.runner.listeners.recorder import NAMES
-from conformance.runner.run import Ended
-from spec.codec import spaced
+from bilprov.captures import topics
+from bilprov.captures.reader import Message
+from bilprov.captures.schemas import Asked, Look
+from bilprov.conformance.dut.link import HELD_ANSWERS
+from bilprov.conformance.dut.operations import (
+    OPERATION_NAMES,
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    PowerCycle,
+    Received,
+    Send,
+)
+from bilprov.spec.codec import spaced
 
 TOPICS = frozenset({topics.HOST_RAW, topics.DEVICE_RAW, topics.LOOKS, topics.ASKS})
-"""What a recording is read for: bytes, looks, and when each ask was done. No verdict is."""
+"""The topics read: bytes, looks, and when each operation was done. Verdicts are not read."""
 
 CUT = "the recording ends here"
 
@@ -31,12 +39,12 @@ Read = TypeVar("Read", Asked, Look)
 
 
 class Strayed(Exception):
-    """The run asks for something else than was recorded, in one sentence."""
+    """The run requests another operation than was recorded; the message is one sentence."""
 
 
 @dataclass(slots=True)
 class _Step:
-    """One recorded ask with what it brought."""
+    """One recorded operation with the bytes and the look that belong to it."""
 
     asked: Asked
     sent: bytes
@@ -59,52 +67,52 @@ class RecordedLink:
 
     @property
     def left(self) -> bool:
-        """Whether more was recorded than was asked for."""
+        """Whether the recording holds more operations than were requested."""
         return self._next is not None
 
     def interrupted(self) -> bool | str:
-        """Whether the run was told to end before its next ask, and if it failed itself, why."""
-        if self._next is None or self._next.asked.ask != NAMES[type(None)]:
+        """Whether the run was interrupted before its next operation; why, if the kit failed."""
+        if self._next is None or self._next.asked.ask != OPERATION_NAMES[type(None)]:
             return False
         asked = self._take(self._next).asked
         return str(asked.ended) if asked.error else True
 
-    def do(self, ask: Ask) -> int | Heard | Seen:
+    def do(self, operation: Operation) -> int | Received | Observation:
         """Reply as it was recorded.
 
-        Raises Ended where the ask could not be done, or the recording ends; Strayed where another
-        ask was recorded.
+        Raises Ended where the operation could not be done, or the recording ends; Strayed where
+        another operation was recorded.
         """
         step = self._next
         if step is None:
             self.cut = True
             raise Ended(CUT, error=False, line_works=False)
-        self._check(ask, step)
+        self._check(operation, step)
         asked = self._take(step).asked
         if asked.ended is not None:
             works = bool(asked.line_works)
             raise Ended(asked.ended, error=bool(asked.error), line_works=works)
-        match ask:
+        match operation:
             case Listen():
                 heard, self._heard = self._heard, []
-                return Heard(tuple(heard[:HELD]), asked.t)
-            case See():
+                return Received(tuple(heard[:HELD_ANSWERS]), asked.t)
+            case Observe():
                 assert step.look is not None
                 assert asked.begun is not None
-                return Seen(asked.begun, asked.t, step.look)
+                return Observation(asked.begun, asked.t, step.look)
             case PowerCycle():
                 self._heard = []
         return asked.t
 
-    def _check(self, ask: Ask, step: _Step) -> None:
-        name, recorded = NAMES[type(ask)], step.asked
-        wanted = ask.data if isinstance(ask, Send) else b""
+    def _check(self, operation: Operation, step: _Step) -> None:
+        name, recorded = OPERATION_NAMES[type(operation)], step.asked
+        wanted = operation.data if isinstance(operation, Send) else b""
         if recorded.ask != name:
             raise Strayed(f"{self._where} is {recorded.ask!r}, the kit now asks for {name!r}")
         if step.sent != wanted and (recorded.ended is None or step.sent):
             raise Strayed(f"{self._where} sends {_hex(step.sent)}, the kit now {_hex(wanted)}")
         seen = step.look is not None and recorded.begun is not None
-        if isinstance(ask, See) and recorded.ended is None and not seen:
+        if isinstance(operation, Observe) and recorded.ended is None and not seen:
             raise Strayed(f"{self._where} is a look, and nothing was seen")
 
     @property
@@ -112,13 +120,13 @@ class RecordedLink:
         return f"step {self._number} of the recording"
 
     def _take(self, step: _Step) -> _Step:
-        """The step is done: what came during it is heard, and the next one is read."""
+        """Finish a step: keep the bytes received during it, and read the next one."""
         self._heard += step.received
         self._next = self._read()
         return step
 
     def _read(self) -> _Step | None:
-        """The next ask with all that stands before it, None where the recording ends."""
+        """The next operation with the messages before it, None where the recording ends."""
         sent, received, look = bytearray(), list[tuple[int, int]](), None
         self._number += 1
         for message in self._messages:

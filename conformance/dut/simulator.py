@@ -1,7 +1,7 @@
-"""The reference device, made from the Protocol: bytes and times in, answers and looks out.
+"""The simulated reference device: bytes and times in, answers and looks out. No port, no clock.
 
-It does what the kit's readings call conforming, unless it is given a Fault, which changes what it
-hears, how it reacts, or what its wheels and LED then do. No port, no clock.
+Its behaviour follows from the Protocol and conforms by the kit's readings. A Fault changes what it
+receives, how it reacts, or what its wheels and LED then do.
 """
 
 from __future__ import annotations
@@ -13,26 +13,20 @@ from typing import cast
 
 import msgspec
 
-from analyzer.transport.line_settings import LineSettings
-from captures.schemas import Look
-from conformance.dut.fault import CONFORMING as CONFORMING
-from conformance.dut.fault import MS as MS
-from conformance.dut.fault import Event as Event
-from conformance.dut.fault import Fault as Fault
-from conformance.dut.fault import React as React
-from conformance.dut.fault import Reaction as Reaction
-from conformance.dut.fault import answers as answers
-from conformance.dut.fault_reads import COUNTED, Reads, Watched
-from spec.codec import Judgement, judge
-from spec.motion import State, wheels
-from spec.protocol import Protocol
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
+from bilprov.conformance.dut.fault_reads import COUNTED, FaultReads, RecordingProxy
+from bilprov.spec.codec import Judgement, judge
+from bilprov.spec.motion import State, wheels
+from bilprov.spec.protocol import Protocol
 
-Step = Callable[[bytes, State], tuple[Judgement, State]]
+ReferenceStep = Callable[[bytes, State], tuple[Judgement, State]]
 
 
 @cache
-def conforming_step(protocol: Protocol) -> Step:
-    """For each frame and state before it: its judgement, and the state that a device then has."""
+def conforming_step(protocol: Protocol) -> ReferenceStep:
+    """The function from a frame and the state before it to its judgement and the state after it."""
     judged = lru_cache(maxsize=1 << 17)(lambda frame: judge(protocol, frame))
 
     @lru_cache(maxsize=1 << 17)
@@ -49,15 +43,15 @@ def conforming_step(protocol: Protocol) -> Step:
 class Simulator:
     """The reference device, with at most one fault. Times are integers in nanoseconds.
 
-    `memory` is where a fault keeps what it remembers between frames; `reads`, where it is given,
-    notes what the fault looks at.
+    `latency` (ns) is the time to each answer. `memory` is where a fault keeps what it remembers
+    between frames; `reads`, where it is given, records what the fault reads.
     """
 
     def __init__(self, protocol: Protocol, fault: Fault | None = None, latency: int = 0) -> None:
         self.protocol = protocol
         self.fault = fault or CONFORMING
         self.latency = latency
-        self.reads: Reads | None = None
+        self.reads: FaultReads | None = None
         line = protocol.line
         self.byte_time = LineSettings(line.baud, line.parity, line.stopbits).byte_time
         self.step = conforming_step(protocol)
@@ -71,7 +65,7 @@ class Simulator:
         self.power_cycle(0)
 
     def power_cycle(self, now: int) -> None:
-        """Switch it off and on at `now`: it knows nothing of what was before."""
+        """Switch the device off and on at `now`: it forgets everything."""
         self.state = self.fault.power_on or self.protocol.power_on
         self.frames = self.faults = self.truncated = self.row = 0
         self.memory: dict[str, int] = {}
@@ -79,7 +73,7 @@ class Simulator:
         self._previous_kind = ""
         self._held = bytearray()
         self._missing = 0
-        self._cut: int | None = None  # when the frame begun is cut short
+        self._cut: int | None = None  # when (ns) the incomplete frame is truncated
         self._pause = 0
         self._gap: int | None = None
         self._byte_at = now
@@ -96,7 +90,7 @@ class Simulator:
         return bytes(self._held)
 
     def drop(self) -> None:
-        """Forget the frame begun: its bytes are lost, the next byte is a header."""
+        """Discard the incomplete frame: the next byte is a header."""
         self._held.clear()
         self._cut = None
 
@@ -114,7 +108,7 @@ class Simulator:
                     self._take(byte, now)
 
     def advance(self, now: int) -> bytes:
-        """Let time pass until `now`: what the device sends until then."""
+        """Let time pass until `now`; return the bytes the device has sent until then."""
         if self._cut is not None or self._states or self._unasked:
             self._settle(now)
         queue = self._answers
@@ -126,7 +120,7 @@ class Simulator:
         return bytes(due)
 
     def deadline(self) -> int | None:
-        """When it next acts by itself, None if it only waits."""
+        """When the device next acts by itself, None if it only waits for bytes."""
         due = self._cut
         for queue in (self._answers, self._states, self._unasked):
             if queue and (due is None or queue[0][0] < due):
@@ -150,7 +144,7 @@ class Simulator:
         return self.fault.show(seen) if self.fault.show else seen
 
     def probe(self, now: int) -> bytes:
-        """The look as the probe's line of JSON."""
+        """The look at `now` as a line of JSON without newline, as a tcp probe sends it."""
         facets = msgspec.to_builtins(self.look(now))
         del facets["t"]
         return msgspec.json.encode(facets)
@@ -163,8 +157,8 @@ class Simulator:
         else:
             queue.append((at, code))
 
-    def twin(self) -> Simulator:
-        """Another device in the same state, that shares nothing that changes."""
+    def clone(self) -> Simulator:
+        """An independent copy of the device in the same state."""
         other = Simulator.__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.memory = dict(self.memory)
@@ -174,11 +168,11 @@ class Simulator:
         other._unasked = deque(self._unasked)
         return other
 
-    def snapshot(self, now: int, longest: int, reads: Reads) -> Hashable:
-        """All that its future depends on, as seen from `now`; pauses above `longest` ns are alike.
+    def state_key(self, now: int, longest: int, reads: FaultReads) -> Hashable:
+        """The state that decides its future from `now` on; pauses over `longest` ns are equal.
 
-        `reads` is what its fault has been seen to look at. What `memory` keeps under a name that
-        ends in `at` is a time. Two devices of one fault with equal snapshots behave alike.
+        `reads` holds the inputs its fault has read. A value in `memory` whose name ends in `at` is
+        a time. Two devices with the same fault and equal keys behave alike.
         """
         since = None if self.over_at is None else min(now - self.over_at, longest)
         timed = self.fault.hear or not reads.names.isdisjoint(("gap", "pipelined"))
@@ -200,7 +194,7 @@ class Simulator:
         )
 
     def _take(self, byte: int, now: int) -> None:
-        """One byte of a frame."""
+        """Take one byte of a frame: start, continue or complete it."""
         held = self._held
         if held:
             held.append(byte)
@@ -276,11 +270,13 @@ class Simulator:
                 self._pause,
                 gap is not None and gap <= self.byte_time,
             )
-            shown = event if self.reads is None else cast(Event, Watched(event, self.reads))
+            shown = event if self.reads is None else cast(Event, RecordingProxy(event, self.reads))
             reaction = self.fault.react(self, shown, Reaction(((0, code),), after))
             self.state = reaction.state
-            self._states = deque((known + d, state) for d, state in reaction.later)
-            self._unasked = deque((known + d, code) for d, code in reaction.unasked)
+            if reaction.later or self._states:
+                self._states = deque((known + d, state) for d, state in reaction.later)
+            if reaction.unasked or self._unasked:
+                self._unasked = deque((known + d, code) for d, code in reaction.unasked)
             for delay, code in reaction.answers:
                 self.answer(code, known + self.latency + delay)
         self.frames += 1

@@ -1,1 +1,1 @@
-"""Faulty devices, legal variants, the score."""
+"""Faulty devices, legal variants, and the suite's mutation score."""

@@ -1,18 +1,19 @@
-"""Finds a device by the name that a user gives, and lists the names there are."""
+"""Finds faults, legal variants and mixtures by the name a user gives, and lists all names."""
 
 from __future__ import annotations
 
-from conformance.dut.fault import Fault
-from conformance.mutation.faults import fault_bank
-from conformance.mutation.random_faults import PREFIX, random_fault
-from conformance.mutation.variants import MIXTURE, find_variant, variants
-from spec.protocol import Protocol
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.mixtures import mixtures, mixtures_of
+from bilprov.conformance.mutation.random_faults import PREFIX, random_fault
+from bilprov.conformance.mutation.variants import MIXTURE, variants
+from bilprov.spec.protocol import Protocol
 
 
 def find_fault(protocol: Protocol, name: str) -> Fault:
-    """The fault, the random fault, the variant or the mixture of that name.
+    """Return the named fault, random fault (`random:SEED`), legal variant or mixture.
 
-    Raises ValueError, in one sentence, where there is none.
+    Raises ValueError, in one sentence, if there is none of that name.
     """
     bank = fault_bank(protocol)
     if name in bank:
@@ -33,7 +34,7 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
 
 
 def listed_faults(protocol: Protocol) -> str:
-    """Every named fault with what it does, family by family, as text."""
+    """Return the text that lists every named fault with what it does, family by family."""
     families: dict[str, list[Fault]] = {}
     for fault in fault_bank(protocol).values():
         families.setdefault(fault.family, []).append(fault)
@@ -50,9 +51,7 @@ def listed_faults(protocol: Protocol) -> str:
 
 
 def listed_variants(protocol: Protocol) -> str:
-    """Every legal variant with what it does, then the mixtures, which are faults; as text."""
-    from conformance.mutation.mixtures import mixtures
-
+    """Return the text that lists every legal variant and then every mixture (which is a fault)."""
     known = variants(protocol)
     mixed = mixtures(protocol)
     width = max(len(name) for name in known)
@@ -64,3 +63,26 @@ def listed_variants(protocol: Protocol) -> str:
     for name, fault in mixed.items():
         lines += [f"  {name}", f"      {fault.doc}"]
     return "\n".join(lines)
+
+
+def find_variant(protocol: Protocol, name: str) -> Fault:
+    """Return the named legal variant or mixture. Raises ValueError if there is none."""
+    known = variants(protocol)
+    if name in known:
+        return known[name].fault
+    if name.startswith(MIXTURE):
+        return find_mixture(protocol, name)
+    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()][:3]
+    hint = f", perhaps {', '.join(near)}" if near else ""
+    raise ValueError(f"there is no variant {name!r}{hint}; see simulate --list-variants")
+
+
+def find_mixture(protocol: Protocol, name: str) -> Fault:
+    """Return the named mixture. Raises ValueError, in one sentence, if there is none."""
+    parts = name.removeprefix(MIXTURE).split(":")
+    variant = variants(protocol).get(parts[0])
+    known = {fault.name: fault for fault in mixtures_of(protocol, variant)} if variant else {}
+    if name not in known:
+        some = ", ".join(list(known) or list(mixtures(protocol))[:3])
+        raise ValueError(f"there is no mixture {name!r}, perhaps {some}")
+    return known[name]

@@ -1,8 +1,9 @@
-"""Can a fault show at all? A search through all that reference and faulty device do side by side.
+"""Searches for inputs at which a faulty device differs from the reference, or proves that none do.
 
-Breadth first over the joint states: what is found first is the shortest way to see the fault. If
-no joint state is left and none differed, the two are equivalent for that alphabet of inputs. Where
-there are too many states random walks go on; they show, and prove nothing.
+The search runs both devices side by side, breadth first over their joint states, so the first
+difference has the shortest sequence of inputs. If every joint state was visited without one, the
+two are equivalent for this alphabet of inputs. If there are too many states, random sequences are
+tried instead; they can show a difference but prove nothing.
 """
 
 from __future__ import annotations
@@ -13,28 +14,29 @@ from typing import NamedTuple
 
 import msgspec
 
-from conformance.dut.fault import MS, Fault
-from conformance.dut.fault_reads import Reads
-from conformance.dut.simulator import Simulator
-from conformance.mutation.random_faults import Draw
-from conformance.mutation.search_inputs import Symbol, alphabet
-from spec.protocol import Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.fault_reads import FaultReads
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.random_faults import Draw
+from bilprov.conformance.mutation.search_inputs import Symbol, alphabet
+from bilprov.spec.protocol import Protocol
 
-MOST = 250_000  # inputs that are tried, unless told otherwise
-WALK = 20_000  # inputs of random walks, where the space is too large
-_STRIDE = 400  # inputs from power-on to power-off
-_IDLE = 400 * MS  # a line is watched for so long in order to see what comes by itself
+MOST = 250_000  # inputs tried by default
+WALK = 20_000  # inputs in random sequences, if there are too many states
+_STRIDE = 400  # inputs in one random sequence, from power-on to power-off
+_IDLE = 400 * MS  # how long to wait for what a device does without an input
 _BYTES = tuple(bytes([value]) for value in range(256))
-_ALIKE = 250 * MS  # pauses above this are alike
+_ALIKE = 250 * MS  # longer pauses count as equal
 
 
 class Search(msgspec.Struct, frozen=True):
-    """What a search found.
+    """Result of an equivalence search.
 
-    `shown` are the inputs, in words, of the shortest sequence that shows the fault, and
-    `difference` what it then shows; without one `closed` says whether the search went through all
-    joint states. `states` and `depth` are how many states and how many inputs in a row it saw,
-    `symbols` how many inputs it tried in each.
+    `shown` are the inputs, in words, of a sequence that shows the fault (empty if none was found),
+    `difference` is what differs after it. `closed` is true if the search visited all joint states.
+    `states` is the number of states seen, `symbols` the number of inputs tried in each, `depth`
+    the longest number of inputs in a row.
     """
 
     shown: tuple[str, ...]
@@ -59,96 +61,101 @@ class Search(msgspec.Struct, frozen=True):
 
 
 class _Pair(NamedTuple):
-    """Both devices at a time (ns), and how they came there."""
+    """Both devices at the time `now` (ns), and the inputs (in words) that they have received."""
 
     reference: Simulator
     faulty: Simulator
     now: int
     words: tuple[str, ...]
 
-    def twin(self) -> _Pair:
-        return _Pair(self.reference.twin(), self.faulty.twin(), self.now, self.words)
+    def clone(self) -> _Pair:
+        return _Pair(self.reference.clone(), self.faulty.clone(), self.now, self.words)
 
-    def key(self, reads: Reads) -> Hashable:
-        """Pairs with equal keys do the same from here on."""
+    def key(self, reads: FaultReads) -> Hashable:
+        """Return the joint state key: pairs with equal keys behave alike from here on."""
         return (
-            self.reference.snapshot(self.now, _ALIKE, Reads()),
-            self.faulty.snapshot(self.now, _ALIKE, reads),
+            self.reference.state_key(self.now, _ALIKE, FaultReads()),
+            self.faulty.state_key(self.now, _ALIKE, reads),
         )
 
 
 def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
-    """Search until the fault shows, no state is left, or `most` inputs were tried."""
+    """Search until the fault shows or no joint state is left; after `most` inputs, at random."""
     inputs = alphabet(protocol, fault.hints)
-    reads = Reads()
+    reads = FaultReads()
     while True:
         known = len(reads)
         found = _search(protocol, fault, inputs, reads, most)
         if not found.shown and not found.closed:
-            return _wander(protocol, fault, inputs, found)
-        # A part of the past that it had not looked at before: states taken as one were two.
+            return _random_search(protocol, fault, inputs, found)
+        # The fault has read a new part of its history: merged states may differ, so search again.
         if found.shown or len(reads) == known:
             return found
 
 
-def _wander(protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], found: Search) -> Search:
-    """Where the space is too large, walk in it at random; what shows is then made shorter."""
-    walk = walk_to_difference(protocol, fault, inputs)
-    if not walk:
+def _random_search(
+    protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], found: Search
+) -> Search:
+    """Add the result of a random search to `found`, for a search that has too many states."""
+    sequence = random_search(protocol, fault, inputs)
+    if not sequence:
         return found
-    words, different = _walk(protocol, fault, walk)
+    words, different = _sequence(protocol, fault, sequence)
     return msgspec.structs.replace(found, shown=words, difference=different)
 
 
-def walk_to_difference(
+def random_search(
     protocol: Protocol, fault: Fault, inputs: Sequence[Symbol], steps: int = WALK
 ) -> list[Symbol]:
-    """Inputs that show the fault, out of walks of `steps` inputs in all; none if none did.
+    """Try random sequences of `steps` inputs in all; return one that shows the fault, or [].
 
-    The last input is the one at which it shows; whatever can be left out before it is left out.
+    The sequence is shortened: it ends with the input at which the fault shows, and every input
+    before that which is not needed is left out.
     """
     draw = Draw(1)
     valid = [symbol for symbol in inputs if symbol.valid]
     for _ in range(max(1, steps // _STRIDE)):
-        walk = [draw.pick(valid if draw.below(3) else inputs) for _ in range(_STRIDE)]
-        shown, _ = _walk(protocol, fault, walk)
+        sequence = [draw.pick(valid if draw.below(3) else inputs) for _ in range(_STRIDE)]
+        shown, _ = _sequence(protocol, fault, sequence)
         if shown:
-            return _shortened(protocol, fault, walk[: len(shown)])
+            return _shortened(protocol, fault, sequence[: len(shown)])
     return []
 
 
-def _shortened(protocol: Protocol, fault: Fault, walk: list[Symbol]) -> list[Symbol]:
-    """As few of the inputs as still show it: halves are left out, then quarters, then each."""
-    size = len(walk) // 2
+def _shortened(protocol: Protocol, fault: Fault, sequence: list[Symbol]) -> list[Symbol]:
+    """Shorten a sequence that shows the fault: leave out halves, then quarters, then inputs."""
+    size = len(sequence) // 2
     while size:
         start = 0
-        while start < len(walk):
-            fewer = walk[:start] + walk[start + size :]
-            shown, _ = _walk(protocol, fault, fewer)
+        while start < len(sequence):
+            fewer = sequence[:start] + sequence[start + size :]
+            shown, _ = _sequence(protocol, fault, fewer)
             if shown:
-                walk = fewer[: len(shown)]
+                sequence = fewer[: len(shown)]
             else:
                 start += size
         size //= 2
-    return walk
+    return sequence
 
 
-def _walk(protocol: Protocol, fault: Fault, walk: Sequence[Symbol]) -> tuple[tuple[str, ...], str]:
-    """Send the inputs to both; the words of those until they differ, and what differs."""
+def _sequence(
+    protocol: Protocol, fault: Fault, sequence: Sequence[Symbol]
+) -> tuple[tuple[str, ...], str]:
+    """Send inputs to both devices until they differ; return their words and what differs."""
     pair = _Pair(Simulator(protocol), Simulator(protocol, fault), 0, ())
     different = _watch(pair, 10 * MS)
     pair = pair._replace(now=10 * MS)
-    for symbol in walk:
+    for symbol in sequence:
         pair, different = _send(pair, symbol)
         if not different:
-            different = _watch(pair.twin(), pair.now + _IDLE)
+            different = _watch(pair.clone(), pair.now + _IDLE)
         if different:
             return pair.words, different
     return (), ""
 
 
 def _search(
-    protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], reads: Reads, most: int
+    protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], reads: FaultReads, most: int
 ) -> Search:
     faulty = Simulator(protocol, fault)
     faulty.reads = reads
@@ -164,15 +171,15 @@ def _search(
             tried += 1
             if tried > most:
                 return Search((), "", False, len(seen), len(inputs), depth)
-            after, different = _send(pair.twin(), symbol)
+            after, different = _send(pair.clone(), symbol)
             if not different:
                 key = after.key(reads)
                 if key in seen:
                     continue
                 seen.add(key)
                 queue.append(after)
-                # What comes by itself is looked for once in each state.
-                different = _watch(after.twin(), after.now + _IDLE)
+                # What the devices do without an input is compared once in each state.
+                different = _watch(after.clone(), after.now + _IDLE)
             if different:
                 return Search(after.words, different, False, len(seen), len(inputs), depth + 1)
         depth = len(pair.words)
@@ -180,7 +187,7 @@ def _search(
 
 
 def _send(pair: _Pair, symbol: Symbol) -> tuple[_Pair, str]:
-    """Send an input to both; returns the pair after it, and what differed, "" if nothing."""
+    """Send an input to both devices; return the pair after it and what differed ("" if nothing)."""
     reference, faulty, now, words = pair
     words = (*words, symbol.words)
     for pause, byte in symbol.bytes:
@@ -199,7 +206,7 @@ def _send(pair: _Pair, symbol: Symbol) -> tuple[_Pair, str]:
 
 
 def _watch(pair: _Pair, until: int) -> str:
-    """Let time pass; what differed when either of them acted by itself, "" if nothing."""
+    """Let time pass until `until` (ns); return what differed meanwhile, "" if nothing."""
     reference, faulty = pair.reference, pair.faulty
     while True:
         due, other = reference.deadline(), faulty.deadline()

@@ -1,6 +1,7 @@
-"""Devices that choose one reading for some frames and another for others: each of them fails.
+"""Mixtures: faulty devices that follow one reading for some frames and another for the others.
 
-Only mixtures that can show both choices are made: by ID needs two IDs at which the point arises.
+Only mixtures that can show both choices are made: one by ID, for example, needs two IDs at which
+the point of the reading arises.
 """
 
 from __future__ import annotations
@@ -9,41 +10,32 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
-from conformance.dut.fault import MS, Fault
-from conformance.dut.simulator import Simulator
-from conformance.mutation.variant_behaviour import Chooses
-from conformance.mutation.variants import MIXTURE, Variant, variants
-from spec.codec import bad_data
-from spec.motion import Motion, State
-from spec.protocol import Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Fault, MutatedDevice
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.variant_behaviour import Chooses
+from bilprov.conformance.mutation.variants import MIXTURE, Variant, variants
+from bilprov.spec.codec import bad_data
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
 
-_TIMES = 12  # that the point arises, before the other choice begins
+_TIMES = 12  # how often the point arises before the device changes its choice
 
 
 @cache
 def mixtures(protocol: Protocol) -> dict[str, Fault]:
-    """Every mixture, by name."""
+    """Return every mixture by name."""
     found = [
         fault
         for variant in variants(protocol).values()
         if variant.mixes
-        for fault in _of(protocol, variant)
+        for fault in mixtures_of(protocol, variant)
     ]
     return {fault.name: fault for fault in found}
 
 
-def find_mixture(protocol: Protocol, name: str) -> Fault:
-    """The mixture of that name. Raises ValueError, in one sentence, where there is none."""
-    parts = name.removeprefix(MIXTURE).split(":")
-    variant = variants(protocol).get(parts[0])
-    known = {fault.name: fault for fault in _of(protocol, variant)} if variant else {}
-    if name not in known:
-        some = ", ".join(list(known) or list(mixtures(protocol))[:3])
-        raise ValueError(f"there is no mixture {name!r}, perhaps {some}")
-    return known[name]
-
-
-def _of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
+def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
+    """Yield the mixtures of one variant: by frame, by count, by ID and by motion, if both show."""
     if not variant.mixes:
         return
     ids, motions = _where_it_shows(protocol, variant)
@@ -72,18 +64,18 @@ def _of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
         )
 
 
-def _every_second(device: Simulator, identity: int) -> bool:
+def _every_second(device: MutatedDevice, identity: int) -> bool:
     device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
     return turn == 1
 
 
-def _after_times(device: Simulator, identity: int) -> bool:
+def _after_times(device: MutatedDevice, identity: int) -> bool:
     times = device.memory["times"] = min(device.memory.get("times", 0) + 1, _TIMES + 1)
     return times > _TIMES
 
 
 def _where_it_shows(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:
-    """The IDs, and the motions, at which the variant behaves otherwise than the reference."""
+    """Return the IDs and the motions at which the variant differs from the reference."""
     ids: dict[int, None] = {}
     motions: dict[Motion, None] = {}
     reference, other = Simulator(protocol), Simulator(protocol, variant.fault)
@@ -105,7 +97,7 @@ def _begin(protocol: Protocol, motion: Motion) -> State:
 
 
 def _frames(protocol: Protocol) -> Iterator[bytes]:
-    """For each ID a frame of the right length, a longer one, one with bad data, cut ones."""
+    """Yield, for each ID, frames of the right length, longer, with bad data, and truncated."""
     for identity in protocol.ids:
         known = protocol.by_id.get(identity)
         own = known.length if known else 0
@@ -113,7 +105,7 @@ def _frames(protocol: Protocol) -> Iterator[bytes]:
             header = protocol.header_bytes.get((identity, length))
             if header is None:
                 continue
-            for byte in (protocol.filler, 0xFF):
+            for byte in (protocol.pad_byte, 0xFF):
                 yield bytes([header]) + bytes([byte]) * length
             if length:
                 yield bytes([header])
@@ -123,16 +115,16 @@ def _frames(protocol: Protocol) -> Iterator[bytes]:
 
 
 def _told(device: Simulator, state: State, frame: bytes, *, behind: bool) -> object:
-    """What a device in that state does with the frame, and then on a quiet line.
+    """Return what a device in that state does during the frame and on the idle line after it.
 
-    Where bytes may be lost, one more is sent behind a whole frame.
+    `behind` sends one pad byte right after a complete frame, for variants that may lose it.
     """
     device.power_cycle(0)
     device.advance(0)
     device.state = state
     now, told = 10 * MS, []
     whole = len(frame) > device.protocol.lengths[frame[0]]
-    for byte in (*frame, *([device.protocol.filler] if whole and behind else [])):
+    for byte in (*frame, *([device.protocol.pad_byte] if whole and behind else [])):
         now += device.byte_time
         device.receive(bytes([byte]), now)
         told.append((device.advance(now), device.look(now)))

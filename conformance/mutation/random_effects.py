@@ -1,14 +1,13 @@
-"""What a random fault does: wrong answers, stops that fail, settings that go astray, lost bytes."""
+"""Effects of random faults: wrong answers, missing stops, wrong settings and lost bytes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.fault import Hear
-from conformance.dut.simulator import MS, Event, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Hear, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     Change,
     answers_with,
     becomes,
@@ -19,23 +18,23 @@ from conformance.mutation.faults.vocabulary import (
     stands_still,
     stops_after,
     twice,
-    variable_of,
 )
-from spec.fields import Outcome
-from spec.motion import Motion, State
-from spec.protocol import InstructionSpec
-from spec.protocol import Protocol as Grammar
+from bilprov.spec.by_effect import moving_motions, variable_of
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import InstructionSpec
+from bilprov.spec.protocol import Protocol as Grammar
 
 
 class Drawing(Protocol):
-    """What draws the numbers."""
+    """Source of random numbers."""
 
     def below(self, end: int) -> int:
-        """A whole number from 0 to `end` - 1."""
+        """Return a whole number from 0 to `end` - 1."""
 
 
 class Effect(NamedTuple):
-    """What happens, in words that follow those of the frame."""
+    """One effect: its hooks, and words that continue the description of the trigger."""
 
     words: str
     react: React
@@ -51,10 +50,10 @@ def effects_on(
     valid: bool,
     cut: bool,
 ) -> list[Effect]:
-    """The effects that such frames can have and that no reading allows.
+    """Return the effects that a random fault may have on such frames; no reading allows them.
 
-    `spec` is the instruction (None: any), `outcome` the kind of fault (None: any), `cut` whether
-    they are cut short.
+    `spec` is the instruction (None: any), `outcome` the kind of fault (None: any), `cut` is true
+    for truncated frames. An effect that stands in the list several times is drawn more often.
     """
     found = _answers(protocol, draw, outcome, valid=valid, cut=cut)
     if not valid:
@@ -104,7 +103,7 @@ def _answers(
         found.append(Effect(f"is answered {fine}, but stops it", answers_with(ok)))
         if outcome is not None or cut:
             found.append(Effect(f"is answered {wrong.name}", answers_with(wrong.code)))
-    if outcome is not None or valid:  # no answer to a frame cut short is legal
+    if outcome is not None or valid:  # not to answer a truncated frame is legal
         found.append(Effect("is not answered", answers_with()))
     return found
 
@@ -131,7 +130,7 @@ def _no_stop(protocol: Grammar) -> list[Effect]:
 def _astray(
     protocol: Grammar, draw: Drawing, variables: tuple[str, ...] | list[str]
 ) -> list[Effect]:
-    """Changes of a variable that are neither its old value nor zero."""
+    """Return effects that turn one bit of a variable; readings allow only to keep or zero it."""
     found = []
     for name in variables:
         if name not in protocol.limits:
@@ -151,15 +150,15 @@ def _turned(name: str, bit: int) -> Change:
     return change
 
 
-def _again(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _again(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     code = event.judgement.response.code
     return replace(reaction, unasked=((12 * MS, code),))
 
 
-def _marks(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _marks(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     device.memory["deaf"] = 1
     return reaction
 
 
-def _loses(device: Simulator, data: bytes, now: int) -> bytes:
+def _loses(device: MutatedDevice, data: bytes, now: int) -> bytes:
     return b"" if device.memory.pop("deaf", 0) else data

@@ -1,4 +1,4 @@
-"""Faults drawn at random: when (state, instruction, data, history, timing) x what happens then.
+"""Draws random faults: a trigger (frame, state, data, history, timing) and an effect.
 
 A seed gives the same fault on every machine and with every Python.
 """
@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import NamedTuple, TypeVar
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.simulator import MS, Event, Fault
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
     after,
     every,
@@ -24,38 +24,40 @@ from conformance.mutation.faults.vocabulary import (
     ordinal,
     when,
 )
-from conformance.mutation.random_effects import Effect, effects_on
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.conformance.mutation.random_effects import Effect, effects_on
+from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 T = TypeVar("T")
 PREFIX = "random:"
 
 
 class Draw:
-    """Draws at random; only `random()` is the same in every Python."""
+    """Random draws, made with `random()` alone because only it is the same in every Python."""
 
     def __init__(self, seed: int) -> None:
         self._next = random.Random(seed).random
 
     def below(self, end: int) -> int:
-        """A whole number from 0 to `end` - 1."""
+        """Return a whole number from 0 to `end` - 1."""
         return int(self._next() * end)
 
     def pick(self, choices: Sequence[T]) -> T:
-        """One of them."""
+        """Return one of the choices."""
         return choices[self.below(len(choices))]
 
     def between(self, low: int, high: int) -> int:
-        """A whole number from `low` to `high`, both included."""
+        """Return a whole number from `low` to `high`, both included."""
         return low + self.below(high - low + 1)
 
 
 class What(NamedTuple):
-    """The frames that a fault is about: words, condition, and what is known of them.
+    """The frames that trigger a fault: their description, the condition, and their kind.
 
-    `spec` is the instruction they all are, None if they are not one; `outcome` None for any fault.
+    `spec` is their instruction, None if they have several; `outcome` is their kind of fault, None
+    for any; `cut` is true for truncated frames.
     """
 
     words: str
@@ -67,7 +69,7 @@ class What(NamedTuple):
 
 
 class When(NamedTuple):
-    """A further condition, in words that follow the frame's; data values at which it holds."""
+    """A further condition of the trigger, its words, and data values around which it holds."""
 
     words: str
     condition: Condition
@@ -76,7 +78,7 @@ class When(NamedTuple):
 
 @cache
 def random_fault(protocol: Protocol, seed: int) -> Fault:
-    """The fault that a seed draws."""
+    """Return the fault that a seed draws."""
     draw = Draw(seed)
     what = _what(protocol, draw)
     kinds = [_state, _state, _history, _timing, *([_data] * 3 if _has_data(what) else [])]

@@ -1,7 +1,7 @@
-"""Scores the suite: which of the faulty devices it catches, at which cost, and by which cases.
+"""Scores the suite: which faulty devices it catches, with how many bytes, and by which cases.
 
-In process and in virtual time, on as many processes as wanted. Every value that is shown comes out
-of `Score`.
+The suite runs in virtual time, in this process or in several. Every value that is shown comes from
+`Score`.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from typing import TypeVar
 
 import msgspec
 
-from captures.schemas import Look
-from conformance.api import Options, conform
-from conformance.cases.levels import LEVELS
-from conformance.cases.steps import Class
-from conformance.dut.simulator import CONFORMING, Fault, Simulator
-from conformance.mutation.catalogue import find_fault
-from conformance.mutation.equivalence import MOST, Search, search
-from conformance.mutation.faults import fault_bank
-from conformance.mutation.mixtures import mixtures
-from conformance.mutation.random_faults import PREFIX
-from conformance.oracle.verdicts import CaseResult, Verdict
-from spec.protocol import Protocol
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.levels import LEVELS
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.fault import CONFORMING, Fault
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.mutation.equivalence import MOST, Search, search
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.mixtures import mixtures
+from bilprov.conformance.mutation.random_faults import PREFIX
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.spec.protocol import Protocol
 
-RANDOM_FLOOR = 0.9  # of the random faults that can show
-FLOORS = {"smoke": 0.88}  # of the named faults; all of them at any other level
+RANDOM_FLOOR = 0.9  # share of the random faults that can show which must be caught
+FLOORS = {"smoke": 0.88}  # share of the named faults by level; at any other level all of them
 REFERENCE = CONFORMING.name
 A = TypeVar("A")
 B = TypeVar("B")
@@ -38,11 +39,12 @@ Task = tuple[str, str]  # a fault's name and a level
 
 
 class Caught(msgspec.Struct, frozen=True):
-    """One faulty device at one level: what became of it.
+    """Result of running the suite at one level against one faulty device.
 
-    `groups` are case groups that failed: the only one, or the first of several. `own_clause` says
-    whether a case that failed names a clause that the fault breaks, `verdict` is the worst verdict
-    of the run, `sent` how many bytes it took until no more was to be learnt.
+    `groups` are the case groups that failed: the only one, or the first of several. `own_clause`
+    is true unless cases failed of which none names a clause that the fault breaks. `verdict` is
+    the worst verdict of the run, `sent` the number of bytes sent until the remaining cases could
+    be skipped.
     """
 
     name: str
@@ -55,12 +57,13 @@ class Caught(msgspec.Struct, frozen=True):
 
 
 class Score(msgspec.Struct, frozen=True):
-    """What a suite is worth.
+    """Mutation score of the suite.
 
-    `levels` are the levels that ran, `bytes` what the reference device cost at each, `faults` the
-    families and sentences by name, `soak` those that only a soak shows, `results` one for each
-    device and level, `reference` the verdict of the conforming device at each level. `searches`
-    are what a search found for each that the last level did not catch.
+    `levels` are the levels that ran, `bytes` the bytes sent to the reference device at each,
+    `faults` the (family, sentence) of each fault by name, `soak` the faults that only a soak shows,
+    `results` one value for each device and level, `reference` the verdict of the conforming device
+    at each level. `searches` holds the equivalence search of each fault that the last level did
+    not catch.
     """
 
     levels: tuple[str, ...]
@@ -72,30 +75,30 @@ class Score(msgspec.Struct, frozen=True):
     searches: dict[str, Search]
 
     def at(self, level: str) -> dict[str, Caught]:
-        """The results of one level by the fault's name."""
+        """Return the results of one level by the fault's name."""
         return {result.name: result for result in self.results if result.level == level}
 
     @property
     def families(self) -> tuple[str, ...]:
-        """The families in their order."""
+        """The fault families, in the order of the bank."""
         return tuple(dict.fromkeys(family for family, _ in self.faults.values()))
 
     def caught(self, family: str, level: str) -> tuple[int, int]:
-        """How many of a family are caught at a level, and how many there are."""
+        """Return how many faults of a family are caught at a level, and how many there are."""
         found = [r for name, r in self.at(level).items() if self.faults[name][0] == family]
         return sum(result.caught for result in found), len(found)
 
     def survivors(self, level: str) -> list[str]:
-        """The faults that a level does not catch, without those that only a soak shows."""
+        """Return the faults that a level does not catch, except those that only a soak shows."""
         return [n for n, r in self.at(level).items() if not r.caught and n not in self.soak]
 
     def can_show(self, name: str) -> bool:
-        """Whether some run could catch it: false for what is proven equivalent to the reference."""
+        """Return whether some run could catch the fault: false if it is proven equivalent."""
         found = self.searches.get(name)
         return found is None or not found.equivalent
 
     def share(self, level: str, *, drawn: bool) -> tuple[int, int]:
-        """How many of the named (or random) faults that can show are caught, out of how many."""
+        """Return how many named (`drawn`: random) faults are caught, of how many that can show."""
         found = [
             result
             for name, result in self.at(level).items()
@@ -105,7 +108,7 @@ class Score(msgspec.Struct, frozen=True):
 
     @property
     def failures(self) -> list[str]:
-        """What falls short of what the suite promises, each in a sentence."""
+        """One sentence for each promise of the suite that is not kept: verdict, floor or clause."""
         found = [
             f"{level}: the reference device gets {verdict}"
             for level, verdict in self.reference.items()
@@ -123,7 +126,7 @@ class Score(msgspec.Struct, frozen=True):
         return found
 
     def alone(self, level: str) -> dict[str, list[str]]:
-        """For each case group the faults that no other group catches."""
+        """Return, for each case group, the faults that no other group catches."""
         found: dict[str, list[str]] = {}
         for name, result in self.at(level).items():
             for group in result.groups:
@@ -134,9 +137,9 @@ class Score(msgspec.Struct, frozen=True):
 
 
 def group_of(ident: str) -> str:
-    """The case group: the class of a single frame, else the first two parts of the id."""
+    """Return a case's group: the class of a single frame, else the first two parts of the id."""
     first, _, rest = ident.partition("/")
-    if first in set(Class) or not rest:
+    if first in set(FrameClass) or not rest:
         return first
     return f"{first}/{rest.split('/')[0]}" if "/" in rest else first
 
@@ -144,7 +147,7 @@ def group_of(ident: str) -> str:
 def chosen_faults(
     protocol: Protocol, drawn: int, only: Sequence[str] = ()
 ) -> dict[str, tuple[str, str]]:
-    """The faults to score, by name: the bank, the mixtures and `drawn` random ones.
+    """Return the faults to score by name: the bank, the mixtures and `drawn` random ones.
 
     `only` are globs of names; none means all. Values are (family, sentence).
     """
@@ -156,7 +159,7 @@ def chosen_faults(
 
 
 def levels() -> tuple[str, ...]:
-    """The levels that the suite has."""
+    """Return the names of the suite's levels."""
     return tuple(LEVELS)
 
 
@@ -172,9 +175,9 @@ def score(
 ) -> Score:
     """Run the suite against every fault of `faults` (name -> family and sentence).
 
-    `at` are levels (the usual one if none), `seed` the suite's own, `jobs` how many processes.
-    Each that the last level does not catch is searched with at most `most` inputs. `progress` is
-    told the name of each that is done.
+    `at` are levels (the default level if none), `seed` is the suite's seed, `jobs` the number of
+    processes. For each fault that the last level does not catch, an equivalence search tries at
+    most `most` inputs. `progress` is called with the name of each fault that is done.
     """
     chosen = tuple(at) or (Options().level,)
     results, cost, reference = [], {}, {}
@@ -216,7 +219,7 @@ def _search_for(name: str) -> tuple[str, Search]:
 def _workers(
     protocol: Protocol, seed: int, most: int, jobs: int
 ) -> Iterator[Callable[[Callable[[A], B], Sequence[A]], Iterable[B]]]:
-    """A `map` over the processes, or in this one if there is to be only one."""
+    """Yield a `map` that runs on `jobs` processes, or in this process if `jobs` is 1."""
     if jobs == 1:
         _begin(protocol, seed, most)
         yield map
@@ -228,10 +231,10 @@ def _workers(
 
 
 class _Spares:
-    """Skips what can say no more: the rest of a group that has failed, all once two have.
+    """Skip policy: skips the rest of a case group that failed, and every case once two failed.
 
-    Whether one group alone catches a fault is then known. `wanted` are clauses of which a case that
-    fails must name one: until it has, the groups that have not failed go on.
+    It is then known whether one group alone catches the fault. `wanted` are the clauses that the
+    fault breaks: nothing is skipped until a failed case names one of them.
     """
 
     def __init__(self, wanted: set[str]) -> None:
@@ -293,5 +296,5 @@ def _try(protocol: Protocol, task: Task, seed: int) -> Caught:
 
 
 def _is_caught(fault: Fault, code: int) -> bool:
-    """Whether the run ended as it must: a dead line and a robot that never moves do not fail."""
+    """Return whether the exit code is the fault's: 1, but 2 for a dead line, 3 for no motion."""
     return code == fault.exit if fault.exit != 1 else code == 1

@@ -1,25 +1,26 @@
-"""The inputs of a search: every kind of frame with representative data, in every delivery."""
+"""Inputs of the equivalence search: each kind of frame, representative data, each delivery."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from analyzer.transport.line_settings import LineSettings
-from conformance.dut.fault import MS
-from spec.codec import all_data, bad_data, judge, lying
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.captures.schemas import MS
+from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _QUIET = 170 * MS
 _SPLIT = 3 * MS
-_RUNS = (16, 250)  # stops, and faults, in a row
+_RUNS = (16, 250)  # how many stops, or faults, are sent in a row
 _BURST = 70  # bytes without a pause: more than a small buffer holds
 
 
 class Symbol(NamedTuple):
-    """One input: (pause in ns, byte) for each byte, the time afterwards in ns, and words.
+    """One input of the search.
 
-    `valid` is true for a frame without fault.
+    `words` describe it, `bytes` are a (pause before it in ns, value) for each byte, `after` is the
+    time (ns) to wait afterwards. `valid` is true for a frame without fault.
     """
 
     words: str
@@ -29,7 +30,7 @@ class Symbol(NamedTuple):
 
 
 def alphabet(protocol: Protocol, hints: Sequence[int] = ()) -> tuple[Symbol, ...]:
-    """Every input that a search tries; `hints` are data values that it must hold besides."""
+    """Return every input that a search tries; `hints` are further data values to include."""
     line = protocol.line
     byte = LineSettings(line.baud, line.parity, line.stopbits).byte_time
     waited, idle = 3 * byte, _QUIET
@@ -48,27 +49,29 @@ def alphabet(protocol: Protocol, hints: Sequence[int] = ()) -> tuple[Symbol, ...
         known = protocol.by_id.get(identity)
         for length in sorted({max(1, known.length if known else 1), protocol.data_lengths[-1]}):
             for arrived in {0, length - 1}:
-                cut = lying(protocol, identity, length, bytes([protocol.filler]) * arrived)
+                cut = raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * arrived)
                 symbol = _symbol(protocol, cut, "cut short", waited, byte)
                 found.append(symbol._replace(after=timeout + timeout // 4))
-    for frame in (bytes([protocol.filler]), *_one_of_each_fault(protocol)):
+    for frame in (bytes([protocol.pad_byte]), *_one_of_each_fault(protocol)):
         for count in _RUNS:
             run = _symbol(protocol, frame, f"{count} times", waited, byte)
             found.append(run._replace(bytes=run.bytes * count))
-    burst = _symbol(protocol, bytes([protocol.filler]), f"{_BURST} at once", byte, byte)
+    burst = _symbol(protocol, bytes([protocol.pad_byte]), f"{_BURST} at once", byte, byte)
     found.append(burst._replace(bytes=burst.bytes * _BURST))
     return tuple(found)
 
 
 def _one_of_each_fault(protocol: Protocol) -> Iterator[bytes]:
-    """An unused ID, too many data bytes, bad data."""
+    """Yield one frame of each fault: an unused ID, too many data bytes, bad data."""
     if protocol.unused_ids:
         yield bytes([protocol.header_bytes[protocol.unused_ids[0], 0]])
     stop = protocol.stop
-    yield lying(protocol, stop.id, stop.length + 1, bytes([protocol.filler]) * (stop.length + 1))
+    yield raw_frame(
+        protocol, stop.id, stop.length + 1, bytes([protocol.pad_byte]) * (stop.length + 1)
+    )
     for spec in protocol.instructions:
         for data in list(bad_data(spec))[:1]:
-            yield lying(protocol, spec.id, spec.length, data)
+            yield raw_frame(protocol, spec.id, spec.length, data)
             return
 
 
@@ -81,7 +84,7 @@ def _symbol(protocol: Protocol, frame: bytes, how: str, first: int, between: int
 
 
 def _valid(spec: InstructionSpec, protocol: Protocol, hints: Sequence[int]) -> Iterator[bytes]:
-    """The lowest and the highest value of each field, one bit where bits have names, and hints."""
+    """Yield valid frames: the first and last data, one named bit, hints in the first field."""
     data = list(all_data(spec))
     chosen = {data[0]: None, data[-1]: None}
     if spec.fields and spec.fields[0].bits:
@@ -92,23 +95,23 @@ def _valid(spec: InstructionSpec, protocol: Protocol, hints: Sequence[int]) -> I
                 values = [part.build(hint), *(other.build(other.low) for other in spec.fields[1:])]
                 chosen[b"".join(values)] = None
     for some in chosen:
-        yield lying(protocol, spec.id, spec.length, some)
+        yield raw_frame(protocol, spec.id, spec.length, some)
 
 
 def _faulty(protocol: Protocol, hints: Sequence[int], *, every: bool) -> Iterator[bytes]:
-    """Whole faulty frames: each header, or one of each kind for each ID; and bad data."""
+    """Yield complete faulty frames: every header (or two for each ID), and bad data."""
     for identity in protocol.ids:
         known = protocol.by_id.get(identity)
         lengths = [n for n in protocol.data_lengths if known is None or n != known.length]
         for length in lengths if every else (lengths[0], lengths[1]):
-            yield lying(protocol, identity, length, bytes([protocol.filler]) * length)
+            yield raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * length)
         if known and known.fields:
             longer = known.length + 1
             if longer in protocol.data_lengths:
-                yield lying(protocol, identity, longer, b"\xff" * longer)
+                yield raw_frame(protocol, identity, longer, b"\xff" * longer)
             bad = list(bad_data(known))
             wanted = {1 << bit for bit in range(8)} | set(hints)
             ends = [bad[0], bad[-1]] if bad else []
             chosen = [data for data in bad if data[0] in wanted or data in ends]
             for data in chosen if every else ends[-1:]:
-                yield lying(protocol, identity, known.length, data)
+                yield raw_frame(protocol, identity, known.length, data)

@@ -1,6 +1,6 @@
-"""The other choices that the readings leave open, as changes of the reference device.
+"""Behaviour of the legal variants, as changes to the reaction of the reference device.
 
-What each of them changes, and nothing of names or verdicts: `conformance.variants` has those.
+Their names, descriptions and options stand in `variants.py`.
 """
 
 from __future__ import annotations
@@ -8,83 +8,83 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from conformance.dut.fault import MS, Event, Hear, React, Reaction, answers
-from conformance.dut.simulator import Simulator
-from conformance.mutation.faults.vocabulary import Condition, is_truncated, sets
-from spec.fields import Outcome
-from spec.motion import WHEELS, Motion
-from spec.protocol import Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Hear, MutatedDevice, React, Reaction, answers
+from bilprov.conformance.mutation.faults.vocabulary import Condition, is_truncated, sets
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import WHEELS, Motion
+from bilprov.spec.protocol import Protocol
 
-# Whether a device takes the other choice now: the device, the ID of the frame.
-Chooses = Callable[[Simulator, int], bool]
+# Says whether a device takes the other choice now, from the device and the ID of the frame.
+Chooses = Callable[[MutatedDevice, int], bool]
 _MEMORY = "speed to come"
 
 
-def always(device: Simulator, identity: int) -> bool:
-    """The other choice each time."""
+def always(device: MutatedDevice, identity: int) -> bool:
+    """Take the other choice each time."""
     return True
 
 
 def code_of(protocol: Protocol, outcome: Outcome) -> int:
-    """The response code of an outcome."""
+    """Return the response code of an outcome."""
     return protocol.answers[outcome].code
 
 
-# -- the frames at which a choice shows ----------------------------------------------------------
+# -- triggers: frames at which a choice shows ----------------------------------------------------
 
 
 def motion_of(event: Event) -> Motion | None:
-    """The motion that a valid frame sets, None if it sets none."""
+    """Return the motion that a valid frame sets, None if it sets none."""
     instruction = event.judgement.instruction
     return instruction.effect.motion if event.judgement.valid and instruction else None
 
 
 def stops(event: Event) -> bool:
-    """A valid instruction that stops it."""
+    """Trigger: a valid instruction that stops the robot."""
     return motion_of(event) is Motion.STOPPED
 
 
 def stops_or_fails(event: Event) -> bool:
-    """A stop, or any fault."""
+    """Trigger: a valid stop, or any faulty frame."""
     return stops(event) or not event.judgement.valid
 
 
 def drives(event: Event) -> bool:
-    """A valid instruction that sets it moving."""
+    """Trigger: a valid instruction that sets the robot moving."""
     return motion_of(event) not in (None, Motion.STOPPED)
 
 
 def sets_variable(event: Event, name: str) -> bool:
-    """A valid instruction that sets the variable and leaves the motion."""
+    """Return whether a valid frame sets the variable and leaves the motion."""
     instruction = event.judgement.instruction
     found = event.judgement.valid and instruction and instruction.effect.sets(name)
     return bool(found) and motion_of(event) is None
 
 
 def steers_while_rotating(event: Event) -> bool:
-    """Steering during a rotation."""
+    """Trigger: a valid steering instruction during a rotation."""
     left, right = WHEELS[event.before.motion]
     return sets_variable(event, "steering") and left != right
 
 
 def announces_data_for_nobody(event: Event) -> bool:
-    """An unused ID with data announced."""
+    """Trigger: an unused ID whose header announces data."""
     return event.judgement.outcome is Outcome.UNKNOWN_ID and event.judgement.length > 0
 
 
 def cut_short_and_unused(event: Event) -> bool:
-    """An unused ID that was cut short."""
+    """Trigger: a truncated frame with an unused ID."""
     return is_truncated(event) and event.judgement.instruction is None
 
 
 def cut_short_and_too_long(event: Event) -> bool:
-    """Cut short, and more was announced than the instruction takes."""
+    """Trigger: a truncated frame that announces more data than its instruction takes."""
     known = event.judgement.instruction
     return is_truncated(event) and known is not None and event.judgement.length > known.length
 
 
 def too_many_and_bad(event: Event) -> bool:
-    """Too many data bytes, the first of them out of the instruction's range."""
+    """Trigger: too many data bytes, and a field in the first of them out of its range."""
     known = event.judgement.instruction
     if known is None or not known.fields or event.judgement.outcome is not Outcome.TOO_MANY:
         return False
@@ -97,19 +97,19 @@ def too_many_and_bad(event: Event) -> bool:
 
 
 def out_of_bits(event: Event) -> bool:
-    """Data whose bits that mean nothing are set."""
+    """Trigger: bad data of an instruction with named bits: a bit without meaning is set."""
     known = event.judgement.instruction
     bad = event.judgement.outcome is Outcome.BAD_DATA and known is not None
     return bad and known is not None and any(part.bits for part in known.fields)
 
 
-# -- what is then done ---------------------------------------------------------------------------
+# -- effects: what the device then does ----------------------------------------------------------
 
 
 def only(condition: Condition, change: React, chooses: Chooses = always) -> React:
-    """The change where the point arises and the device chooses it."""
+    """Return an effect that makes the change if the trigger holds and the device chooses it."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if condition(event) and chooses(device, event.judgement.id):
             return change(device, event, reaction)
         return reaction
@@ -117,13 +117,13 @@ def only(condition: Condition, change: React, chooses: Chooses = always) -> Reac
     return react
 
 
-def straight_into_a_curve(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """The rotation becomes a curve."""
+def straight_into_a_curve(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: the robot drives forward, so that a rotation becomes a curve."""
     return sets(motion=Motion.FORWARD)(device, event, reaction)
 
 
-def low_bits(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """Takes the bits that mean something and ignores the others."""
+def low_bits(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: accept the data, use the bits that have a meaning and ignore the others."""
     known = event.judgement.instruction
     assert known is not None
     fields = {
@@ -135,9 +135,9 @@ def low_bits(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
 
 
 def speed_at_next_motion(chooses: Chooses = always) -> React:
-    """A speed that comes while it moves takes effect at the next motion instruction."""
+    """Return an effect: a speed sent while moving applies from the next motion instruction."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if sets_variable(event, "speed"):
             device.memory.pop(_MEMORY, None)
             if event.before.motion is not Motion.STOPPED and chooses(device, event.judgement.id):
@@ -151,9 +151,9 @@ def speed_at_next_motion(chooses: Chooses = always) -> React:
 
 
 def slow_after_faults(milliseconds: int) -> React:
-    """Faults are answered so much later; no answer overtakes the one before it."""
+    """Return an effect: faults are answered `milliseconds` later; answers keep their order."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         delay = 0 if event.judgement.valid else milliseconds * MS
         at = max(event.now + delay, device.memory.get("answered", 0))
         device.memory["answered"] = at
@@ -163,9 +163,9 @@ def slow_after_faults(milliseconds: int) -> React:
 
 
 def one_at_a_time(milliseconds: int) -> React:
-    """Takes so long for each instruction, and begins the next when it has answered."""
+    """Return an effect: each instruction takes `milliseconds`; the next begins after its answer."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         begins = max(event.now, device.memory.get("busy at", 0))
         ready = device.memory["busy at"] = begins + milliseconds * MS
         codes = (code for _, code in reaction.answers)
@@ -175,9 +175,9 @@ def one_at_a_time(milliseconds: int) -> React:
 
 
 def watchdog(milliseconds: int) -> React:
-    """Stops by itself when so long no frame has come."""
+    """Return an effect: the robot stops by itself after `milliseconds` without a frame."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if not reaction.state.moving:
             return reaction
         stopped = replace(reaction.state, motion=Motion.STOPPED)
@@ -186,8 +186,8 @@ def watchdog(milliseconds: int) -> React:
     return react
 
 
-def lost_behind_a_fault(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """What was sent ahead behind a fault is lost, until somebody waits."""
+def lost_behind_a_fault(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: frames pipelined behind a fault are lost, until the host waits for an answer."""
     lost = event.pipelined and "lost" in device.memory
     if not lost:
         device.memory.pop("lost", None)
@@ -197,15 +197,15 @@ def lost_behind_a_fault(device: Simulator, event: Event, reaction: Reaction) -> 
 
 
 def flushing(pause: int, condition: Condition, chooses: Chooses = always) -> tuple[React, Hear]:
-    """Throws away what follows such a faulty frame until the line was idle for `pause` ms."""
+    """Return hooks that drop all bytes after such a fault until the line is idle for `pause` ms."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         faulty = not event.judgement.valid
         if faulty and condition(event) and chooses(device, event.judgement.id):
             device.memory["idle at"] = event.now + pause * MS
         return reaction
 
-    def hear(device: Simulator, data: bytes, now: int) -> bytes:
+    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         if now < device.memory.get("idle at", now):
             device.memory["idle at"] = now + pause * MS
             return b""
@@ -216,12 +216,12 @@ def flushing(pause: int, condition: Condition, chooses: Chooses = always) -> tup
 
 
 def at_the_header(pause: int, chooses: Chooses = always) -> Hear:
-    """Answers a frame that is wrong at its header at once, and takes its data without a word.
+    """Return a hook that answers a wrong header at once and drops the data of that frame.
 
-    The data are over when all have come, or after a pause of `pause` ms.
+    The data end when all have come, or after a pause of `pause` ms.
     """
 
-    def hear(device: Simulator, data: bytes, now: int) -> bytes:
+    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         memory, protocol = device.memory, device.protocol
         if memory.get("skips") and now < memory["skips at"] + pause * MS:
             memory["skips"], memory["skips at"] = memory["skips"] - 1, now
@@ -245,8 +245,8 @@ def at_the_header(pause: int, chooses: Chooses = always) -> Hear:
     return hear
 
 
-def stops_at_the_header(device: Simulator, header: int) -> tuple[int, ...]:
-    """Stops as soon as the header is known to be wrong; the answer comes in its time."""
+def stops_at_the_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
+    """Stop the robot at a wrong header; the answer comes after the data, as usual."""
     identity, length = device.protocol.headers[header]
     known = device.protocol.by_id.get(identity)
     if known is None or length != known.length:

@@ -1,6 +1,6 @@
-"""Devices that read the document in another legal way, and mixtures that never settle on one.
+"""Legal variants: devices that follow another reading of the document than the reference.
 
-A variant is never called faulty; a device that shows two choices of one point is.
+A variant never fails. A mixture (`mixtures.py`), which shows two choices of one point, does.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
-from conformance.dut.fault import MS, Event, Fault, React
-from conformance.mutation import variant_behaviour as take
-from conformance.mutation.faults.codes import under_other_ids
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault, React
+from bilprov.conformance.mutation import variant_behaviour as take
+from bilprov.conformance.mutation.faults.codes import under_other_ids
+from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
     answers_with,
     faulty,
@@ -25,9 +26,9 @@ from conformance.mutation.faults.vocabulary import (
     then,
     when,
 )
-from conformance.mutation.variant_behaviour import Chooses, always, code_of, only
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.conformance.mutation.variant_behaviour import Chooses, always, code_of, only
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 FAMILY = "variant"
 Make = Callable[[Chooses], Fault]
@@ -35,12 +36,12 @@ Make = Callable[[Chooses], Fault]
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One other choice of one reading.
+    """A legal variant: a choice other than the default at one reading.
 
     `name` is the reading's id, `=` and the choice. `allow` names the option (`--allow`) without
-    which the choice fails, "" where it is legal as it is. `mixes` says whether it is a choice that
-    a device must make the same way each time; a measured time is not. `make` gives the device that
-    takes the choice where it is told to.
+    which the choice fails, "" if it is legal without one. `mixes` is true for a choice that a
+    device must make the same way each time, so that mixtures of it are faults; a measured time is
+    no such choice. `make` builds the device from a function that says when it takes the choice.
     """
 
     name: str
@@ -56,33 +57,19 @@ class Variant:
 
     @property
     def fault(self) -> Fault:
-        """What makes a simulator of it: the choice each time."""
+        """The fault that makes a simulator take this choice each time."""
         return self.taking(always, self.name, self.doc)
 
     def taking(self, chooses: Chooses, name: str, doc: str) -> Fault:
-        """The device that takes the choice where `chooses` says so."""
+        """Return the fault that takes this choice whenever `chooses` returns true."""
         return replace(self.make(chooses), name=name, doc=doc)
 
 
 @cache
 def variants(protocol: Protocol) -> dict[str, Variant]:
-    """Every legal variant, by name, in the order of the readings."""
+    """Return every legal variant by name: answers, times, delivery, remembered state."""
     found = (*_answers(protocol), *_times(protocol), *_delivery(protocol), *_states(protocol))
     return {variant.name: variant for variant in found}
-
-
-def find_variant(protocol: Protocol, name: str) -> Fault:
-    """The variant, or the mixture, of that name. Raises ValueError, in one sentence."""
-    known = variants(protocol)
-    if name in known:
-        return known[name].fault
-    if name.startswith(MIXTURE):
-        from conformance.mutation.mixtures import find_mixture
-
-        return find_mixture(protocol, name)
-    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()][:3]
-    hint = f", perhaps {', '.join(near)}" if near else ""
-    raise ValueError(f"there is no variant {name!r}{hint}; see simulate --list-variants")
 
 
 MIXTURE = "mixture:"
@@ -101,7 +88,7 @@ def _fixed(react: React | None = None, **more: object) -> Make:
 
 
 def _answers(protocol: Protocol) -> Iterator[Variant]:
-    """What is answered."""
+    """Yield the variants that answer another code, or nothing."""
     many, few, bad = (
         code_of(protocol, o) for o in (Outcome.TOO_MANY, Outcome.TOO_FEW, Outcome.BAD_DATA)
     )
@@ -166,7 +153,7 @@ def _answers(protocol: Protocol) -> Iterator[Variant]:
 
 
 def _times(protocol: Protocol) -> Iterator[Variant]:
-    """When things happen: measured, not chosen."""
+    """Yield the variants in time-outs and delays; these are measured times, so they do not mix."""
     for pause in (3, 6, 500, 1500):
         yield Variant(
             f"R-truncation-timeout={pause}-ms",
@@ -210,7 +197,7 @@ def _times(protocol: Protocol) -> Iterator[Variant]:
 
 
 def _delivery(protocol: Protocol) -> Iterator[Variant]:
-    """What becomes of the bytes around a fault."""
+    """Yield the variants in what happens to bytes around a fault and before the first frame."""
 
     def known(event: Event) -> bool:
         return event.judgement.instruction is not None
@@ -259,7 +246,7 @@ def _delivery(protocol: Protocol) -> Iterator[Variant]:
 
 
 def _states(protocol: Protocol) -> Iterator[Variant]:
-    """What the robot remembers."""
+    """Yield the variants in which state variables an instruction or a fault changes or keeps."""
     rows: tuple[tuple[str, str, Condition, React], ...] = (
         ("R-fault-state=speed-zeroed", "a fault zeroes the speed", faulty, sets(speed=0)),
         ("R-fault-state=steering-kept", "a fault keeps the steering", faulty, keeps("steering")),
@@ -323,5 +310,5 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
 
 
 def _pause(protocol: Protocol) -> int:
-    """The usual time-out in ms: when a line counts as idle."""
+    """Return the truncation time-out in ms, after which the line counts as idle."""
     return int(protocol.timing.truncation_timeout)

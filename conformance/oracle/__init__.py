@@ -1,1 +1,1 @@
-"""What a conforming device does."""
+"""The oracle: what a conforming device does, and the verdict of a deviation. Pure values."""

@@ -1,4 +1,4 @@
-"""The points where the document is silent, as choices that a device can show and must keep to.
+"""Open points of the document (PICS), and the choices that a device can make and must keep to.
 
 Each point belongs to a reading (`spec.readings`); its first choice is the kit's default. A device
 that shows another choice everywhere gets that choice's verdict, one that shows two fails.
@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from conformance.oracle.verdicts import Verdict
-from spec.protocol import Protocol
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One way to read a point.
+    """One way to read an open point.
 
-    `verdict` is what a device gets that always chooses it; `option` the word for `--allow` without
-    which it fails, "" if none is needed.
+    `verdict` is what a device gets that always makes this choice; `option` is the word for
+    `--allow` without which the device fails, "" if none is needed.
     """
 
     word: str
@@ -27,8 +27,8 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """One point: its id (a reading, or a part of one), and its choices, the default first."""
+class OpenPoint:
+    """An open point: its id (a reading, or a part of one), and its choices, the default first."""
 
     id: str
     choices: tuple[Choice, ...]
@@ -50,14 +50,14 @@ class Point:
 
 def _point(
     ident: str, default: str, *others: tuple[str, Verdict] | tuple[str, Verdict, str]
-) -> Point:
+) -> OpenPoint:
     choices = (Choice(default, Verdict.PASS), *(Choice(*other) for other in others))
-    return Point(ident, choices)
+    return OpenPoint(ident, choices)
 
 
 _INFO, _OTHER = Verdict.INFORMATIONAL, Verdict.NON_STRICT
 
-POINTS: dict[str, Point] = {
+POINTS: dict[str, OpenPoint] = {
     point.id: point
     for point in (
         _point("R-unused-length", "header", ("too-many", _OTHER), ("too-few", _OTHER)),
@@ -116,26 +116,26 @@ STATE_POINTS = (
     "R-led-state stop",
     "R-led-state fault",
 )
-"""The points about what the robot is like after a frame."""
+"""The open points about the robot's state after a frame."""
 
 
-LOSING = (
+FLUSH_POINTS = (
     "R-drain-known",
     "R-drain-unused",
     "R-pipelining unused-id",
     "R-pipelining too-few",
     "R-pipelining bad-data",
 )
-"""The points at which a device may throw away what follows a fault."""
+"""The open points at which a device may discard what follows a fault."""
 
 
 @dataclass
 class Choices:
-    """What a device has shown: for each point the word of its choice, and the case that showed it.
+    """The choices of one device: for each open point its word, and the case that showed it.
 
     A point that was never shown counts as the default. `allowed` are the options that were given
-    (`led-upper` -> `ignore`), `led_id` the ID that the device takes for the LED's if not its own.
-    `others` are the points at which the device has chosen otherwise than the kit.
+    (`led-upper` -> `ignore`), `led_id` the ID that the device uses for the LED where it is not the
+    document's. `others` are the points at which the device has chosen otherwise than the kit.
     """
 
     shown: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -147,12 +147,15 @@ class Choices:
         """The device's choice of a point."""
         return self.shown[point][0] if point in self.shown else POINTS[point].default
 
-    def is_other(self, point: str) -> bool:
+    def differs(self, point: str) -> bool:
         """Whether the device was seen to choose otherwise than the kit does."""
         return bool(self.others) and point in self.others
 
-    def settle(self, point: str, word: str, case: str) -> str:
-        """The device showed `word` in `case`: "" if it keeps to it, else what contradicts it."""
+    def record(self, point: str, word: str, case: str) -> str:
+        """Record that the device showed `word` in `case`.
+
+        The first choice of a point is kept. Returns a sentence if `word` contradicts it, else "".
+        """
         before, where = self.shown.setdefault(point, (word, case))
         if before != POINTS[point].default:
             self.others.add(point)
@@ -162,7 +165,7 @@ class Choices:
         return f"{reading}: {word} here, {before} in {where}; a device keeps to one choice"
 
     def but(self, point: str, word: str) -> Choices:
-        """These choices with another one of one point."""
+        """These choices, but `word` at `point`."""
         default = word == POINTS[point].default
         others = self.others - {point} if default else self.others | {point}
         return replace(self, shown=self.shown | {point: (word, "")}, others=others)
@@ -183,7 +186,7 @@ _ALLOWED = {
 
 
 def parse_allowed(protocol: Protocol, texts: Iterable[str]) -> dict[str, str]:
-    """What `--allow NAME=VALUE` allows, by name. Raises ValueError, in one sentence."""
+    """The values of `--allow NAME=VALUE`, by name. Raises ValueError, in one sentence."""
     found: dict[str, str] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -201,7 +204,7 @@ def parse_allowed(protocol: Protocol, texts: Iterable[str]) -> dict[str, str]:
 
 
 def allowed_words(protocol: Protocol) -> str:
-    """What `--allow` takes, in words."""
+    """The values that `--allow` takes, in words."""
     examples = {"ID": str(next(iter(protocol.unused_ids), 0)), "VERSION": "1.0"}
     words = [f"{name}={examples.get(value, value)}" for name, (value, _) in _ALLOWED.items()]
     return ", ".join(words)

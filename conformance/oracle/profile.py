@@ -1,23 +1,23 @@
-"""What is known of the device: its times, and its choices where the document is silent."""
+"""The profile of a device under test: its measured times, and its choices at open points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from conformance.dut.operations import Heard
-from conformance.oracle.choices import Choices
+from bilprov.conformance.dut.operations import Received
+from bilprov.conformance.oracle.choices import Choices
 
 
 @dataclass
 class Profile:
     """What was measured on the device; times in ns, None where it was not.
 
-    `flushes` is true for a device that throws away what follows a fault until the line is idle,
+    `flushes` is true for a device that discards what follows a fault until the line is idle,
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
-    was seen to stop, `watchdog` after what silence it stopped by itself, `boot` what the first
-    answer took; `one_by_one` is true where instructions that are sent ahead are lost. `round_trip`
-    and `jitter` are the line's and the device's together. `choices` are what it has shown where the
-    document is silent.
+    was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
+    the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
+    `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
+    device has shown where the document is silent.
     """
 
     truncation_timeout: int | None = None
@@ -34,8 +34,8 @@ class Profile:
     one_by_one: bool = False
     choices: Choices = field(default_factory=Choices)
 
-    def measured(self, heard: Heard, sent: int) -> None:
-        """An exchange whose first answer, if any, came to a frame that had gone at `sent`."""
+    def measured(self, heard: Received, sent: int) -> None:
+        """Add the latency of the first answer, if any, to a frame that had gone at `sent` (ns)."""
         for t, _ in heard.answers[:1]:
             if t >= sent:  # else it came by itself
                 self.latencies.append(t - sent)

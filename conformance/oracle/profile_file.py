@@ -1,21 +1,18 @@
-"""A device's profile as a TOML file: what it chose where the document is silent, and its times.
+"""A device's profile as a TOML file: its choices where the document is silent, and its times.
 
-Saved after a run and given to the next, it spares the probes, and the device is held to it.
+A profile that is given to a run replaces the run's measurements, and the device must keep to it.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import rich_click as click
-
-from conformance.oracle.choices import POINTS, Choices, parse_allowed
-from conformance.oracle.judge import MS
-from conformance.oracle.profile import Profile
-from spec.protocol import Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.oracle.choices import POINTS, Choices
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.spec.protocol import Protocol
 
 _TIMES = {
     "truncation_timeout_ms": "truncation_timeout",
@@ -47,24 +44,6 @@ def profile_text(grammar: Mapping[str, str], profile: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -> str:
-    """The text of a profile, "" where none is asked for or none is there yet.
-
-    Raises click's UsageError, in one sentence, for one that does not fit or cannot be written.
-    """
-    if path is None:
-        return ""
-    file = Path(path)
-    try:
-        if not file.exists() and file.absolute().parent.is_dir():
-            return ""
-        text = file.read_text(encoding="utf-8")
-        profile_from(protocol, text, parse_allowed(protocol, allow))
-    except (OSError, ValueError) as error:
-        raise click.UsageError(f"--profile {path} cannot be used: {error}") from error
-    return text
-
-
 def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Profile:
     """The profile that a text holds. Raises ValueError, in one sentence, for one that does not fit.
 
@@ -86,7 +65,7 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
             raise ValueError(f"{point} = {word!r} is no choice that this version knows")
         if choice.option and choice.option.partition("=")[0] not in allowed:
             raise ValueError(f"{point} = {word!r} has to be allowed: see --allow")
-        profile.choices.settle(point, word, "--profile")
+        profile.choices.record(point, word, "--profile")
     for key, name in _TIMES.items():
         if key in told:
             setattr(profile, name, _time(told, key))

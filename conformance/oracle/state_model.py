@@ -1,4 +1,4 @@
-"""What a robot must be like after each frame: the grammar's effects and the device's own choices.
+"""Model of the expected state after each frame: the grammar's effects and the device's choices.
 
 The document leaves some effects open. The model takes the choice that the device has shown for
 each such point, so that a device that shows two choices contradicts it.
@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from conformance.oracle.choices import Choices
-from spec.motion import WHEELS, Effect, Motion, State
-from spec.protocol import Protocol
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.spec.motion import WHEELS, Effect, Motion, State
+from bilprov.spec.protocol import Protocol
 
 VARIABLES = ("speed", "steering", "led")
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
-    """What a frame does: an instruction's effect with its field values, or a fault (None)."""
+class FrameEffect:
+    """The effect of a frame: an instruction's effect with its field values, or None for a fault."""
 
     effect: Effect | None
     values: Mapping[str, int] = field(default_factory=dict)
@@ -29,23 +29,23 @@ class Deed:
         return self.effect is not None and self.effect.motion is Motion.STOPPED
 
 
-FAULT = Deed(None)
-NOTHING = Deed(Effect())
+FAULT = FrameEffect(None)
+NOTHING = FrameEffect(Effect())
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
-    """What the robot must be like.
+class ExpectedState:
+    """The state that the robot must be in, as far as it is known.
 
-    `loose` names what cannot be said of it (of speed, steering, led, motion), `waiting` is a speed
-    that counts only from the next motion on (R-speed-moving), `rests` are the points whose other
-    choice shaped it.
+    `unknown` names the variables that are not known (of speed, steering, led, motion),
+    `pending_speed` is a speed that counts only from the next motion on (R-speed-moving), `rests_on`
+    are the open points at which a choice other than the default led to this state.
     """
 
     state: State
-    loose: frozenset[str] = frozenset()
-    waiting: int | None = None
-    rests: frozenset[str] = frozenset()
+    unknown: frozenset[str] = frozenset()
+    pending_speed: int | None = None
+    rests_on: frozenset[str] = frozenset()
 
     @property
     def still(self) -> bool:
@@ -55,88 +55,98 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The reference's behaviour with one device's choices."""
+    """The reference device's behaviour, with one device's choices at open points."""
 
     protocol: Protocol
     choices: Choices
 
-    def found(self) -> Belief:
-        """A robot at rest of which nothing else is known."""
-        return Belief(self.protocol.power_on, frozenset(VARIABLES))
+    def found(self) -> ExpectedState:
+        """The expected state of a robot at rest of which nothing else is known."""
+        return ExpectedState(self.protocol.power_on, frozenset(VARIABLES))
 
-    def homed(self, before: Belief) -> Belief:
-        """After the stops that home the line."""
-        return self.after(before, Deed(self.protocol.stop.effect))
+    def homed(self, before: ExpectedState) -> ExpectedState:
+        """The expected state after the Stop instructions that home the line."""
+        return self.after(before, FrameEffect(self.protocol.stop.effect))
 
     def shows(self, state: State) -> bool:
-        """Whether speed and steering are large enough for a curve to be told from straight on."""
+        """Whether speed and steering are so large that a curve differs visibly from straight on."""
         _, fast = self.protocol.limits.get("speed", (0, 0))
         full = max(abs(end) for end in self.protocol.limits.get("steering", (0, 0)))
         return 2 * state.speed > fast and 2 * abs(state.steering) > full
 
-    def after(self, before: Belief, deed: Deed) -> Belief:
-        """What the robot must be like after a frame."""
-        effect = deed.effect or self.protocol.on_fault
-        state = effect.apply(before.state, deed.values)
-        loose = before.loose
-        if loose:
-            loose -= {name for name, _ in effect.assignments}
-        belief = Belief(state, loose, before.waiting, before.rests)
+    def after(self, before: ExpectedState, frame_effect: FrameEffect) -> ExpectedState:
+        """The expected state after a frame."""
+        effect = frame_effect.effect or self.protocol.on_fault
+        state = effect.apply(before.state, frame_effect.values)
+        unknown = before.unknown
+        if unknown:
+            unknown -= {name for name, _ in effect.assignments}
+        expected_state = ExpectedState(state, unknown, before.pending_speed, before.rests_on)
         if not self.choices.others:
             # The device reads the document as the kit does, and there is nothing to add.
-            return belief
-        if deed.effect is None:
-            belief = self._reset(belief, "speed", "R-fault-state speed", "zeroed")
-            belief = self._kept(belief, before, "R-fault-state steering")
-            return self._reset(belief, "led", "R-led-state fault", "off")
+            return expected_state
+        if frame_effect.effect is None:
+            expected_state = self._reset(expected_state, "speed", "R-fault-state speed", "zeroed")
+            expected_state = self._kept(expected_state, before, "R-fault-state steering")
+            return self._reset(expected_state, "led", "R-led-state fault", "off")
         if effect.motion is Motion.STOPPED:
-            belief = self._reset(belief, "speed", "R-stop-speed", "zeroed")
-            belief = self._kept(belief, before, "R-stop-steering")
-            return self._reset(belief, "led", "R-led-state stop", "off")
+            expected_state = self._reset(expected_state, "speed", "R-stop-speed", "zeroed")
+            expected_state = self._kept(expected_state, before, "R-stop-steering")
+            return self._reset(expected_state, "led", "R-led-state stop", "off")
         if effect.motion is not None:
-            if before.waiting is not None:
-                speed = replace(belief.state, speed=before.waiting)
-                known = belief.loose - {"speed"}
-                belief = replace(belief, state=speed, loose=known, waiting=None)
-            return self._reset(belief, "steering", "R-drive-steering", "straight")
-        return self._set(belief, before, effect)
+            if before.pending_speed is not None:
+                speed = replace(expected_state.state, speed=before.pending_speed)
+                known = expected_state.unknown - {"speed"}
+                expected_state = replace(
+                    expected_state, state=speed, unknown=known, pending_speed=None
+                )
+            return self._reset(expected_state, "steering", "R-drive-steering", "straight")
+        return self._set(expected_state, before, effect)
 
-    def _set(self, belief: Belief, before: Belief, effect: Effect) -> Belief:
-        """Settings change what they name at once, unless the device has chosen otherwise."""
+    def _set(
+        self, expected_state: ExpectedState, before: ExpectedState, effect: Effect
+    ) -> ExpectedState:
+        """The expected state after a setting: changed at once, unless the device chooses else."""
         if effect.sets("speed"):
-            belief = replace(belief, waiting=None)
+            expected_state = replace(expected_state, pending_speed=None)
             directed = before.state.motion is not Motion.STOPPED
-            if directed and self.choices.is_other("R-speed-moving"):
-                waiting = belief.state.speed
-                state = replace(belief.state, speed=before.state.speed)
+            if directed and self.choices.differs("R-speed-moving"):
+                pending_speed = expected_state.state.speed
+                state = replace(expected_state.state, speed=before.state.speed)
                 # Whether a direction without speed counts as moving is left open too.
-                unsure = before.loose if before.state.speed else {"speed"}
-                loose = belief.loose | (unsure & {"speed"})
-                rests = belief.rests | {"R-speed-moving"}
-                belief = Belief(state, loose, waiting, rests)
-        curves = self.choices.is_other("R-steer-rotating")
+                unsure = before.unknown if before.state.speed else {"speed"}
+                unknown = expected_state.unknown | (unsure & {"speed"})
+                rests_on = expected_state.rests_on | {"R-speed-moving"}
+                expected_state = ExpectedState(state, unknown, pending_speed, rests_on)
+        curves = self.choices.differs("R-steer-rotating")
         if curves and effect.sets("steering") and rotates(before.state):
-            rests = belief.rests | {"R-steer-rotating"}
-            belief = replace(belief, loose=belief.loose | {"motion"}, rests=rests)
-        return belief
+            rests_on = expected_state.rests_on | {"R-steer-rotating"}
+            expected_state = replace(
+                expected_state, unknown=expected_state.unknown | {"motion"}, rests_on=rests_on
+            )
+        return expected_state
 
-    def _reset(self, belief: Belief, name: str, point: str, word: str) -> Belief:
+    def _reset(
+        self, expected_state: ExpectedState, name: str, point: str, word: str
+    ) -> ExpectedState:
         if self.choices.word(point) != word:
-            return belief
-        changed = getattr(belief.state, name) != 0 or name in belief.loose
-        state = replace(belief.state, **{name: 0})  # type: ignore[arg-type]  # never the motion
-        rests = belief.rests | ({point} if changed else set())
-        waiting = None if name == "speed" else belief.waiting
-        return Belief(state, belief.loose - {name}, waiting, rests)
+            return expected_state
+        changed = getattr(expected_state.state, name) != 0 or name in expected_state.unknown
+        state = replace(expected_state.state, **{name: 0})  # type: ignore[arg-type]  # never the motion
+        rests_on = expected_state.rests_on | ({point} if changed else set())
+        pending_speed = None if name == "speed" else expected_state.pending_speed
+        return ExpectedState(state, expected_state.unknown - {name}, pending_speed, rests_on)
 
-    def _kept(self, belief: Belief, before: Belief, point: str) -> Belief:
+    def _kept(
+        self, expected_state: ExpectedState, before: ExpectedState, point: str
+    ) -> ExpectedState:
         if self.choices.word(point) != "kept":
-            return belief
-        changed = belief.state.steering != before.state.steering
-        state = replace(belief.state, steering=before.state.steering)
-        loose = belief.loose | (before.loose & {"steering"})
-        rests = belief.rests | ({point} if changed else set())
-        return replace(belief, state=state, loose=loose, rests=rests)
+            return expected_state
+        changed = expected_state.state.steering != before.state.steering
+        state = replace(expected_state.state, steering=before.state.steering)
+        unknown = expected_state.unknown | (before.unknown & {"steering"})
+        rests_on = expected_state.rests_on | ({point} if changed else set())
+        return replace(expected_state, state=state, unknown=unknown, rests_on=rests_on)
 
 
 def rotates(state: State) -> bool:

@@ -1,23 +1,26 @@
-"""What bounds a run: how long it waits, and what it can see."""
+"""The timers of a run (how long it waits) and its observability (what its probe can see)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from conformance.oracle.judge import MS
+import msgspec
+
+from bilprov.captures.schemas import MS
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Timers:
     """How long the runner waits, in ns.
 
-    `deadline` for an answer, `longest` until a missing one is given up, `silence` after an answer
-    before the next step, `hold` while a thorough case watches the stop, `grace` how much later than
-    the answer a stop may be seen although it was in time (the link's own jitter), `settle` for what
-    may still be under way, `boot` for the first answer, `idle` how
-    long nobody talks to a robot that drives, `never` before a truncated frame counts as
-    never answered. `waste` is how long in all to wait for answers that do not come, `whole`
-    how long all cases may take on a slow device; None for ever.
+    `deadline` is when an answer is due: a later one is slow. `longest` is when a missing answer is
+    given up: a later one fails. `silence` is kept after an answer before the next step, `hold`
+    while a thorough case watches the stop. `grace` is how much later than the answer a stop may be
+    seen although it was in time (the link's own jitter), `settle` the time for what may still be
+    under way, `boot` that for the first answer, `idle` how long a moving robot is sent nothing,
+    `never` when a truncated frame counts as never answered. `waiting_budget` bounds the time spent
+    waiting for missing answers in all, `run_budget` that of all cases on a slow device; None means
+    no bound.
     """
 
     deadline: int = 100 * MS
@@ -29,17 +32,20 @@ class Limits:
     boot: int = 10_000 * MS
     never: int = 2500 * MS
     idle: int = 1200 * MS
-    waste: int | None = None
-    whole: int | None = None
+    waiting_budget: int | None = None
+    run_budget: int | None = None
+
+    def due_within(self, deadline: int) -> Timers:
+        """These timers with another deadline (ns) for an answer; `longest` is at least as long."""
+        return replace(self, deadline=deadline, longest=max(self.longest, deadline))
 
 
-@dataclass(frozen=True, slots=True)
-class Eyes:
-    """What can be seen: nothing (`open` false), everything, or what few looks show (`sparse`).
+class Observability(msgspec.Struct, frozen=True, rename={"available": "open", "costly": "sparse"}):
+    """What a probe can see: nothing (`available` false), everything, or a few looks (`costly`).
 
-    `why` says why something is not observable.
+    `why` says why something is not observable. Recordings keep the fields under older names.
     """
 
-    open: bool
-    sparse: bool = False
+    available: bool
+    costly: bool = False
     why: str = "no probe; see --probe"

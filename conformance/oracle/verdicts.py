@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from enum import IntEnum
 
 import msgspec
 
 
 class Verdict(IntEnum):
-    """From best to worst; a case takes the worst of its axes, a run the worst of its cases."""
+    """Verdicts from best to worst; a case takes its worst axis's, a run its worst case's."""
 
     SKIPPED = -1
     PASS = 0
@@ -26,7 +27,7 @@ class Verdict(IntEnum):
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """The worst verdict; nothing judged at all is a pass of nothing, SKIPPED."""
+    """The worst verdict; SKIPPED where there is none."""
     return max(verdicts, default=Verdict.SKIPPED)
 
 
@@ -40,7 +41,7 @@ class Axis(msgspec.Struct, frozen=True):
     reading: str = ""
 
 
-class Received(msgspec.Struct, frozen=True):
+class AnswerByte(msgspec.Struct, frozen=True):
     """One answer byte: its hex, and its time in ns since the case's stimulus had been sent."""
 
     hex: str
@@ -61,10 +62,12 @@ class WireEvent(msgspec.Struct, frozen=True, gc=False):
 
 
 class CaseResult(msgspec.Struct, frozen=True):
-    """A judged case. `sent` and `received` are the stimulus's, without the set-up.
+    """The result of a judged case. `sent` and `received` are the stimulus's, without the set-up.
 
-    `log` is everything on the wire since the case began, set-up and homing included; `reproduce` is
-    the command line that tries it again, "" where the report's own (by id) does.
+    `clause` is the one that a failure violates, `planned` the one that the case was made for, ""
+    where they are the same. `log` is everything on the wire since the case began, set-up and homing
+    included; `reproduce` has the arguments of `bilprov send` that reproduce the failure, "" where
+    the case's id is enough.
     """
 
     id: str
@@ -74,9 +77,15 @@ class CaseResult(msgspec.Struct, frozen=True):
     axes: dict[str, Axis]
     reading: str
     sent: tuple[str, ...]
-    received: tuple[Received, ...]
+    received: tuple[AnswerByte, ...]
     log: tuple[WireEvent, ...] = ()
     reproduce: str = ""
+    planned: str = ""
+
+    @property
+    def own_clause(self) -> str:
+        """The clause that the case stands under, whether it passes or fails."""
+        return self.planned or self.clause
 
     @property
     def reason(self) -> str:
@@ -96,3 +105,16 @@ def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:
     if Verdict.ERROR in found:
         return 2
     return 3 if Verdict.INCONCLUSIVE in found else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A list of answers that may come, the verdict that it gets and the reading that it rests on.
+
+    `word` is the choice of the case's open point that it shows, "" for the default.
+    """
+
+    codes: tuple[int, ...]
+    verdict: Verdict = Verdict.PASS
+    reading: str = ""
+    word: str = ""

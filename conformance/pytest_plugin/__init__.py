@@ -1,1 +1,77 @@
-"""Each case as a pytest test."""
+"""A pytest plugin: `--robot-port PORT` makes each case a test, and gives tests a fixture `robot`.
+
+    pytest --robot-port /dev/ttyUSB0 --robot-probe tcp:robot.local:9000 --robot-yes
+    pytest --robot-port sim conformance -k bad-data
+    pytest --robot-port sim 'conformance::valid/Stop' test_mine.py
+
+The cases are collected where no file is named, and where `conformance` is. They are judged in one
+run, in its order. A user's own test takes the fixture:
+
+    def test_it_stops(robot):
+        robot.speed(80)  # raises where the answer is not OK
+        robot.forward()
+        assert robot.send("Stop").name == "OK"
+        assert not robot.look().moving
+
+Without `--robot-port` the rest of the kit is not imported, so the plugin costs no time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from bilprov.conformance.pytest_plugin.robot_client import Client
+
+_SESSION = "bilprov-robot"
+MARKER = "conformance: one case of the robot's conformance suite (bilprov)"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the plugin's options, all of them `--robot-...`."""
+    group = parser.getgroup("robot", "conformance of a robot (bilprov)")
+    add = group.addoption
+    add("--robot-port", metavar="PORT|sim", help="Test the robot there: a path, a pyserial URL, "
+        "sim, the simulator in virtual time, or emulator:KIND:FIRMWARE, as conform takes it. One "
+        "test a case, in a run of its own")  # fmt: skip
+    add("--robot-probe", metavar="PROBE", help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, "
+        "modem:LINE or none; sim and emulators bring their own")  # fmt: skip
+    add("--robot-only", metavar="GLOB", action="append", help="Only these cases; * crosses /")
+    add("--robot-level", metavar="LEVEL", help="How much: smoke, standard (unless given) or deep")
+    add("--robot-allow", metavar="NAME=VALUE", action="append", help="Accept a choice that fails "
+        "otherwise, as conform --allow does")  # fmt: skip
+    add("--robot-seed", metavar="N", type=int, help="How data and motions rotate (1)")
+    add("--robot-baud", metavar="N", type=int, help="Bits/s, the grammar's own unless given")
+    add("--robot-grammar", metavar="FILE.py", help="Another grammar of the same family")
+    add("--robot-fault", metavar="NAME", help="With sim: misbehave in this way")
+    add("--robot-yes", action="store_true", help="The robot may move: do not ask")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register a RobotSession if --robot-port is given. Raises UsageError for wrong use."""
+    config.addinivalue_line("markers", MARKER)
+    if config.getoption("robot_port") is None:
+        names = ("probe", "only", "level", "allow", "seed", "baud", "grammar", "fault", "yes")
+        given = [name for name in names if config.getoption(f"robot_{name}") not in (None, False)]
+        if given:
+            raise pytest.UsageError(f"--robot-{given[0]} needs --robot-port PORT, or sim")
+        return
+    from bilprov.conformance.pytest_plugin.session import RobotSession
+
+    config.pluginmanager.register(RobotSession(config), _SESSION)
+
+
+@pytest.fixture
+def robot(request: pytest.FixtureRequest) -> Iterator[Client]:
+    """The robot at --robot-port, as a `robot_client.Client`: homed before and after the test.
+
+    Skips the test where there is no --robot-port.
+    """
+    session = request.config.pluginmanager.get_plugin(_SESSION)
+    if session is None:
+        pytest.skip("the fixture robot needs --robot-port PORT, or sim")
+    with session.bench.client() as client:
+        yield client

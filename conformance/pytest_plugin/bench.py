@@ -1,7 +1,7 @@
-"""A robot under a test runner: one run of cases beside the caller, or clients, never both at once.
+"""Runs the suite in a thread for pytest, or gives clients to tests; never both at once.
 
-The run goes in a thread of its own, so that its times are its own, and hands out each result as it
-becomes final. Every way out of it homes the robot.
+The run has a thread of its own, so that the tests do not disturb its timing, and hands out each
+result as it becomes final. However it ends, the robot is homed.
 """
 
 from __future__ import annotations
@@ -13,37 +13,39 @@ from dataclasses import replace
 from queue import SimpleQueue
 from typing import Any
 
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.port import Port
-from analyzer.transport.ports import open_port
-from analyzer.transport.signals import Stopper, undisturbed
-from conformance.api import (
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.conformance.api import (
     Options,
-    always,
     conform,
     conform_port,
     estimated_seconds,
+    opening_and_reading_cases,
     select_cases,
 )
-from conformance.dut.boards.target import board_named
-from conformance.dut.link import Device, Link, VirtualLink
-from conformance.dut.port_link import PortLink
-from conformance.dut.power import Power
-from conformance.dut.probes import Probe, ProbeError, open_probe
-from conformance.dut.simulator import Fault, Simulator
-from conformance.oracle.verdicts import CaseResult
-from conformance.pytest_plugin.robot_client import Client
-from conformance.report.run_report import Report
-from spec.protocol import Protocol
+from bilprov.conformance.dut.boards.target import board_named
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.link import Device, Link
+from bilprov.conformance.dut.port_link import PortLink
+from bilprov.conformance.dut.power import Power
+from bilprov.conformance.dut.probes import Probe, ProbeError, open_probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.pytest_plugin.robot_client import Client
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
 
 SIM = "sim"
 
 
-class Bench:
-    """A port, `sim` or an emulated board, for one run of the suite and any number of clients.
+class SuiteThread:
+    """One run of the suite, and any number of clients, on a port, `sim` or an emulated board.
 
-    Nothing is opened before `open`. `close` stops a run that still goes, and homes. `order` has the
-    ids of the cases and their places in a run; `surprises` gets the results that are none of them.
+    Nothing is opened before `open`. `close` stops a run that is still going, and homes. `order` has
+    the ids of the cases and their places in a run; `unplanned` gets the results of other cases.
     """
 
     def __init__(
@@ -62,8 +64,10 @@ class Bench:
         self._board = board_named(target)
         self.virtual = target == SIM or bool(self._board and self._board.virtual)
         self.report: Report | None = None
-        cases = select_cases(protocol, options)
-        self.order = {case.id: at for at, case in enumerate((*always(protocol), *cases))}
+        cases = select_cases(protocol, options, settings)
+        self.order = {
+            case.id: at for at, case in enumerate((*opening_and_reading_cases(protocol), *cases))
+        }
         self._cases = cases
         self._settings = settings
         self.own_probe = self._board.kind if self._board else SIM if self.virtual else None
@@ -75,17 +79,17 @@ class Bench:
         self._probe: Probe | None = None
         self._power: Power | None = None
         self._thread: threading.Thread | None = None
-        # Ctrl-C may come at any moment: its get() can be interrupted, which a condition's cannot.
-        self._news: SimpleQueue[CaseResult | None] = SimpleQueue()
+        # Ctrl-C may come at any moment: SimpleQueue.get can be interrupted, a condition cannot.
+        self._results_queue: SimpleQueue[CaseResult | None] = SimpleQueue()
         self._over = True
         self._results: dict[str, CaseResult] = {}
-        self.surprises: list[CaseResult] = []
+        self.unplanned: list[CaseResult] = []
         self.told_why = False
         self._broken: BaseException | None = None
 
     @property
     def device(self) -> dict[str, Any]:
-        """What a report says about the link."""
+        """The link as a report describes it."""
         about = {"line": str(self._settings), "probe": self._probe_name}
         if self.virtual:
             fault = self._fault.name if self._fault else None
@@ -95,21 +99,21 @@ class Bench:
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""
         chosen = [case for case in self._cases if case.id in ids]
-        return estimated_seconds(self.protocol, chosen, self.options)
+        return estimated_seconds(self.protocol, chosen, self.options, self._settings)
 
     def open(self, confirm: Callable[[], None]) -> None:
-        """Open port and probe, once; then `confirm`, which raises if the robot may not move.
+        """Open port and probe, once; then call `confirm`, which raises if the robot may not move.
 
-        An emulated board moves nothing: nobody is asked. Raises LinkError, ProbeError and
-        EmulatorError, in one sentence.
+        It is not called for the simulator or an emulated board, which move nothing. Raises
+        LinkError, ProbeError and EmulatorError, in one sentence.
         """
         if self.virtual:
-            with self._device():  # whether there is one
+            with self._device():  # raises if the firmware cannot be run
                 return
         if self._port is not None:
             return
         if self._board:
-            from conformance.dut.boards.qemu import running
+            from bilprov.conformance.dut.boards.qemu import running
 
             board = running(self._board.firmware, self._settings)
             self._port, robot = self._stack.enter_context(board)
@@ -126,7 +130,7 @@ class Bench:
     # -- the run ----------------------------------------------------------------------------------
 
     def start(self, ids: Collection[str]) -> None:
-        """Begin the run of these cases, in the suite's order. More than once is as good as once."""
+        """Begin the run of these cases, in the suite's order. Only the first call has an effect."""
         if self._thread is None:
             options = self.options
             if self.order.keys() - set(ids):
@@ -147,7 +151,7 @@ class Bench:
         return self._results.get(ident)
 
     def why_not(self, ident: str) -> str:
-        """Why a case has no result although the run has ended; "" where it was not needed."""
+        """Why a case has no result although the run has ended; "" if the run did not need it."""
         if ident in self._results or self.report is None:
             return ""
         return self.report.unusable or self.report.ended
@@ -158,35 +162,35 @@ class Bench:
             self._take()
 
     def stop(self) -> None:
-        """End a run that still goes; the robot is homed, and a second Ctrl-C does not hinder it."""
+        """End a run that is still going; homes the robot, and ignores a second Ctrl-C meanwhile."""
         with undisturbed(again=False):
             if not self._over:
                 self._stopper.stop()
             self.finish()
 
     def _take(self) -> None:
-        """The next result of the run, or its end."""
-        result = self._news.get()
+        """Wait for the next result of the run, or its end, and store it."""
+        result = self._results_queue.get()
         if result is None:
             self._over = True
             return
         self._results[result.id] = result
         if result.id not in self.order:
-            self.surprises.append(result)
+            self.unplanned.append(result)
 
     def begin(self, ident: str) -> None:
-        """A case begins (as a watcher of the run)."""
+        """A case begins (as a run listener)."""
 
     def end(self, result: CaseResult) -> None:
-        """A case is final (as a watcher of the run)."""
-        self._news.put(result)
+        """A case is final (as a run listener)."""
+        self._results_queue.put(result)
 
     def _run(self, options: Options) -> None:
         try:
             self.report = self._conform(options)
         except BaseException as error:
             self._broken = error
-        self._news.put(None)
+        self._results_queue.put(None)
 
     def _conform(self, options: Options) -> Report:
         if self.virtual:
@@ -195,7 +199,7 @@ class Bench:
                     device,
                     grammar=self.protocol,
                     options=options,
-                    watcher=self,
+                    listener=self,
                     interrupted=lambda: self._stopper.stopped,
                     name=self.target,
                     probe=self._probe_name,
@@ -210,18 +214,18 @@ class Bench:
             options=options,
             stop=self._stopper.fileno(),
             interrupted=lambda: self._stopper.stopped,
-            watcher=self,
+            listener=self,
             power=self._power,
             name=self.target,
         )
 
     @contextmanager
     def _device(self) -> Iterator[Device]:
-        """What runs in virtual time, at its power-on."""
+        """The device that runs in virtual time, just after power-on."""
         if self._board is None:
             yield Simulator(self.protocol, self._fault)
             return
-        from conformance.dut.boards.simavr import SimavrBoard
+        from bilprov.conformance.dut.boards.simavr import SimavrBoard
 
         with closing(SimavrBoard(self._board.firmware)) as board:
             yield board
@@ -230,9 +234,9 @@ class Bench:
 
     @contextmanager
     def client(self) -> Iterator[Client]:
-        """A client, homed before and after. A run that still goes is waited for.
+        """A client of the robot, which is homed before and after. Waits for the end of a run.
 
-        Raises RobotError where the robot does not let itself be homed.
+        Raises RobotError where the robot cannot be homed.
         """
         self.finish()
         with ExitStack() as stack:
@@ -243,7 +247,7 @@ class Bench:
             else:
                 assert self._port is not None, "open() comes first"
                 link = PortLink(self._port, self._probe, self._stopper.fileno())
-                sees = self._probe is not None and not self._probe.sparse
+                sees = self._probe is not None and not self._probe.costly
             client = Client(self.protocol, link, sees=sees)
             client.home()
             try:
@@ -253,7 +257,7 @@ class Bench:
                     client.home()
 
     def close(self) -> None:
-        """Stop a run that still goes and give the port up; more than once is as good as once."""
+        """Stop a run that is still going and close the port; may be called more than once."""
         self.stop()
         self._stack.close()
         self._stopper.close()

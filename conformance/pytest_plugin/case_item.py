@@ -1,4 +1,4 @@
-"""A case of the suite as a pytest test: its verdict is the outcome, its evidence the message."""
+"""The test cases of the suite as pytest items: the verdict is the outcome, evidence the message."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import NoReturn
 
 import pytest
 
-from captures.errors import shown
-from conformance.oracle.profile import Profile
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.pytest_plugin.bench import Bench
-from conformance.report.run_report import evidence, make_report, reproduce
+from bilprov.captures.text import printable
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.pytest_plugin.bench import SuiteThread
+from bilprov.conformance.report.run_report import evidence, make_report, reproduce
 
 NAME = "conformance"
 
 
 class Conformance(pytest.Collector):
-    """The suite: a node without a file, whose tests are the cases."""
+    """The suite as a collector without a file, whose items are the cases."""
 
-    bench: Bench
+    bench: SuiteThread
     ids: Sequence[str]
 
     @classmethod
-    def of(cls, session: pytest.Session, bench: Bench, ids: Sequence[str]) -> Conformance:
+    def of(cls, session: pytest.Session, bench: SuiteThread, ids: Sequence[str]) -> Conformance:
         """The suite with these cases."""
         suite: Conformance = cls.from_parent(session, name=NAME, nodeid=NAME)
         suite.bench, suite.ids = bench, ids
@@ -39,20 +39,20 @@ class Conformance(pytest.Collector):
 
 
 class CaseItem(pytest.Item):
-    """One case. `known` says that its result is there already, outside of the collection."""
+    """One case as an item. `known` is true for one that was not collected but has a result."""
 
     known = False
     parent: Conformance
 
     def setup(self) -> None:
-        """Wait for the result; a case that the kit could not judge is an error, no failure."""
+        """Wait for the result; a case that the kit could not judge is an error, not a failure."""
         bench = self.parent.bench
         result = bench.result(self.name)
         if result is None:
             why = bench.why_not(self.name)
             if bench.told_why or not why:
-                _skip(f"not judged: {shown(why) or 'this run did not need it'}")
-            bench.told_why = True  # once is enough: it is the same for all that are left
+                _skip(f"not judged: {printable(why) or 'this run did not need it'}")
+            bench.told_why = True  # said once: the reason is the same for all that are left
             _fail(f"not judged: {why}")
         self._result = result
         self.user_properties += [("clause", result.clause), ("verdict", result.verdict.label)]
@@ -67,12 +67,14 @@ class CaseItem(pytest.Item):
         if result.verdict is Verdict.FAIL:
             _fail(self._evidence(result))
         if result.verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED):
-            _skip(f"{result.verdict.label}: {shown(result.reason)}")
+            _skip(f"{result.verdict.label}: {printable(result.reason)}")
         if result.verdict is not Verdict.PASS:
-            self.add_report_section("call", NAME, f"{result.verdict.label}: {shown(result.reason)}")
+            self.add_report_section(
+                "call", NAME, f"{result.verdict.label}: {printable(result.reason)}"
+            )
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Where it is said to be: the suite has no file."""
+        """The location that pytest shows: a path made of the suite's name, which has no file."""
         return self.config.rootpath / NAME, 0, self.name
 
     def _evidence(self, result: CaseResult) -> str:
@@ -88,12 +90,12 @@ class CaseItem(pytest.Item):
             seed=bench.options.seed,
         )
         rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
-        lines = [f"{label:10}{shown(words)}" for label, words in rows]
+        lines = [f"{label:10}{printable(words)}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
 
 
 def _fail(message: str) -> NoReturn:
-    """Where in the kit it was raised says nothing: the message alone is shown."""
+    """Fail with the message alone: a traceback into the kit would not help the user."""
     pytest.fail(message, pytrace=False)
 
 

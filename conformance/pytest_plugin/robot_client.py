@@ -1,30 +1,35 @@
-"""A robot to talk to in a test: an instruction out, its answer back, a look through the probe.
+"""The client of the fixture `robot`: sends instructions, reads answers, looks through the probe.
 
-It stands on a link (`conformance.drive.Link`), so a port in real time and a simulator in virtual
-time are the same to a test.
+It uses a link (`conformance.dut.link.Link`), so a test works alike on a port in real time and on a
+simulator in virtual time.
 """
 
 from __future__ import annotations
 
-from analyzer.client.driver import Answer as Answer
-from analyzer.client.errors import RobotError as RobotError
-from analyzer.client.robot import Instructions
-from analyzer.decode.pairing import MILLISECOND
-from analyzer.transport.wire import Heard as Answers
-from captures.schemas import Look
-from conformance.dut.link import Link
-from conformance.dut.operations import Ask, Heard, Listen, See, Seen, Send
-from conformance.runner.run import Ended
-from spec.protocol import Protocol
+from bilprov.analyzer.client.errors import RobotError
+from bilprov.analyzer.client.robot import Instructions
+from bilprov.analyzer.transport.wire import Heard as Answers
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.dut.link import Link
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    Received,
+    Send,
+)
+from bilprov.spec.protocol import Protocol
 
-_SETTLE = 2 * MILLISECOND
+_SETTLE = 2 * MS
 
 
 class Client(Instructions):
-    """One robot on a link, driven as a `Robot` is. `sees` tells whether a probe looks at it.
+    """One robot on a link, driven as a `Robot` is. `sees` says whether there is a probe to look.
 
     Nothing is sent until `home` or an instruction is called. Every method raises RobotError where
-    the robot does not answer, answers unasked, or cannot be reached any more.
+    the robot does not answer, sends an unsolicited answer, or cannot be reached any more.
     """
 
     def __init__(self, protocol: Protocol, link: Link, *, sees: bool) -> None:
@@ -44,10 +49,13 @@ class Client(Instructions):
         Speed and LED stay as they were. The probe, if there is one, must see it stand still.
         """
         super().home()
-        self._require_still(round(self.protocol.timing.stop_longest * MILLISECOND))
+        self._require_still(round(self.protocol.timing.stop_longest * MS))
 
     def _require_still(self, patience: int) -> None:
-        """Link and probe are two lines: a look may be a little older than the answer."""
+        """Look until the robot stands still; raise RobotError after `patience` ns.
+
+        Link and probe are two lines: a look may be a little older than the answer.
+        """
         wire = self._link_wire
         until = wire.now + patience
         while self.sees and self.look().moving:
@@ -57,33 +65,33 @@ class Client(Instructions):
 
 
 class LinkWire:
-    """The wire that a link is (`analyzer.wire.Wire`); `now` is the time of its last listening."""
+    """A link as a wire (see `analyzer.transport.wire`); `now` (ns) is when it last listened."""
 
     def __init__(self, link: Link) -> None:
         self.now = 0
         self._link = link
 
     def send(self, data: bytes) -> int:
-        """Send bytes; the time (ns) when the last one had gone. Raises RobotError."""
+        """Send bytes; returns the time (ns) when the last one had gone. Raises RobotError."""
         sent = self._do(Send(data))
         assert isinstance(sent, int)
         return sent
 
     def listen(self, count: int | None, patience: int) -> Answers:
-        """What came until there were `count`, or `patience` ns were over. Raises RobotError."""
+        """The answers until there are `count` or `patience` ns are over. Raises RobotError."""
         heard = self._do(Listen(count, patience))
-        assert isinstance(heard, Heard)
+        assert isinstance(heard, Received)
         self.now = heard.now
         return heard.answers
 
     def look(self) -> Look:
         """What the probe sees now. Raises RobotError."""
-        seen = self._do(See())
-        assert isinstance(seen, Seen)
+        seen = self._do(Observe())
+        assert isinstance(seen, Observation)
         return seen.look
 
-    def _do(self, ask: Ask) -> int | Heard | Seen:
+    def _do(self, operation: Operation) -> int | Received | Observation:
         try:
-            return self._link.do(ask)
+            return self._link.do(operation)
         except Ended as ended:
             raise RobotError(str(ended)) from ended

@@ -1,4 +1,4 @@
-"""A pytest session with a robot: its cases as tests, judged in one run over its port."""
+"""The hooks of a pytest session with a robot: cases are tests, judged in one run on its port."""
 
 from __future__ import annotations
 
@@ -10,28 +10,31 @@ from typing import Any
 
 import pytest
 
-from analyzer.cli.confirm import NotConfirmed, confirm_motion
-from analyzer.grammar_file import load_protocol
-from analyzer.options import line_settings
-from analyzer.transport.errors import LinkError
-from captures.errors import shown
-from conformance.api import Options
-from conformance.cases.levels import LEVELS, STANDARD
-from conformance.dut.boards.emulator import EmulatorError
-from conformance.dut.probes import ProbeError
-from conformance.dut.simulator import Fault
-from conformance.mutation.faults import fault_bank
-from conformance.oracle.choices import parse_allowed
-from conformance.oracle.verdicts import Verdict
-from conformance.pytest_plugin.bench import SIM, Bench
-from conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
-from spec.protocol import GrammarError, Protocol
+from bilprov.analyzer.cli.confirm import NotConfirmed, confirm_motion
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.captures.text import printable
+from bilprov.conformance.api import Options
+from bilprov.conformance.cases.levels import LEVELS, STANDARD
+from bilprov.conformance.dut.boards import EmulatorError
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.probes import ProbeError
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.pytest_plugin.bench import SIM, SuiteThread
+from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
+from bilprov.spec.protocol import GrammarError, Protocol
 
 _GONE = (signal.SIGTERM, signal.SIGHUP)
 
 
 class RobotSession:
-    """What pytest calls. Raises pytest.UsageError, in one sentence, for wrong use."""
+    """The plugin's hooks, registered with --robot-port.
+
+    Raises pytest.UsageError, in one sentence, for wrong use.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -41,7 +44,7 @@ class RobotSession:
             raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
             protocol = load_protocol(option("robot_grammar"))
-            self.bench = Bench(
+            self.bench = SuiteThread(
                 protocol,
                 option("robot_port"),
                 options=_options(protocol, option),
@@ -50,7 +53,7 @@ class RobotSession:
                 fault=_fault(protocol, option("robot_port"), option("robot_fault")),
             )
         except (GrammarError, ValueError, OSError) as error:
-            raise pytest.UsageError(shown(error)) from error
+            raise pytest.UsageError(printable(error)) from error
         if self.bench.own_probe and option("robot_probe") not in (None, SIM):
             raise pytest.UsageError(
                 f"--robot-port {self.bench.target} brings its own probe: leave --robot-probe out"
@@ -60,7 +63,7 @@ class RobotSession:
         self._old: dict[signal.Signals, Any] = {}
 
     def _asked_for(self) -> frozenset[str]:
-        """The cases that the command line's files leave: all of them where it names none."""
+        """The ids of the cases that the command line names; all of them where it names nothing."""
         config = self._config
         mine = [arg for arg in config.args if arg.startswith(f"{NAME}::")]
         if NAME in config.args and not Path(NAME).exists():  # else it is a file of the user's
@@ -70,7 +73,7 @@ class RobotSession:
         named = {arg.removeprefix(f"{NAME}::") for arg in mine} - {NAME}
         unknown = sorted(named - self.bench.order.keys())
         if unknown:
-            raise pytest.UsageError(f"there is no case {shown(unknown[0])}; see --collect-only")
+            raise pytest.UsageError(f"there is no case {printable(unknown[0])}; see --collect-only")
         config.args[:] = [arg for arg in config.args if arg not in mine]
         return frozenset(named if named and NAME not in mine else self.bench.order)
 
@@ -80,7 +83,7 @@ class RobotSession:
     def pytest_collection_modifyitems(
         self, session: pytest.Session, items: list[pytest.Item]
     ) -> Generator[None]:
-        """The cases are there before -k and -m choose, and first and in order whatever shuffles."""
+        """Add the cases before -k and -m select; put them first, in order, after any shuffling."""
         if self._wanted:
             ids = [ident for ident in self.bench.order if ident in self._wanted]
             suite = Conformance.of(session, self.bench, ids)
@@ -96,7 +99,7 @@ class RobotSession:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> None:
-        """Open the port, and ask, before the first test; not where nothing needs the robot."""
+        """Open the port and ask for consent before the first test, if any test needs the robot."""
         if session.config.option.collectonly:
             return
         self._left = [item.name for item in session.items if isinstance(item, CaseItem)]
@@ -127,28 +130,28 @@ class RobotSession:
     def pytest_runtest_protocol(
         self, item: pytest.Item, nextitem: pytest.Item | None
     ) -> Generator[None, object, object]:
-        """Begin the run with the first case; end it with the last, and tell what has no test."""
+        """Begin the run at the first case, wait for its end at the last, add unplanned failures."""
         if not isinstance(item, CaseItem) or item.known:
             return (yield)
         self.bench.start(self._left)
         done = yield
         if not isinstance(nextitem, CaseItem):
             self.bench.finish()
-        for extra in self._surprises(item):
+        for extra in self._unplanned(item):
             item.ihook.pytest_runtest_protocol(item=extra, nextitem=nextitem)
         return done
 
-    def _surprises(self, item: CaseItem) -> Iterator[CaseItem]:
-        """What failed and was never collected, such as an answer that nobody asked for."""
-        while self.bench.surprises:
-            result = self.bench.surprises.pop(0)
+    def _unplanned(self, item: CaseItem) -> Iterator[CaseItem]:
+        """Items for failed cases that were not collected, such as unsolicited answers."""
+        while self.bench.unplanned:
+            result = self.bench.unplanned.pop(0)
             if result.verdict >= Verdict.FAIL:
                 extra: CaseItem = CaseItem.from_parent(item.parent, name=result.id)
                 extra.known = True
                 yield extra
 
     def _heed_signals(self) -> None:
-        """A job that is cancelled leaves no robot driving: as Ctrl-C."""
+        """Treat SIGTERM and SIGHUP as Ctrl-C, so that a cancelled job leaves no robot driving."""
         if threading.current_thread() is threading.main_thread():
             for number in _GONE:
                 if signal.getsignal(number) is signal.SIG_DFL:
@@ -156,11 +159,11 @@ class RobotSession:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:
-        """-x and Ctrl-C end the run too, and home the robot."""
+        """End the run, also after -x or Ctrl-C, and home the robot."""
         self.bench.stop()
 
     def pytest_unconfigure(self) -> None:
-        """Give the port up."""
+        """Close the port and restore the signal handlers."""
         self.bench.close()
         while self._old:
             signal.signal(*self._old.popitem())
@@ -168,7 +171,7 @@ class RobotSession:
     # -- telling ----------------------------------------------------------------------------------
 
     def pytest_report_header(self) -> str:
-        """One line: which robot, which protocol, which seed."""
+        """The header's line: robot, protocol and seed."""
         bench = self.bench
         return (
             f"robot: {bench.target}, {bench.protocol.name} {bench.protocol.version}, seed "
@@ -176,7 +179,7 @@ class RobotSession:
         )
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """What the tests do not say: why the run ended early, and what failed unselected."""
+        """Print what no test shows: why the run ended early, and opening cases that failed."""
         report = self.bench.report
         if report is None:
             return
@@ -186,7 +189,7 @@ class RobotSession:
             unasked = result.id in self.bench.order and result.id not in self._left
             if unasked and result.verdict >= Verdict.FAIL:
                 what = f"{result.id}, which opens every run, is {result.verdict.label} too"
-                terminalreporter.write_line(f"robot: {what}: {shown(result.reason)}")
+                terminalreporter.write_line(f"robot: {what}: {printable(result.reason)}")
 
 
 def _require_one_process(config: pytest.Config) -> None:
@@ -196,11 +199,12 @@ def _require_one_process(config: pytest.Config) -> None:
 
 
 def _options(protocol: Protocol, option: Callable[[str], Any]) -> Options:
-    """What the run is told. Raises ValueError for a level or a choice that there is not."""
+    """The options of the run. Raises ValueError for a level or a choice that there is not."""
     seed, level = option("robot_seed"), option("robot_level") or STANDARD.name
     if level not in LEVELS:
         raise ValueError(
-            f"--robot-level is {shown(level)}; allowed are {', '.join(LEVELS)}: give one of them"
+            f"--robot-level is {printable(level)}; allowed are "
+            f"{', '.join(LEVELS)}: give one of them"
         )
     allow = tuple(option("robot_allow") or ())
     parse_allowed(protocol, allow)

@@ -1,1 +1,1 @@
-"""The result of a run in every form."""
+"""The report of a run, and the formats that it is written in."""

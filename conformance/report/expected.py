@@ -1,15 +1,15 @@
-"""Failures that are expected: entries and results in; what is unexpected or stale out. No file.
+"""Compares a run's results with expected failures: finds unexpected ones and stale entries. No I/O.
 
 The text of a file of expected failures has one entry a line, `GLOB : MESSAGE`. Empty lines and
-lines that begin with # say nothing. GLOB is of case ids, * crosses /. MESSAGE is how the failure
+lines that begin with # are ignored. GLOB matches case ids, * crosses /. MESSAGE is how the failure
 begins: the axis (`answer`, `stop` or `state`), a colon, and its reason, as much of it as stays the
 same from run to run:
 
     # the board takes all eight bits of the LED byte (issue 12)
     bad-data/LED/* : answer: OK instead of BAD_DATA
 
-A case is an expected failure when each of its axes that fails is as some entry says. An entry is
-stale, and itself a failure, when all of its cases were judged and none of them fails any more.
+A case is an expected failure when each of its axes that fails matches an entry. An entry is stale,
+and itself a failure, when all of its cases were judged and none of them fails any more.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-from captures.errors import shown
-from conformance.cases.selection import BY_THEMSELVES, matching
-from conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.captures.text import printable
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.spec.errors import UserError
 
 _SEPARATOR = " : "
 _FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
-# What was measured differs in the next run: a message is written down up to there.
+# Measured values differ from run to run: a message is written only up to the first of them.
 _MEASURED = re.compile(r"\s*\b\d+(\.\d+)?\s*(ms|s|us)\b")
-_MOST = 10_000  # entries: each is held against each case
+_MOST = 10_000  # entries: each is compared with each case
 _NEW_FILE = "# Failures that are expected, GLOB : MESSAGE; see bilprov conform --help\n"
 
 
-class ExpectedError(Exception):
+class ExpectedError(UserError):
     """A file of expected failures cannot be used. The message is one sentence for the user."""
 
 
@@ -43,13 +44,13 @@ class Entry:
     line: int
 
     def allows(self, message: str) -> bool:
-        """Whether a failure with this message is the one that is meant."""
+        """Whether the entry covers a failure with this message."""
         return message.startswith(self.message)
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What a run says about the entries of `file`.
+    """The result of comparing a run with the entries of `file`.
 
     `expected` are the ids of the cases that fail only as entries say, `unexpected` how many others
     fail, `stale` a sentence for each entry that no longer fails.
@@ -63,7 +64,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Update:
-    """The file's new text, and the lines that came and went."""
+    """The file's new text, and the lines that were added and removed."""
 
     text: str
     added: tuple[str, ...]
@@ -81,7 +82,8 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
         glob, message = glob.strip(), _plain(message)
         if not (glob and separator and message):
             raise ExpectedError(
-                f"{file}, line {number} is {shown(words)!r}; write GLOB : MESSAGE, a glob of case "
+                f"{file}, line {number} is {printable(words)!r}; write GLOB : "
+                "MESSAGE, a glob of case "
                 "ids and how the failure begins, or # and a comment"
             )
         entries.append(Entry(glob, message, number))
@@ -95,13 +97,14 @@ def require_known(entries: Iterable[Entry], file: str, known: Collection[str]) -
     for entry in entries:
         if not _ids(entry, known):
             raise ExpectedError(
-                f"{file}, line {entry.line}: no case matches {shown(entry.glob)!r}; see the ids "
+                f"{file}, line {entry.line}: no case matches "
+                f"{printable(entry.glob)!r}; see the ids "
                 "with bilprov conform sim --list, or take the entry out"
             )
 
 
 def failure_messages(result: CaseResult) -> tuple[str, ...]:
-    """What an entry is held against: for each axis that fails its name and its reason."""
+    """The messages that entries are compared with: name and reason of each axis that fails."""
     found = []
     for name, axis in result.axes.items():
         if axis.verdict is Verdict.FAIL:
@@ -118,23 +121,24 @@ def compare(
     *,
     whole: bool = True,
 ) -> Comparison:
-    """Hold a run's results against the entries.
+    """Compare a run's results with the entries.
 
     `suite` are the ids of all cases that a run of this kind has, also of those that this one left
-    out (--only, --shard). `whole` says that the run went to its end: only then is a case that has
-    no cause (an unsolicited answer) known not to have come.
+    out (--only, --shard). `whole` says that the run went to its end: only then does the absence of
+    a conditional case (such as an unsolicited answer) show that it does not fail.
     """
     used, expected, unexpected = _used(entries, results)
     fine = {r.id for r in results if r.verdict in _FINE}
     if whole:
-        fine |= set(BY_THEMSELVES) - {r.id for r in results}
+        fine |= set(CONDITIONAL_CASES) - {r.id for r in results}
     stale = []
     for entry in entries:
         its = _ids(entry, suite)
         if entry not in used and its and fine.issuperset(its):
-            what = f"{shown(its[0])} does" if len(its) == 1 else f"its {len(its)} cases do"
+            what = f"{printable(its[0])} does" if len(its) == 1 else f"its {len(its)} cases do"
             stale.append(
-                f"{file}, line {entry.line}: {shown(entry.glob)} : {shown(entry.message)}: {what} "
+                f"{file}, line {entry.line}: {printable(entry.glob)} : "
+                f"{printable(entry.message)}: {what} "
                 "not fail any more; take the entry out, or run with --update-expected"
             )
     return Comparison(file, frozenset(expected), unexpected, tuple(stale))
@@ -149,16 +153,17 @@ def updated(
     *,
     whole: bool = True,
 ) -> Update:
-    """The file as it should be after this run: what fails now is in it, what does not is not.
+    """The file's text brought up to date: failures of this run are added, stale entries removed.
 
     Comments stay where they are, and so do entries that still fit and those whose cases were not
-    all judged; entries that no case of `known` fits go. Raises ExpectedError as `parse_expected`.
+    all judged; entries that no case of `known` fits are removed. Raises ExpectedError as
+    `parse_expected` does.
     """
     entries = parse_expected(text, file)
     used, _, _ = _used(entries, results)
     judged = {r.id for r in results if r.verdict in (*_FINE, Verdict.FAIL)}
     if whole:
-        judged |= set(BY_THEMSELVES)
+        judged |= set(CONDITIONAL_CASES)
     gone = set()
     for entry in entries:
         its = _ids(entry, suite)
@@ -181,7 +186,7 @@ def updated(
 
 
 def _lines(text: str) -> list[str]:
-    """The lines as an editor counts them; a form feed or U+2028 is no end of a line."""
+    """The lines as an editor counts them; a form feed or U+2028 does not end a line."""
     return text.split("\n")
 
 
@@ -190,7 +195,7 @@ def _plain(message: str) -> str:
 
 
 def _ids(entry: Entry, known: Collection[str]) -> list[str]:
-    """The cases that an entry is about."""
+    """The ids of `known` that an entry's glob matches."""
     if entry.glob in known:
         return [entry.glob]
     fits = matching([entry.glob])
@@ -200,7 +205,7 @@ def _ids(entry: Entry, known: Collection[str]) -> list[str]:
 def _used(
     entries: Sequence[Entry], results: Sequence[CaseResult]
 ) -> tuple[set[Entry], set[str], int]:
-    """The entries that fit a failure, the ids that fail as said, and how many others fail."""
+    """The entries that fit a failure, the ids that fail as expected, and how many others fail."""
     tests: list[tuple[Entry, Callable[[str], bool]]] = [(e, matching([e.glob])) for e in entries]
     used: set[Entry] = set()
     expected: set[str] = set()
@@ -215,7 +220,7 @@ def _used(
 
 
 def _new_lines(kept: Sequence[Entry], results: Sequence[CaseResult]) -> Iterable[str]:
-    """An entry for each failure that no kept one says."""
+    """A line for each failure that none of the kept entries covers."""
     tests = [(entry, matching([entry.glob])) for entry in kept]
     for result in results:
         if result.verdict is not Verdict.FAIL:
@@ -228,5 +233,5 @@ def _new_lines(kept: Sequence[Entry], results: Sequence[CaseResult]) -> Iterable
 
 
 def _stable(message: str) -> str:
-    """As much of a message as does not depend on what was measured."""
+    """The beginning of a message, up to the first measured value."""
     return _MEASURED.split(message, maxsplit=1)[0] or message

@@ -1,16 +1,14 @@
-"""The file of `--expect-failures`: read before a run, held against its report, written anew."""
+"""The file of `--expect-failures`: read before a run, compared with its report, and updated."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-import stat
-import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
-from captures.errors import shown
-from conformance.report.expected import (
+from bilprov.analyzer.files import replace_file
+from bilprov.captures.text import printable
+from bilprov.conformance.report.expected import (
     Comparison,
     ExpectedError,
     Update,
@@ -19,25 +17,25 @@ from conformance.report.expected import (
     require_known,
     updated,
 )
-from conformance.report.run_report import Report, compared
+from bilprov.conformance.report.run_report import Report, compared
 
 _MOST = 1 << 20  # bytes
 
 
 class ExpectedFile:
-    """A file of expected failures; with `update` it is written anew after the run.
+    """A file of expected failures; with `update` it is rewritten after the run.
 
     `known` are the ids of all cases of the whole suite, `suite` those that a run of this kind has
-    when nothing is left out. Raises ExpectedError, before anything moves, for a file that cannot
-    be read (or, with `update`, written; there it need not exist), a line that is no entry, and an
-    entry that no case fits (with `update` it is taken out instead).
+    when nothing is left out. Raises ExpectedError, before the robot moves, for a file that cannot
+    be read (or, with `update`, written; it then need not exist), a line that is no entry, and an
+    entry that matches no case (with `update` it is removed instead).
     """
 
     def __init__(
         self, path: str, known: Collection[str], suite: Collection[str], *, update: bool = False
     ) -> None:
         self._path = Path(path)
-        self._name = shown(path)
+        self._name = printable(path)
         self._known, self._suite = known, suite
         self._update = update
         self._text = _read(self._path, self._name, missing_ok=update)
@@ -48,9 +46,9 @@ class ExpectedFile:
             require_known(entries, self._name, known)
 
     def applied(self, report: Report) -> tuple[Report, Update | None]:
-        """The report with what the file says about it, and what was changed in the file, if so.
+        """The report with its comparison, and the update of the file, None where there is none.
 
-        A run that could not judge anything changes nothing. Raises ExpectedError.
+        A run that could not judge anything does not change the file. Raises ExpectedError.
         """
         whole = not (report.ended or report.unusable)
         change = None
@@ -74,29 +72,6 @@ class ExpectedFile:
             raise ExpectedError(
                 f"{self._name} cannot be written ({error.strerror}); it is as it was before"
             ) from error
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Write a file so that there is always either the old one or the new one. Raises OSError."""
-    target = path.resolve()
-    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    beside = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if mode is None:
-            umask = os.umask(0)
-            os.umask(umask)
-            mode = 0o666 & ~umask
-        beside.chmod(mode)
-        beside.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            beside.unlink()
-        raise
 
 
 def _read(path: Path, name: str, *, missing_ok: bool) -> str:
@@ -125,7 +100,7 @@ def _read(path: Path, name: str, *, missing_ok: bool) -> str:
 
 
 def _require_writable(path: Path, name: str) -> None:
-    """What cannot be written is better known before the robot moves."""
+    """Raise ExpectedError, before the robot moves, where the file could not be written after it."""
     folder = path.resolve().parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise ExpectedError(

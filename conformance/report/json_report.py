@@ -1,4 +1,4 @@
-"""Reads a report back from its JSON: the same value that wrote it. The content is hostile."""
+"""Reads a report back from its JSON, as an equal value. The content may be hostile."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, WireEvent
-from conformance.report.expected import Comparison
-from conformance.report.run_report import AXES, NO_AXIS, Report
+from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.foreign_parts import Seconds, planned, require_readable
+from bilprov.conformance.report.run_report import AXES, NO_AXIS, Report
 
 LABELS = {verdict.label: verdict for verdict in Verdict}
 
 _Hex = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2}( [0-9a-f]{2})*)?$")]
-_Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 _Label = Literal["skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"]
 
@@ -31,7 +31,7 @@ class _Axis(msgspec.Struct):
 
 class _Byte(msgspec.Struct):
     hex: _Hex
-    t: _Seconds
+    t: Seconds
 
 
 class _Event(msgspec.Struct):
@@ -53,6 +53,7 @@ class _Case(msgspec.Struct):
     reproduce: str
     expected_failure: bool = False
     log: list[_Event] = []
+    planned_clause: str | None = None
 
 
 class _Grammar(msgspec.Struct):
@@ -93,12 +94,16 @@ class _Document(msgspec.Struct):
     timing: dict[str, int | float] = {}
     dropped: dict[str, int] = {}
     expected_failures: _Expected | None = None
+    begun: str | None = None
+    took_s: Seconds | None = None
+    host: str | None = None
+    versions: dict[str, str] = {}
 
 
 def read_report(path: str) -> Report:
     """The report that a JSON file of `conform --json` holds.
 
-    Keys that this version does not know are passed over. Raises ValueError, in one sentence, for a
+    Keys that this version does not know are ignored. Raises ValueError, in one sentence, for a
     file that cannot be read, that is no such result, or whose verdict and counts are not those of
     its cases.
     """
@@ -108,6 +113,7 @@ def read_report(path: str) -> Report:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from error
     try:
         document = msgspec.json.decode(data, type=_Document)
+        require_readable(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(
             f"{path} is no result of bilprov ({error}); give a file that conform --json wrote"
@@ -145,12 +151,16 @@ def _report(document: _Document) -> Report:
         timing=document.timing,
         dropped=document.dropped,
         comparison=_comparison(document),
+        begun=document.begun or "",
+        took_s=document.took_s,
+        host=document.host or "",
+        versions=document.versions,
         again={case.id: case.reproduce for case in document.cases},
     )
 
 
 def _comparison(document: _Document) -> Comparison | None:
-    """What a file of expected failures said about it."""
+    """The comparison with a file of expected failures, None where there was none."""
     told = document.expected_failures
     if told is None:
         return None
@@ -168,7 +178,8 @@ def _case(case: _Case) -> CaseResult:
         axes={name: axis for name, axis in axes.items() if axis != NO_AXIS},
         reading=case.reading or "",
         sent=tuple(case.sent),
-        received=tuple(Received(byte.hex, round(byte.t * 1e9)) for byte in case.received),
+        received=tuple(AnswerByte(byte.hex, round(byte.t * 1e9)) for byte in case.received),
+        planned=planned(case.clause, case.planned_clause),
         log=tuple(WireEvent(round(e.t * 1e9), e.kind, e.hex, e.look) for e in case.log),
     )
 

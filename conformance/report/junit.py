@@ -1,40 +1,40 @@
-"""Writes reports as JUnit XML: what was not judged is skipped with its reason, never passed."""
+"""Writes reports as JUnit XML; a case that was not judged is skipped, with its reason."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.run_report import AXES, Report, reproduce
-from conformance.report.summary import conclusion
-from conformance.visible import visible
-from spec.protocol import Protocol
+from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.run_report import AXES, Report, reproduce, run_facts
+from bilprov.spec.protocol import Protocol
 
 _NOT_RUN = "run"
 
 
 def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
-    """One test suite for each first part of the ids, one test case for each case.
+    """JUnit XML with one test suite for each first part of the ids, one test case for each case.
 
     A failure is a `failure` (with `--strict` non-strict is one too), an error an `error`;
-    inconclusive and skipped are `skipped` with their reason; whatever else is not a plain pass
-    passes and says its verdict and reading in its properties and `system-out`. Times are seconds on
+    inconclusive and skipped are `skipped` with their reason; the other verdicts pass, with verdict
+    and reading in the properties and, unless it is `pass`, in `system-out`. Times are seconds on
     the wire. With several reports the device's name stands before that of each suite and class. A
     run in which nothing could be judged has one test case more, an error.
     """
     root = Element("testsuites", name="bilprov conform")
     for report in reports:
-        before = f"{visible(report.device)}: " if len(reports) > 1 else ""
+        before = f"{escape_controls(report.device)}: " if len(reports) > 1 else ""
         for name, results in _groups(report.results).items():
-            suite = _suite(root, report, before + visible(name))
+            suite = _suite(root, report, before + escape_controls(name))
             for result in results:
                 _case(suite, report, result, before)
         if report.unusable:
             suite = _suite(root, report, before + _NOT_RUN)
             classname = before + _NOT_RUN
             case = SubElement(suite, "testcase", classname=classname, name="usable", time="0")
-            SubElement(case, "error", type="error", message=visible(report.unusable))
+            SubElement(case, "error", type="error", message=escape_controls(report.unusable))
     for suite in root:
         for kind, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
             suite.set(kind, str(len(suite.findall(f"testcase/{tag}"))))
@@ -57,6 +57,10 @@ def _groups(results: Iterable[CaseResult]) -> dict[str, list[CaseResult]]:
 
 def _suite(root: Element, report: Report, name: str) -> Element:
     suite = SubElement(root, "testsuite", name=name)
+    if report.begun:
+        suite.set("timestamp", escape_controls(report.begun))
+    if report.host:
+        suite.set("hostname", escape_controls(report.host))
     properties = SubElement(suite, "properties")
     grammar = report.grammar
     facts = {
@@ -66,8 +70,9 @@ def _suite(root: Element, report: Report, name: str) -> Element:
         "kit": report.kit,
         "grammar": f"{grammar['name']} {grammar['version']} {grammar['sha256']}",
     }
+    facts |= run_facts(report)
     for key, value in facts.items():
-        SubElement(properties, "property", name=key, value=visible(value))
+        SubElement(properties, "property", name=key, value=escape_controls(value))
     return suite
 
 
@@ -76,18 +81,18 @@ def _case(suite: Element, report: Report, result: CaseResult, before: str) -> No
     case = SubElement(
         suite,
         "testcase",
-        classname=before + visible(result.clause),
-        name=visible(result.id),
+        classname=before + escape_controls(result.own_clause),
+        name=escape_controls(result.id),
         time=f"{seconds:.6f}",
     )
     properties = SubElement(case, "properties")
     for key, value in (("verdict", result.verdict.label), ("reading", result.reading)):
         if value:
-            SubElement(properties, "property", name=key, value=visible(value))
+            SubElement(properties, "property", name=key, value=escape_controls(value))
     if result.verdict is Verdict.PASS:
         return
-    words = "\n".join(visible(line) for line in _lines(report, result))
-    reason = visible(result.reason) or result.verdict.label
+    words = "\n".join(escape_controls(line) for line in _lines(report, result))
+    reason = escape_controls(result.reason) or result.verdict.label
     tag = outcome(result.verdict, strict=bool(report.options.get("strict")))
     if tag == "skipped":
         SubElement(case, tag, type=result.verdict.label, message=reason)
@@ -98,7 +103,7 @@ def _case(suite: Element, report: Report, result: CaseResult, before: str) -> No
 
 
 def outcome(verdict: Verdict, *, strict: bool) -> str:
-    """The element that tells of a verdict, "" for a test that passed."""
+    """The name of the element that reports a verdict, "" for a test that passed."""
     if verdict is Verdict.ERROR:
         return "error"
     if verdict is Verdict.FAIL or (strict and verdict is Verdict.NON_STRICT):

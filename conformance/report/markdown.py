@@ -1,4 +1,4 @@
-"""Writes reports as Markdown for a CI's page: short, and whatever came from a device is inert."""
+"""Writes reports as short Markdown for a CI's page; text from a device cannot act as markup."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.run_report import Report, reproduce
-from conformance.report.summary import conclusion
-from conformance.visible import visible
-from spec.protocol import Protocol
+from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.run_report import Report, reproduce, run_facts
+from bilprov.spec.protocol import Protocol
 
 _FIRST = 10  # cases of each verdict in full
 _GROUPS = 60  # rows of the table
@@ -30,7 +30,7 @@ _EXITS = {0: "✅", 1: "❌", 2: "💥", 3: "❔"}
 
 
 def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
-    """Verdict, table of case groups, first cases that did not pass with their reason, coverage."""
+    """Markdown: verdict, table of case groups, the first cases that did not pass, coverage."""
     text = ""
     for index, report in enumerate(reports):
         part = "\n".join(_report(report)) + "\n"
@@ -42,11 +42,11 @@ def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
 
 
 def prose(text: str) -> str:
-    """Foreign text as plain words: no markup, no HTML, no link, nobody mentioned."""
+    """Foreign text as plain words: escaped so that it is no markup, HTML, link or @mention."""
     text = _clipped(text).strip()
     text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     text = re.sub(r"([\\`*_\[\]#|~$])", r"\\\1", text)
-    # What makes a list or a heading of a text that begins with it.
+    # At the beginning of a text these make it a list or a heading.
     text = re.sub(r"^(\d+(?=[.)](?:\s|$))|(?=[-+=]))", r"\1\\", text)
     # GitHub makes links of addresses and of names; an empty comment keeps it from both.
     return re.sub(r"(?i)(@|://|\bwww(?=\.))", r"\1<!-- -->", text)
@@ -68,7 +68,7 @@ def _block(text: str) -> str:
 
 
 def _clipped(text: str) -> str:
-    text = visible(text)
+    text = escape_controls(text)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
 
 
@@ -80,6 +80,10 @@ def _report(report: Report) -> Iterator[str]:
     facts += [f"probe {code(str(report.link['probe']))}"] if report.link.get("probe") else []
     yield f"{', '.join(facts)}, bilprov {prose(report.kit)}"
     yield ""
+    about = run_facts(report)
+    if about:
+        yield ", ".join(f"{prose(name)} {code(words)}" for name, words in about.items())
+        yield ""
     if report.results:
         yield from _table(report)
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.NON_STRICT):
@@ -129,7 +133,7 @@ def _cases(report: Report, verdict: Verdict, found: list[CaseResult]) -> Iterato
 
 
 def _reasons(found: list[CaseResult]) -> Iterator[str]:
-    """What could not be judged, by reason: it is rarely about the single case."""
+    """The inconclusive cases by reason, because many cases often share one."""
     if not found:
         return
     yield f"### {_SIGNS[Verdict.INCONCLUSIVE]} {len(found)} not judged"

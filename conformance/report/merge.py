@@ -1,7 +1,7 @@
-"""The reports of shards in, the report of the whole run out. Decoded JSON; no file.
+"""Merges the reports of shards into the report of the whole run. Works on decoded JSON; no I/O.
 
-What a later kit writes beside the keys that are known here stays as it is: in a case, always; at
-the top, where the parts agree. Where they differ it is kept for each part, in `shards`.
+Keys that are not known here (a later kit wrote them) stay as they are: in a case, always; at the
+top, where the shards agree. Where they differ they are kept for each shard, in `shards`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,22 @@ from typing import Any
 
 import msgspec
 
-from captures.errors import shown
-from conformance.cases.levels import AnyCase
-from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.report.expected import Comparison
-from conformance.report.run_report import Report, case_as_json, compared, coverage, decided_exit
-from conformance.report.shard import Part
-from spec.codec import spaced
-from spec.protocol import Protocol
+from bilprov.captures.text import printable
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.run_report import (
+    Report,
+    case_as_json,
+    compared,
+    coverage,
+    decided_exit,
+)
+from bilprov.conformance.report.shard import ShardReport
+from bilprov.spec.codec import spaced
+from bilprov.spec.protocol import Protocol
 
-# What is worked out anew; everything else at the top is kept, or told for each part.
+# Keys that are computed anew; all others at the top are kept, or listed for each shard.
 _WORKED_OUT = ("coverage", "counts", "cases", "profile", "options", "expected_failures")
 
 _SHOWN = 8  # missing shards
@@ -35,11 +41,11 @@ class Merged:
     document: dict[str, Any]
 
 
-def merge(parts: Sequence[Part], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
+def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
     """Put shards that belong together into one report.
 
     `cases` are those of the whole run, besides the opening ones. A case that several shards ran
-    (the opening ones) counts once, with its worst verdict. What no shard ran is inconclusive.
+    (the opening ones) counts once, with its worst verdict. One that no shard ran is inconclusive.
     """
     parts = sorted(parts, key=lambda part: part.index)
     first = parts[0].told
@@ -65,6 +71,7 @@ def merge(parts: Sequence[Part], protocol: Protocol, cases: Sequence[AnyCase]) -
         coverage=coverage(protocol, merged, cases),
         results=tuple(merged),
         ended_by=ended_by,
+        **_run_facts(parts),
         again={ident: str(raw.get("reproduce", "")) for ident, raw in raws.items()},
     )
     for case in unrun:
@@ -92,8 +99,8 @@ def _not_run(case: AnyCase, why: str) -> CaseResult:
     )
 
 
-def _expected(parts: Sequence[Part], results: Sequence[CaseResult]) -> Comparison | None:
-    """What the shards' own files of expected failures said, None where there were none."""
+def _expected(parts: Sequence[ShardReport], results: Sequence[CaseResult]) -> Comparison | None:
+    """The shards' comparisons with expected failures as one, None where there were none."""
     told = [part.raw.get("expected_failures") for part in parts]
     known = [summary for summary in told if isinstance(summary, dict)]
     if not known:
@@ -107,15 +114,15 @@ def _expected(parts: Sequence[Part], results: Sequence[CaseResult]) -> Compariso
     }
     stale = [sentence for summary in known for sentence in summary.get("stale") or ()]
     return Comparison(
-        file=", ".join(dict.fromkeys(shown(summary.get("file")) for summary in known)),
+        file=", ".join(dict.fromkeys(printable(summary.get("file")) for summary in known)),
         expected=frozenset(failed - surprising),
         unexpected=len(failed & surprising),
-        stale=tuple(dict.fromkeys(shown(sentence) for sentence in stale)),
+        stale=tuple(dict.fromkeys(printable(sentence) for sentence in stale)),
     )
 
 
 def _worst_of_each(
-    parts: Sequence[Part],
+    parts: Sequence[ShardReport],
 ) -> tuple[dict[str, dict[str, Any]], dict[str, CaseResult]]:
     """Each case's JSON and result, those of its worst verdict where several shards ran it."""
     raws: dict[str, dict[str, Any]] = {}
@@ -127,14 +134,14 @@ def _worst_of_each(
     return raws, results
 
 
-def _endings(parts: Sequence[Part], unrun: int) -> tuple[str, str]:
-    """Why the run is not whole, and whose doing that is; both "" if it is."""
+def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
+    """Why the run is not whole, and what ended it (`error` or `user`); both "" if it is whole."""
     told = []
     causes = set()
     for part in parts:
         why = part.told.unusable or part.told.ended
         if why:
-            told.append(f"shard {part.index}/{part.of}: {shown(why)}")
+            told.append(f"shard {part.index}/{part.of}: {printable(why)}")
             causes.add("error" if part.told.unusable else part.told.ended_by or "error")
     of = parts[0].of
     missing = sorted(set(range(1, of + 1)) - {part.index for part in parts})
@@ -149,8 +156,8 @@ def _endings(parts: Sequence[Part], unrun: int) -> tuple[str, str]:
     return "; ".join(told), "error" if "error" in causes else "user" if causes else ""
 
 
-def _profile(parts: Sequence[Part]) -> dict[str, Any]:
-    """What was measured: the longest of what is a longest, else what all shards agree in."""
+def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:
+    """The merged profile: the largest of each `..._max_ms`, else the value if all shards agree."""
     found: dict[str, Any] = {}
     for name in dict.fromkeys(name for part in parts for name in part.told.profile):
         values = [part.told.profile.get(name) for part in parts]
@@ -162,10 +169,24 @@ def _profile(parts: Sequence[Part]) -> dict[str, Any]:
     return found
 
 
+def _run_facts(parts: Sequence[ShardReport]) -> dict[str, Any]:
+    """The earliest begin, the sum of the times (spent on all devices), hosts and versions."""
+    begun = sorted(part.told.begun for part in parts if part.told.begun)
+    took = [part.told.took_s for part in parts if part.told.took_s is not None]
+    hosts = dict.fromkeys(part.told.host for part in parts if part.told.host)
+    versions = parts[0].told.versions
+    return {
+        "begun": begun[0] if begun else "",
+        "took_s": round(sum(took), 3) if took else None,
+        "host": ", ".join(hosts),
+        "versions": versions if all(p.told.versions == versions for p in parts) else {},
+    }
+
+
 def _document(
-    report: Report, parts: Sequence[Part], cases: Sequence[dict[str, Any]]
+    report: Report, parts: Sequence[ShardReport], cases: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """The whole run as JSON, from the parts' own."""
+    """The whole run as JSON, from the JSON of the shards."""
     names = dict.fromkeys(name for part in parts for name in part.raw)
     agreed = {
         name: parts[0].raw.get(name)
@@ -195,6 +216,10 @@ def _document(
         "coverage": {name: {"done": d, "of": of} for name, (d, of) in report.coverage.items()},
         "profile": report.profile,
         "expected_failures": None,
+        "begun": report.begun or None,
+        "took_s": report.took_s,
+        "host": report.host or None,
+        "versions": report.versions,
         "shards": shards,
     }
     del document["cases"]

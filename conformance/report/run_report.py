@@ -1,4 +1,4 @@
-"""The report of a run: one value that the summary, the JSON and the exit code come from."""
+"""The report of a run as one value, from which the summary, the JSON and the exit code come."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from typing import Any
 
 import msgspec
 
-from analyzer.version import kit_version
-from conformance.cases.coverage import covered
-from conformance.cases.levels import AnyCase
-from conformance.cases.sequence import Walk
-from conformance.oracle.judge import MS
-from conformance.oracle.profile import Profile
-from conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
-from conformance.report.expected import Comparison
-from spec.protocol import Protocol
+from bilprov.analyzer.version import kit_version
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.coverage import covered
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.report.expected import Comparison
+from bilprov.spec.protocol import Protocol
 
 AXES = ("answer", "stop", "state")
 NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 
 
 class Report(msgspec.Struct, frozen=True):
-    """Everything that is known after a run.
+    """The result of a run: what was tested, with which options, and what came of it.
 
     `unusable` says why nothing could be judged, `ended` why the run ended early; both are "" for a
-    run that went to its end; `ended_by` is then `error` (the kit, the port or the probe failed) or
-    `user`. `profile` holds what was measured (ms), `coverage` pairs of how many and out of how
-    many, `kit` the version that judged. `comparison` is what a file of expected failures says about
-    it, if there is one. `again` has the command that tries a case again where it was read, not run
-    here. `timing` says where the time went (see `meter`), `dropped` how many cases of each group a
-    budget has left out.
+    run that went to its end. For one that ended early `ended_by` is `error` (the kit, the port or
+    the probe failed) or `user`. `profile` holds what was measured (ms), `coverage` pairs of how
+    many and out of how many, `kit` the version that judged. `comparison` is that with a file of
+    expected failures, if there is one. `again` has each case's command to reproduce it, for a
+    report that was read from a file. `timing` says where the time went (see `meter`), `dropped` how
+    many cases of each group a budget has left out. `begun` is when the run began (ISO 8601, UTC),
+    `took_s` how long it took, `host` the machine's name, `versions` those of Python, its platform
+    and libraries: each "", None or empty where it is not known.
     """
 
     grammar: dict[str, str]
@@ -53,6 +55,10 @@ class Report(msgspec.Struct, frozen=True):
     again: dict[str, str] = {}
     timing: dict[str, float] = {}
     dropped: dict[str, int] = {}
+    begun: str = ""
+    took_s: float | None = None
+    host: str = ""
+    versions: dict[str, str] = {}
 
     @property
     def verdict(self) -> Verdict:
@@ -85,7 +91,7 @@ def make_report(
 ) -> Report:
     """Put a report together. `error` says that the kit, the port or the probe ended the run.
 
-    An interrupted run with nothing failed cannot vouch for the rest: its exit code is 3.
+    An interrupted run with nothing failed has exit code 3, because the rest was not judged.
     """
     ended_by = "error" if error else "user" if interrupted else ""
     return Report(
@@ -113,7 +119,10 @@ def make_report(
 
 
 def compared(report: Report, comparison: Comparison) -> Report:
-    """The report of the same run where failures are expected: only the others decide its exit."""
+    """The report with a comparison: only failures that are not expected decide its exit code.
+
+    A stale entry makes it 1.
+    """
     counted = [r for r in report.results if r.id not in comparison.expected]
     code = decided_exit(counted, report.options, report.unusable, report.ended_by)
     if comparison.stale:
@@ -132,7 +141,7 @@ def decided_exit(
 
 
 def _measured(profile: Profile) -> dict[str, Any]:
-    """What was measured, times in milliseconds, and what the device chose where it was open."""
+    """The profile for a report: measured times in milliseconds, and choices at open points."""
     times = [latency / MS for latency in profile.latencies]
 
     def ms(time: int | None) -> float | None:
@@ -158,32 +167,40 @@ def _measured(profile: Profile) -> dict[str, Any]:
 def coverage(
     protocol: Protocol, results: Sequence[CaseResult], cases: Sequence[AnyCase]
 ) -> dict[str, tuple[int, int]]:
-    """What was exercised out of what there is, as facts.
+    """How many facts (see `cases.coverage`) of each kind the run exercised, out of how many.
 
-    A case that was not run counts nothing, nor does a walk that ended before its end.
+    A case that was not run does not count, nor does a sequence that was not judged to its end.
     """
     done = {r.id for r in results if r.sent and r.axes.get("answer") and r.received}
     done |= {r.id for r in results if "stop" in r.axes or "state" in r.axes}
     broken = {r.id for r in results if r.verdict >= Verdict.INCONCLUSIVE}
-    run = [c for c in cases if c.id in done and not (isinstance(c, Walk) and c.id in broken)]
+    run = [
+        c for c in cases if c.id in done and not (isinstance(c, SequenceCase) and c.id in broken)
+    ]
     return covered(protocol, run)
 
 
 def as_json(report: Report) -> bytes:
-    """The report for machines: one JSON object, every key always there.
+    """The report as JSON: one object in which every key is always present.
 
     `verdict` and `exit` sum up, `counts` has each verdict, `coverage` what was exercised (`done`)
-    and how much there is (`of`), `profile` what was measured (ms)
-    and what the device chose where the document is silent, `timing` where the time went, `dropped`
-    what a budget has left out. Each of `cases` has `id`,
-    `clause`, `requirement`, `verdict`, `axes` (`answer`, `stop`, `state`: each `verdict`,
-    `expected`, `actual`, `reason`, `reading`; `skipped` where a case has no such axis), `reading`,
-    `sent` (hex of each frame), `received` (`hex` and `t`, in s since the stimulus had gone), `log`
-    (`t` in s since its first entry, `kind`: `sent`, `received`, `look` or `clipped`, `hex`, `look`)
-    `reproduce` and `expected_failure` (its verdict stays `fail`). `expected_failures` sums these
-    up: `file`, `expected` and `unexpected` (how many cases), `stale` (a sentence for each entry
-    that no longer fails); null without such a file. `ended_by` is `error`, `user` or null.
-    `options.shard` is [I, N] for a shard, else null.
+    and how much there is (`of`), `profile` what was measured (ms) and what the device chose where
+    the document is silent, `timing` where the time went, `dropped` what a budget has left out.
+
+    Each of `cases` has `id`, `clause` (the one that its failure violates, where it fails),
+    `planned_clause` (the one that the case stands under in every format of the report),
+    `requirement`, `verdict`, `axes` (`answer`, `stop`, `state`: each `verdict`, `expected`,
+    `actual`, `reason`, `reading`; `skipped` where a case has no such axis), `reading`, `sent` (hex
+    of each frame), `received` (`hex` and `t`, in s since the stimulus had gone), `log` (`t` in s
+    since its first entry, `kind`: `sent`, `received`, `look` or `clipped`, `hex`, `look`),
+    `reproduce` and `expected_failure` (its verdict stays `fail`).
+
+    `expected_failures` sums these up: `file`, `expected` and `unexpected` (how many cases), `stale`
+    (a sentence for each entry that no longer fails); null without such a file. `ended_by` is
+    `error`, `user` or null. `options.shard` is [I, N] for a shard, else null. `begun` is when the
+    run began (ISO 8601, UTC), `took_s` how long it took (real time, s), `host` the machine's name,
+    each null where it is not known; `versions` those of Python, its platform and the libraries that
+    reports depend on.
     """
     document = {
         "kit": report.kit,
@@ -203,6 +220,10 @@ def as_json(report: Report) -> bytes:
         "dropped": report.dropped,
         "profile": report.profile,
         "expected_failures": expected_failures(report.comparison),
+        "begun": report.begun or None,
+        "took_s": report.took_s,
+        "host": report.host or None,
+        "versions": report.versions,
     }
     head = msgspec.json.format(msgspec.json.encode(document), indent=1).removesuffix(b"\n}")
     cases = b",\n".join(_case(report, result) for result in report.results)
@@ -226,6 +247,7 @@ def case_as_json(report: Report, result: CaseResult) -> dict[str, Any]:
     return {
         "id": result.id,
         "clause": result.clause,
+        "planned_clause": result.own_clause,
         "requirement": result.requirement,
         "verdict": result.verdict.label,
         "axes": {name: _axis(result.axes.get(name, NO_AXIS)) for name in AXES},
@@ -238,7 +260,7 @@ def case_as_json(report: Report, result: CaseResult) -> dict[str, Any]:
 
 
 def expected_failures(comparison: Comparison | None) -> dict[str, Any] | None:
-    """What `expected_failures` of the JSON says."""
+    """The value of `expected_failures` in the JSON."""
     if comparison is None:
         return None
     return {
@@ -259,8 +281,16 @@ def _axis(axis: Axis) -> dict[str, str | None]:
     }
 
 
+def run_facts(report: Report) -> dict[str, str]:
+    """When, where and with what the run was made, as labels and words, as far as it is known."""
+    took = "" if report.took_s is None else f"{report.took_s:.1f} s"
+    versions = ", ".join(f"{name} {version}" for name, version in report.versions.items())
+    told = {"begun": report.begun, "took": took, "host": report.host, "versions": versions}
+    return {name: words for name, words in told.items() if words}
+
+
 def evidence(result: CaseResult) -> list[tuple[str, str]]:
-    """Labels and words: what was sent, and what was expected and seen on each axis not well."""
+    """Labels and words: what was sent, and what was expected and seen on each axis not passed."""
     rows = [("sent", " | ".join(result.sent) or "nothing")]
     for name, axis in result.axes.items():
         if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
@@ -272,9 +302,9 @@ def evidence(result: CaseResult) -> list[tuple[str, str]]:
 
 
 def reproduce(report: Report, result: CaseResult) -> str:
-    """The command that tries this case again, or for a sequence the frames that fail.
+    """The command that runs this case again or, for a sequence, sends the frames that fail.
 
-    What fails in the built-in simulator is sent to `PORT`, where `bilprov simulate` serves it.
+    For the built-in simulator the frames go to `PORT`, where `bilprov simulate` serves it.
     """
     if report.again.get(result.id):
         return report.again[result.id]
@@ -286,6 +316,8 @@ def reproduce(report: Report, result: CaseResult) -> str:
     words = [*start, "conform", report.device, "--seed", str(report.seed), "--only", result.id]
     if report.options.get("level", "standard") != "standard":
         words += ["--level", report.options["level"]]
+    if report.options.get("deadline"):
+        words += ["--deadline", f"{report.options['deadline']:g}"]
     for allowed in report.options.get("allow", ()):
         words += ["--allow", allowed]
     probe, fault = report.link.get("probe"), report.link.get("fault")

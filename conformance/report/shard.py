@@ -1,4 +1,4 @@
-"""A shard's report as it was written: read from JSON, and held against the others. No file."""
+"""Reads a shard's report from JSON, and checks that several belong to one run. No I/O."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from typing import Any
 
 import msgspec
 
-from captures.errors import shown
-from conformance.oracle.verdicts import Axis, CaseResult, Received, Verdict, worst
-from conformance.report.run_report import NO_AXIS
-from spec.protocol import Protocol
+from bilprov.captures.text import printable
+from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
+from bilprov.conformance.report.foreign_parts import Seconds, planned, require_readable
+from bilprov.conformance.report.run_report import NO_AXIS
+from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 _VERDICTS = {verdict.label: verdict for verdict in Verdict}
 _MOST_SHARDS = 1_000_000
 
 
-class MergeError(Exception):
-    """Reports that are none, or do not belong together. The message is one sentence."""
+class MergeError(UserError):
+    """Reports cannot be read, or do not belong together. The message is one sentence."""
 
 
 class _Axis(msgspec.Struct):
@@ -30,7 +32,7 @@ class _Axis(msgspec.Struct):
 
 class _Byte(msgspec.Struct):
     hex: str
-    t: float
+    t: Seconds
 
 
 class _Case(msgspec.Struct):
@@ -43,6 +45,7 @@ class _Case(msgspec.Struct):
     sent: list[str]
     received: list[_Byte]
     reproduce: str = ""
+    planned_clause: str | None = None
 
 
 class _Grammar(msgspec.Struct):
@@ -59,6 +62,11 @@ class _Link(msgspec.Struct):
     fault: str | None = None
 
 
+class _Expected(msgspec.Struct):
+    file: str = ""
+    stale: list[str] = []
+
+
 class _Document(msgspec.Struct):
     kit: str
     grammar: _Grammar
@@ -71,11 +79,16 @@ class _Document(msgspec.Struct):
     unusable: str | None = None
     ended: str | None = None
     ended_by: str | None = None
+    expected_failures: _Expected | None = None
+    begun: str | None = None
+    took_s: Seconds | None = None
+    host: str | None = None
+    versions: dict[str, str] = {}
 
 
 @dataclass(frozen=True)
-class Part:
-    """One shard's report: the file's name, its JSON as it came, and the shard that it is."""
+class ShardReport:
+    """One shard's report: file name, raw and typed JSON, results, and shard `index` of `of`."""
 
     name: str
     raw: dict[str, Any]
@@ -85,43 +98,50 @@ class Part:
     of: int
 
 
-def part_from(name: str, data: bytes) -> Part:
-    """A report of a shard, as `conform --shard --json` wrote it. Raises MergeError."""
-    name = shown(name)
+def shard_from(name: str, data: bytes) -> ShardReport:
+    """The report of a shard, from what `conform --shard --json` wrote. Raises MergeError."""
+    name = printable(name)
     try:
         told = msgspec.json.decode(data, type=_Document)
         raw = msgspec.json.decode(data)
         results = tuple(_result(case) for case in told.cases)
+        shard = _shard(name, told.options)
+        require_readable(data)
     except (msgspec.DecodeError, UnicodeDecodeError, KeyError, RecursionError) as error:
         raise MergeError(
-            f"{name} is no report of bilprov conform --json ({shown(error)})"
+            f"{name} is no report of bilprov conform --json ({printable(error)})"
         ) from error
-    shard = told.options.get("shard")
+    return ShardReport(name, raw, told, results, *shard)
+
+
+def _shard(name: str, options: dict[str, Any]) -> tuple[int, int]:
+    shard = options.get("shard")
     if not (
         isinstance(shard, list)
         and [type(number) for number in shard] == [int, int]
         and 1 <= shard[0] <= shard[1] < _MOST_SHARDS
     ):
         raise MergeError(f"{name} is not the report of a shard; run conform with --shard I/N")
-    return Part(name, raw, told, results, *shard)
+    return shard[0], shard[1]
 
 
-def require_together(parts: Sequence[Part], protocol: Protocol) -> None:
+def require_together(parts: Sequence[ShardReport], protocol: Protocol) -> None:
     """Raise MergeError, in one sentence, unless the parts are shards of one and the same run."""
     first = parts[0]
     if first.told.grammar.sha256 != protocol.sha256:
         theirs = first.told.grammar
         raise MergeError(
-            f"{first.name} was made with another grammar ({shown(theirs.name)} "
-            f"{shown(theirs.version)}, {shown(theirs.file)}); give that one with --grammar FILE.py"
+            f"{first.name} was made with another grammar ({printable(theirs.name)} "
+            f"{printable(theirs.version)}, {printable(theirs.file)}); give that "
+            "one with --grammar FILE.py"
         )
-    seen: dict[int, Part] = {}
+    seen: dict[int, ShardReport] = {}
     for part in parts:
         for what, here, there in _alike(part, first):
             if here != there:
                 raise MergeError(
-                    f"{part.name} and {first.name} are not of one run: {what} is {shown(here)} "
-                    f"in one and {shown(there)} in the other"
+                    f"{part.name} and {first.name} are not of one run: {what} is {printable(here)} "
+                    f"in one and {printable(there)} in the other"
                 )
         twin = seen.setdefault(part.index, part)
         if twin is not part:
@@ -144,12 +164,16 @@ def _result(case: _Case) -> CaseResult:
         axes=axes,
         reading=case.reading or "",
         sent=tuple(case.sent),
-        received=tuple(Received(byte.hex, round(byte.t * 1e9)) for byte in case.received),
+        received=tuple(AnswerByte(byte.hex, round(byte.t * 1e9)) for byte in case.received),
+        planned=planned(case.clause, case.planned_clause),
     )
 
 
-def _alike(part: Part, other: Part) -> list[tuple[str, Any, Any]]:
-    """What must be the same in all shards; the device and its probe may be others of their kind."""
+def _alike(part: ShardReport, other: ShardReport) -> list[tuple[str, Any, Any]]:
+    """(name, value here, value there) of what must be the same in all shards.
+
+    The device and its probe may be others of the same kind.
+    """
 
     def facts(told: _Document) -> dict[str, Any]:
         probe = (told.link.probe or "none").partition(":")[0]

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.run_report import Report
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.run_report import Report
 
 
 class Row(NamedTuple):
@@ -18,17 +18,26 @@ class Row(NamedTuple):
 
     @property
     def any(self) -> CaseResult:
-        """The first result: what is said of the case itself is the same in all."""
+        """The first result there is; what it says of the case itself is the same in all."""
         return next(result for result in self.results if result)
 
     @property
+    def clause(self) -> str:
+        """The clause that the case stands under: the same whether it passes or fails.
+
+        An older report, without `planned_clause`, has it only where the case does not fail.
+        """
+        results = [result for result in self.results if result]
+        return min(results, key=lambda r: (not r.planned, r.verdict)).own_clause
+
+    @property
     def group(self) -> str:
-        """What the case's id begins with."""
+        """The first part of the case's id."""
         return self.id.split("/")[0]
 
     @property
     def differs(self) -> bool:
-        """Whether the reports that have it do not agree about it."""
+        """Whether the verdicts of the reports that have the case differ."""
         return len({result.verdict for result in self.results if result}) > 1
 
 
@@ -43,7 +52,7 @@ def rows(reports: Sequence[Report]) -> list[Row]:
         seen: Counter[str] = Counter()
         results: dict[tuple[str, int], CaseResult] = {}
         for result in report.results:
-            # An id stands once in a report; where a file says otherwise nothing is lost.
+            # An id stands once in a report; if a file has it more often, no result is lost.
             results[result.id, seen[result.id]] = result
             seen[result.id] += 1
         found.append(results)
@@ -73,7 +82,7 @@ def tally(results: Sequence[CaseResult | None]) -> dict[Verdict, int]:
 
 
 def names(reports: Sequence[Report]) -> list[str]:
-    """What tells the reports apart: the device, the fault that was set, a number where needed."""
+    """A distinct name for each report: the device, the fault that was set, a number if needed."""
     plain = [
         report.device + (f" --fault {report.link['fault']}" if report.link.get("fault") else "")
         for report in reports

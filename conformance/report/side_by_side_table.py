@@ -1,4 +1,4 @@
-"""Shows several reports beside one another on a terminal: a table of groups, then what differs."""
+"""Shows several reports side by side on a terminal: a table of groups, then what differs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from conformance.oracle.verdicts import CaseResult
-from conformance.report.run_report import Report
-from conformance.report.side_by_side import Row, names, rows, tally
-from conformance.report.summary import STYLES, conclusion
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.report.conclusion import STYLES, conclusion
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.report.side_by_side import Row, names, rows, tally
 
 _SHOWN = 20
 
@@ -19,7 +19,7 @@ _SHOWN = 20
 def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:
     """Print one column for each report; `everything` lists every case on which they differ.
 
-    What is foreign in the reports has been made visible before.
+    Control characters in the reports must have been escaped before (`visible_report`).
     """
     told = names(reports)
     cases = rows(reports)

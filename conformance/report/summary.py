@@ -1,29 +1,33 @@
-"""Shows a report: a table of classes and verdicts, then each case that did not pass."""
+"""Shows a report on a terminal: a table of case groups and verdicts, then cases not passed."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
 
+import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from conformance.oracle.choices import default_of
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.run_report import Report, evidence, reproduce
+from bilprov.captures.text import escape_all_controls
+from bilprov.conformance.oracle.choices import default_of
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.conclusion import STYLES, conclusion
+from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
 
-STYLES = {
-    Verdict.PASS: "green",
-    Verdict.INFORMATIONAL: "cyan",
-    Verdict.NON_STRICT: "yellow",
-    Verdict.INCONCLUSIVE: "magenta",
-    Verdict.FAIL: "bold red",
-    Verdict.ERROR: "bold white on red",
-    Verdict.SKIPPED: "dim",
-}
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
+# The keys of `timing` that are shown; a report from a file may have fewer.
+_TIMED = {
+    *("took_s", "ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
+    *("looks", "look_ms"),
+}
+
+
+def visible_report(report: Report) -> Report:
+    """The report with all control characters escaped, so that it cannot control the terminal."""
+    return msgspec.convert(escape_all_controls(msgspec.to_builtins(report)), Report)
 
 
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
@@ -42,6 +46,9 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
             console.print(Text(f"{name}: {done} of {of}", "dim"))
     for line in _facts(report):
         console.print(Text(line, "dim"))
+    about = run_facts(report)
+    if about:
+        console.print(Text(", ".join(f"{name} {said}" for name, said in about.items()), "dim"))
     level = report.options.get("level", "")
     console.print(Text(f"level {level}, seed {report.seed}", "dim"))
     if report.comparison:
@@ -56,7 +63,7 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
 
 
 def _facts(report: Report) -> Iterator[str]:
-    """What was measured, what the device chose, what was left out, and where the time went."""
+    """Lines on what was measured, the device's choices, what was left out, and the time taken."""
     profile, timing = report.profile, report.timing
     timeout, latency = profile.get("truncation_timeout_ms"), profile.get("latency_median_ms")
     if timeout is not None:
@@ -69,8 +76,8 @@ def _facts(report: Report) -> Iterator[str]:
         yield "reads the document otherwise: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if report.dropped:
         left = ", ".join(f"{count} of {name}" for name, count in report.dropped.items())
-        yield f"left out for the budget of {report.options['budget']:g} s: {left}"
-    if timing and report.link["kind"] == "port":
+        yield f"left out for the budget of {report.options.get('budget') or 0:g} s: {left}"
+    if timing.keys() >= _TIMED and report.link["kind"] == "port":
         yield (
             f"took {timing['took_s']:.1f} s, {timing['ratio']:.2f} times its wire, silences, "
             "time-outs and looks: "
@@ -79,32 +86,6 @@ def _facts(report: Report) -> Iterator[str]:
             f"{timing['timeouts_s']:.1f} s of time-outs, {timing['looks']:.0f} looks of "
             f"{timing['look_ms']:.2f} ms"
         )
-
-
-def conclusion(report: Report) -> Text:
-    """The one line that says how it ended."""
-    if report.unusable:
-        return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
-    counts = {name: count for name, count in report.counts.items() if count}
-    words = ", ".join(f"{count} {name}" for name, count in counts.items())
-    shard = report.options.get("shard")
-    words += f" (shard {shard[0]} of {shard[1]})" if shard else ""
-    comparison = report.comparison
-    if comparison and comparison.expected and report.exit == 0:
-        text = Text(f"{report.device} fails only as expected: {words}", STYLES[Verdict.PASS])
-    elif comparison and comparison.stale and not comparison.unexpected:
-        text = Text(f"{comparison.file} no longer fits: {words}", STYLES[Verdict.FAIL])
-    elif report.exit == 0:
-        text = Text(f"{report.device} conforms: {words}", STYLES[Verdict.PASS])
-    elif report.exit == 1:
-        text = Text(f"{report.device} does not conform: {words}", STYLES[Verdict.FAIL])
-    else:
-        text = Text(
-            f"{report.device} was not judged in full: {words}", STYLES[Verdict.INCONCLUSIVE]
-        )
-    if report.ended:
-        text.append(f" (ended early: {report.ended})")
-    return text
 
 
 def _table(report: Report) -> Table:
@@ -127,7 +108,7 @@ def _table(report: Report) -> Table:
 
 
 def _reasons(found: list[CaseResult], console: Console) -> None:
-    """What could not be judged, by reason: it is rarely about the single case."""
+    """The inconclusive cases by reason, because many cases often share one."""
     counts = Counter(result.reason for result in found)
     for reason, count in counts.most_common(_REASONS):
         cases = "1 case" if count == 1 else f"{count} cases"
@@ -137,7 +118,7 @@ def _reasons(found: list[CaseResult], console: Console) -> None:
 
 
 def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:
-    """The first `most` cases of each class in full, the others counted."""
+    """Print the first `most` cases of each group in full, and how many others there are."""
     classes: dict[str, list[CaseResult]] = {}
     for result in found:
         classes.setdefault(result.id.split("/")[0], []).append(result)
@@ -153,7 +134,7 @@ def _cases(report: Report, found: list[CaseResult], console: Console, most: int)
 
 
 def _case(report: Report, result: CaseResult, console: Console) -> None:
-    """One case: what was sent, and for each axis that is not well what was expected and seen."""
+    """Print one case: what was sent, and for each axis not passed what was expected and seen."""
     head = Text.assemble(
         (result.verdict.label, STYLES[result.verdict]),
         " ",

@@ -1,4 +1,4 @@
-"""Says what each entry of a wire log means: frames and answers in the grammar's words."""
+"""Describes each entry of a wire log in the grammar's words: frames and answers."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import groupby
 
-from conformance.oracle.judge import MS, code_words
-from conformance.oracle.verdicts import WireEvent
-from conformance.report.run_report import Report
-from spec.codec import judge
-from spec.framing import Framer
-from spec.protocol import Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.oracle.verdicts import WireEvent
+from bilprov.conformance.oracle.wording import code_words
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.codec import judge
+from bilprov.spec.framing import Framer
+from bilprov.spec.protocol import Protocol
 
 
 class WireWords:
-    """The words for the logs of one report.
+    """The words for the wire logs of one report.
 
-    `known` is false for a report that was made with another grammar than `protocol`: then nothing
-    is said about bytes. Frames are told as a conforming device makes them out of the bytes.
+    `known` is false for a report that was made with another grammar than `protocol`: its bytes are
+    not described. Frames are described as a conforming device would find them in the bytes.
     """
 
     def __init__(self, protocol: Protocol, report: Report) -> None:

@@ -1,1 +1,1 @@
-"""Executes cases over a link."""
+"""Executes cases over a link: preamble, stimulus, homing, retry, minimising, discovery."""

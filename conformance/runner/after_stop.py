@@ -1,92 +1,97 @@
-"""After a stop: it holds, settings do not end it, a motion does, and nothing was lost by it."""
+"""Checks after a stop: it holds, settings do not restart the robot, a motion instruction does."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from conformance.cases.preamble import moving_to, setting
-from conformance.cases.single_frames import Case
-from conformance.cases.steps import Class
-from conformance.dut.operations import Heard, Script, listen, see, send
-from conformance.oracle.judge import answer_words, differences, judge_belief, look_words
-from conformance.oracle.state_model import Deed
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.homing import watch
-from conformance.runner.run import Run
-from spec.codec import judge
-from spec.fields import Outcome
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.operations import Procedure, Received, listen, observe, send
+from bilprov.conformance.oracle.judge import differences, judge_state
+from bilprov.conformance.oracle.state_model import FrameEffect
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import answer_words, look_words
+from bilprov.conformance.runner.homing import watch
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.by_effect import moving_to, setting
+from bilprov.spec.codec import judge
+from bilprov.spec.fields import Outcome
 
 
-def hold(run: Run, case: Case, looks: bool, judged: Callable[[Heard, int], Axis]) -> Script[bool]:
-    """Until quiet: no more answers come (`judged` judges all of them), and the stop holds.
+def stays_stopped(
+    run: RunState, case: Case, looks: bool, judged: Callable[[Received, int], Axis]
+) -> Procedure[bool]:
+    """Check that no more answers come and that the stop holds; `judged` judges all the answers.
 
-    Returns whether what comes after the stop can be tried.
+    Returns whether the checks that follow (`restart_guard`) can be made.
     """
-    # Where each value has a case of its own, or costs a time-out, one in four waits for silence: a
-    # late answer shows in the next homing, and a stop that does not last in the walks too.
-    many = case.kind in (Class.BAD_DATA, Class.TRUNCATED) and not case.thorough
+    # Of the many cases with a bad value or a time-out, one in four waits for silence: a late answer
+    # shows in the next homing, and a stop that does not last shows in the sequences too.
+    many = case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough
     brief = many and run.next_nudge() % 4
-    window = run.limits.settle if brief else run.limits.silence
-    rounds = max(1, run.limits.hold // window) if case.thorough and not run.eyes.sparse else 1
+    window = run.timers.settle if brief else run.timers.silence
+    rounds = (
+        max(1, run.timers.hold // window) if case.thorough and not run.observability.costly else 1
+    )
     for _ in range(rounds):
         more = yield from listen(None, window)
         if more.answers:
             run.axes["answer"] = judged(*run.hear(more))
-        if looks and run.looks_freely:
-            seen = yield from see()
+        if looks and run.observable:
+            seen = yield from observe()
             if seen.look.moving and run.axes["stop"].verdict < Verdict.FAIL:
                 words = look_words(seen.look)
                 run.worsen("stop", Verdict.FAIL, words, "moved again by itself")
                 return False
-    # A person or a process that looks has no looks left for it.
-    return not run.eyes.sparse
+    # Where a person or a command is the probe, no look is spent on it.
+    return not run.observability.costly
 
 
-def restart(run: Run, case: Case, looks: bool) -> Script[None]:
-    """Settings that change nothing must not restart the robot; a motion instruction must."""
-    expected = run.belief.state
+def restart_guard(run: RunState, case: Case, looks: bool) -> Procedure[None]:
+    """Check that settings with their present values do not restart the robot, and a motion does."""
+    expected = run.expected_state.state
     settings = [
         frame
         for variable in ("speed", "led", "steering")
         if run.wire(frame := setting(run.protocol, variable, getattr(expected, variable)))
     ]
-    if settings and case.kind is not Class.VALID:
-        # One of them after each fault, in turn; after a Stop, which has few cases, all of them.
+    if settings and case.kind is not FrameClass.VALID:
+        # After each fault one of them, in turn; after a Stop, which has few cases, all of them.
         settings = [settings[run.next_nudge() % len(settings)]]
     for frame in settings:
         name = judge(run.protocol, frame).describe()
         yield from _step(run, run.wire(frame), name)
         if looks:
-            seen = yield from see()
+            seen = yield from observe()
             if seen.look.moving:
                 reason = f"{name} restarted it, no motion instruction came"
                 run.worsen("stop", Verdict.FAIL, look_words(seen.look), reason)
     mover = moving_to(run.protocol, case.setup.motion)
-    if mover is not None and case.setup.moving and case.kind is not Class.VALID:
+    if mover is not None and case.setup.moving and case.kind is not FrameClass.VALID:
         frame = bytes([run.protocol.header_bytes[mover.id, 0]])
         yield from _step(run, frame, mover.name)
-        run.belief = run.model.after(run.belief, Deed(mover.effect))
+        run.expected_state = run.model.after(run.expected_state, FrameEffect(mover.effect))
         if looks:
             yield from _moves_again(run, frame)
 
 
-def recover(run: Run, case: Case, looks: bool) -> Script[None]:
-    """The valid instruction right after a fault works."""
+def recovery(run: RunState, case: Case, looks: bool) -> Procedure[None]:
+    """Check that the valid instruction right after a fault is answered and takes effect."""
     judged = judge(run.protocol, case.then)
     yield from _step(run, case.then, judged.name)
     assert judged.instruction is not None
-    run.belief = run.model.after(run.belief, Deed(judged.instruction.effect))
-    if looks and run.looks_freely:
+    run.expected_state = run.model.after(run.expected_state, FrameEffect(judged.instruction.effect))
+    if looks and run.observable:
         yield from _moves_again(run, case.then)
 
 
-def _step(run: Run, frame: bytes, name: str) -> Script[None]:
-    """A valid instruction after the stimulus, which must be answered once and well.
+def _step(run: RunState, frame: bytes, name: str) -> Procedure[None]:
+    """Send a valid instruction after the stimulus; it must get its one right answer.
 
-    A device may throw away what follows a fault until the line is idle (R-drain-known): one that
-    has shown it gets its pause, one that has not is asked a second time.
+    A device may discard what follows a fault until the line is idle (R-drain-known): one that has
+    shown this gets its pause first, one that has not gets the instruction a second time.
     """
-    pause = run.timeout + run.limits.settle
+    pause = run.timeout + run.timers.settle
     if run.profile.flushes:
         yield from listen(None, pause)
     yield from send(frame)
@@ -100,7 +105,7 @@ def _step(run: Run, frame: bytes, name: str) -> Script[None]:
         yield from send(frame)
         again = yield from run.answers(1)
         if again.codes == due:
-            run.missing = False
+            run.answer_pending = False
             run.profile.flushes = True
             reason = f"{name} after the fault was lost, and taken when the line had been idle"
             words = answer_words(run.protocol, again.codes)
@@ -110,14 +115,14 @@ def _step(run: Run, frame: bytes, name: str) -> Script[None]:
     run.worsen("answer", Verdict.FAIL, words, f"{name} after the fault got {words}")
 
 
-def _moves_again(run: Run, frame: bytes) -> Script[None]:
-    """It moves again with what was kept: the stop was no crash, the fault changed nothing."""
-    name, belief = judge(run.protocol, frame).name, run.belief
-    seen = yield from watch(run, moving=belief.state.moving, patience=run.limits.deadline)
+def _moves_again(run: RunState, frame: bytes) -> Procedure[None]:
+    """Check that the robot moves again in the expected state: no crash, nothing lost."""
+    name, expected_state = judge(run.protocol, frame).name, run.expected_state
+    seen = yield from watch(run, moving=expected_state.state.moving, patience=run.timers.deadline)
     words = look_words(seen.look)
-    if any(facet == "moving" for facet, _, _ in differences(run.model, belief, seen.look)):
+    if any(facet == "moving" for facet, _, _ in differences(run.model, expected_state, seen.look)):
         run.worsen("state", Verdict.FAIL, words, f"{name} after the fault did not move it")
         return
-    axis = judge_belief(run.model, belief, seen.look)
+    axis = judge_state(run.model, expected_state, seen.look)
     reason = f"{name} after the fault: {axis.reason}"
     run.worsen("state", axis.verdict, words, reason, axis.reading)

@@ -1,24 +1,26 @@
-"""What a device shows right after power-on, before the stops that home the line hide it.
+"""Records the choices a device shows in its first frames after power-on.
 
-A device that chooses one reading for its first frames and another from then on shows two choices:
-what it showed first is kept, and the probes of `discovery` are held against it.
+This comes before the line is homed, because the stops of homing reset the state. A device that
+makes one choice in its first frames and another later contradicts itself: the experiments of
+`discovery` are compared with what is recorded here.
 """
 
 from __future__ import annotations
 
-from captures.schemas import Look
-from conformance.cases.preamble import moves, moving_to
-from conformance.cases.single_frames import special
-from conformance.cases.steps import code_of
-from conformance.dut.operations import Script, listen, send
-from conformance.oracle.choices import POINTS, Choices
-from conformance.oracle.judge import differences, look_words
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.homing import set_up, watch
-from conformance.runner.run import Run
-from spec.fields import Outcome
-from spec.motion import Motion, State
-from spec.protocol import Protocol
+from bilprov.captures.schemas import Look
+from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.steps import code_of
+from bilprov.conformance.dut.operations import Procedure, listen, send
+from bilprov.conformance.oracle.choices import POINTS, Choices
+from bilprov.conformance.oracle.judge import differences
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.runner.homing import set_up, watch
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.by_effect import moves, moving_to
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
 
 _CASE = "the first frames after power-on"
 _STOP = {"steering": "R-stop-steering", "speed": "R-stop-speed", "led": "R-led-state stop"}
@@ -29,14 +31,14 @@ _FAULT = {
 }
 
 
-def first_choices(run: Run) -> Script[None]:
-    """Settle what the first fault and the first stop leave of speed, steering and LED.
+def first_choices(run: RunState) -> Procedure[None]:
+    """Record what the first fault and the first stop leave of speed, steering and LED.
 
-    Only what is seen beyond doubt counts: every answer right, the robot as it was set up before.
+    Only unambiguous observations count: every answer right, the robot in the state set up before.
     """
     protocol = run.protocol
     full = _full(protocol)
-    if full is None or not run.looks_freely:
+    if full is None or not run.observable:
         return
     fault = protocol.header_bytes.get((protocol.unused_ids[0], 0)) if protocol.unused_ids else None
     stop = protocol.header_bytes[protocol.stop.id, 0]
@@ -50,56 +52,56 @@ def first_choices(run: Run) -> Script[None]:
     for frame, code, points in rows:
         if (yield from set_up(run, full)):
             return
-        seen = yield from watch(run, moving=True, patience=run.limits.deadline)
-        if differences(run.model, run.belief, seen.look):
+        seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+        if differences(run.model, run.expected_state, seen.look):
             return
         yield from send(bytes([frame]))
         heard = yield from run.answers(1)
         if heard.codes != (code,):
             return
-        seen = yield from watch(run, moving=False, patience=run.limits.deadline)
+        seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         if seen.look.moving and points is _FAULT:
             _missed(run, bytes([frame]), seen.look)
         if seen.look.moving is not False:
             return
         _settle(run.profile.choices, points, full, seen.look)
-        yield from listen(None, run.limits.settle)
+        yield from listen(None, run.timers.settle)
 
 
-def _sent_ahead(run: Run, burst: bytes) -> Script[None]:
-    """The first fault after power-on, with stops sent ahead behind it: are they lost?"""
+def _sent_ahead(run: RunState, burst: bytes) -> Procedure[None]:
+    """Record whether stops sent right behind the first fault after power-on are lost."""
     yield from send(burst)
     heard = yield from run.all_answers(len(burst))
     if heard.codes == (code_of(run.protocol, Outcome.UNKNOWN_ID),):
-        run.profile.choices.settle("R-pipelining unused-id", "lost-after-fault", _CASE)
-        yield from listen(None, run.timeout + run.limits.settle)
+        run.profile.choices.record("R-pipelining unused-id", "lost-after-fault", _CASE)
+        yield from listen(None, run.timeout + run.timers.settle)
 
 
-def _drives_on(run: Run, full: State) -> Script[bool]:
-    """Settle what a motion instruction leaves of the steering; false where a doubt is left."""
+def _drives_on(run: RunState, full: State) -> Procedure[bool]:
+    """Record what a motion instruction leaves of the steering; false where that is ambiguous."""
     mover = moving_to(run.protocol, full.motion)
     if mover is None or (yield from set_up(run, full)):
         return False
-    seen = yield from watch(run, moving=True, patience=run.limits.deadline)
-    if differences(run.model, run.belief, seen.look):
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    if differences(run.model, run.expected_state, seen.look):
         return False
     yield from send(bytes([run.protocol.header_bytes[mover.id, 0]]))
     heard = yield from run.answers(1)
-    seen = yield from watch(run, moving=True, patience=run.limits.deadline)
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
     _settle(run.profile.choices, {"steering": "R-drive-steering"}, full, seen.look)
     return True
 
 
-def _missed(run: Run, frame: bytes, look: Look) -> None:
-    """The first fault did not stop it, although the answer says that it was one.
+def _missed(run: RunState, frame: bytes, look: Look) -> None:
+    """Report that the first fault did not stop the robot although its answer was that of a fault.
 
-    One byte that the line has changed does not do that: a frame that is none of a fault gets
-    another answer. It need not show a second time.
+    A byte changed on the line cannot cause this: a frame without a fault gets another answer. So
+    it counts without a retry.
     """
     clause, requirement = run.protocol.clauses.safety, "the first fault stops the robot too"
-    case = special(run.protocol, "power-on/first-fault", clause, requirement, frame)
+    case = runner_case(run.protocol, "power-on/first-fault", clause, requirement, frame)
     reason = "the first fault after power-on was answered and did not stop it"
     fault = Axis(Verdict.FAIL, "stopped", look_words(look), reason)
     run.end(case, {"stop": fault})
@@ -110,10 +112,10 @@ def _settle(choices: Choices, points: dict[str, str], full: State, look: Look) -
         seen, was = getattr(look, variable), getattr(full, variable)
         if seen not in (0, was) or not was:
             continue
-        # The words of a point are what is left as it was, and what is set back; `kept` or not.
+        # Such a point has two choices: the value is kept (or unchanged), or it is reset.
         kept = {"kept", "unchanged"}
         word = next(c.word for c in POINTS[ident].choices if (c.word in kept) is (seen == was))
-        choices.settle(ident, word, _CASE)
+        choices.record(ident, word, _CASE)
 
 
 def _full(protocol: Protocol) -> State | None:

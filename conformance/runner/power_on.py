@@ -1,37 +1,38 @@
-"""The first bytes of a run: look before any byte, a setting, then the link check.
+"""The first cases of a run, from power-on: a look before any byte, then the link check.
 
-They tell a device that conforms or not from a line that cannot be used at all: nobody there, an
-echo. The first byte is no Stop, because that would hide a robot that moves at power-on.
+They tell a device, conforming or not, from a line that cannot be used at all: no answer, an echo.
+The first frame is a setting and no Stop, which would hide a robot that moves at power-on.
 """
 
 from __future__ import annotations
 
-from conformance.cases.opening import at_rest, link_check, motion_first
-from conformance.cases.single_frames import Case, special
-from conformance.dut.operations import Heard, Script, listen, power_cycle, see, send
-from conformance.oracle.choices import LOSING
-from conformance.oracle.judge import (
-    NOT_OBSERVABLE,
-    answer_words,
-    judge_answers,
-    judge_belief,
-    look_words,
-    lost,
+from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
+from bilprov.conformance.dut.operations import (
+    Procedure,
+    Received,
+    listen,
+    observe,
+    power_cycle,
+    send,
 )
-from conformance.oracle.state_model import Belief
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.homing import pad
-from conformance.runner.run import Run
-from spec.motion import State
+from bilprov.conformance.oracle.choices import FLUSH_POINTS
+from bilprov.conformance.oracle.judge import NOT_OBSERVABLE, judge_answers, judge_state, lost
+from bilprov.conformance.oracle.state_model import ExpectedState
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import answer_words, look_words
+from bilprov.conformance.runner.homing import pad
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.motion import State
 
 _STOPPED = "stopped"
 _CALIBRATION = 20
-_TRIES = 3  # more, of what went wrong once
-_CHATTER = 2  # answers to the first instruction: more are no answers, but a banner
+_TRIES = 3  # retries of a check that failed once
+_CHATTER = 2  # most answers to the first instruction: more are a banner
 
 
-def first_bytes(run: Run) -> Script[str]:
-    """Run and report the first cases. Returns why the line cannot be used, "" if it can."""
+def first_bytes(run: RunState) -> Procedure[str]:
+    """Execute and report the first cases. Returns why the line cannot be used, "" if it can."""
     still = at_rest(run.protocol)
     run.begin(still.id)
     axes = {"state": (yield from _still(run, still.expected, "R-power-on"))}
@@ -45,18 +46,20 @@ def first_bytes(run: Run) -> Script[str]:
         run.begin(case.id)
         flushed = run.profile.flushes
         first = len(outcomes) == 1
-        boot = run.limits.boot if first else 0
+        boot = run.timers.boot if first else 0
         heard, sent = yield from _exchange(run, case, boot)
         if first and _chatter(case, heard):
-            # A board that was reset by opening its port introduces itself: ask again.
+            # A board that was reset by opening its port sends a banner: send the instruction again.
             outcomes[0][1]["answer"] = _banner(run, heard)
-            yield from listen(None, run.limits.deadline)
+            yield from listen(None, run.timers.deadline)
             heard, sent = yield from _exchange(run, case, boot)
         run.profile.measured(heard, sent)
         if first and heard.answers:
             run.profile.boot = heard.answers[0][0] - begun
-        answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
-        # On a line on which nobody has answered so far the next instruction tells more.
+        answer = judge_answers(
+            run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers
+        )
+        # As long as no answer has come on this line, the next instruction tells more than a retry.
         alive = alive or bool(heard.answers)
         if answer.verdict is Verdict.FAIL and alive:
             answer = yield from _again(run, case, answer, fresh=first)
@@ -74,17 +77,17 @@ def first_bytes(run: Run) -> Script[str]:
     return unusable
 
 
-def calibrate(run: Run) -> Script[None]:
-    """How long an answer takes on this line, and how much that varies: stops, one by one."""
-    stop, times = bytes([run.protocol.filler]), []
+def calibrate(run: RunState) -> Procedure[None]:
+    """Measure how long an answer takes on this line and how much that varies, by single stops."""
+    stop, times = bytes([run.protocol.pad_byte]), []
     for _ in range(_CALIBRATION):
         stray = yield from listen(None, 0)
         if stray.answers:
-            run.charge(stray.answers, "came although nothing was asked")
+            run.attribute_to_case(stray.answers, "came although nothing was asked")
         sent = yield from send(stop)
         heard = yield from run.answers(1)
         run.profile.measured(heard, sent)
-        run.between.lost(not heard.answers)
+        run.stray_answers.missing(not heard.answers)
         times += [t - sent for t, _ in heard.answers[:1]]
     if times:
         times.sort()
@@ -93,8 +96,8 @@ def calibrate(run: Run) -> Script[None]:
         yield from _ahead(run)
 
 
-def _ahead(run: Run) -> Script[None]:
-    """Whether stops that are sent ahead of their answers are each answered.
+def _ahead(run: RunState) -> Procedure[None]:
+    """Check whether stops that are sent ahead of their answers are each answered.
 
     A device that loses them is homed one stop at a time from then on.
     """
@@ -108,33 +111,38 @@ def _ahead(run: Run) -> Script[None]:
         if len(heard.answers) < due:
             short.append(len(heard.answers))
     if len(short) < _TRIES:
-        run.between.lost(sum(due - count for count in short))
+        run.stray_answers.missing(sum(due - count for count in short))
         return
     run.profile.one_by_one = True
     clause, requirement = run.protocol.clauses.responses, "instructions sent ahead are answered too"
-    case = special(run.protocol, "line/pipelining", clause, requirement, pad(run), "R-pipelining")
+    case = runner_case(
+        run.protocol, "line/pipelining", clause, requirement, pad(run), "R-pipelining"
+    )
     words = f"{max(short)} answers to {due} stops sent at once"
     reason = f"loses answers: {words}, in each of {_TRIES} tries"
     run.end(case, {"answer": Axis(Verdict.FAIL, f"{due} answers", words, reason, "R-pipelining")})
 
 
-def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Script[Axis]:
-    """What failed once may be noise: it fails if it does so twice more in three tries.
+def _again(run: RunState, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]:
+    """Retry a failed exchange: it stays failed if it fails in two more of three tries, else flaky.
 
-    `fresh` if it was the first instruction after power-on: it is made so again where it can be.
+    `fresh` if it was the first instruction after power-on: where the power can be switched, each
+    try is one too.
     """
     hits = 0
     for _ in range(_TRIES):
         if fresh and run.power:
             yield from power_cycle()
         heard, sent = yield from _exchange(run, case, 0)
-        again = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
+        again = judge_answers(
+            run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers
+        )
         hits += again.verdict is Verdict.FAIL
     return first if hits > 1 else _flaky(first)
 
 
-def _still_again(run: Run, case: Case, first: Axis) -> Script[Axis]:
-    """The same for what was seen after it."""
+def _still_again(run: RunState, case: Case, first: Axis) -> Procedure[Axis]:
+    """Retry a failed observation after an exchange, by the same rule as `_again`."""
     hits = 0
     for _ in range(_TRIES):
         yield from _exchange(run, case, 0)
@@ -147,22 +155,23 @@ def _flaky(first: Axis) -> Axis:
     return Axis(Verdict.INCONCLUSIVE, first.expected, first.actual, reason, first.reading)
 
 
-def first_frames_lost(run: Run) -> Script[None]:
-    """One of the first instructions was lost, and the device has shown that it loses none.
+def first_frames_lost(run: RunState) -> Procedure[None]:
+    """Judge the loss of one of the first instructions by a device that later loses none.
 
-    Noise, or a fault that shows after power-on alone: another power-on tells, where there is one.
+    It may be noise, or a fault that shows only after power-on: another power-on decides, where the
+    power can be switched.
     """
     choices = run.profile.choices
-    if not run.profile.flushes or any(choices.is_other(point) for point in LOSING):
+    if not run.profile.flushes or any(choices.differs(point) for point in FLUSH_POINTS):
         return
     run.profile.flushes = False
     clause, requirement = run.protocol.clauses.responses, "the first instructions are answered too"
-    case = special(run.protocol, "power-on/lost", clause, requirement, b"", "R-power-on")
+    case = runner_case(run.protocol, "power-on/lost", clause, requirement, b"", "R-power-on")
     verdict, reason = Verdict.INCONCLUSIVE, "one of the first instructions was lost, later none was"
     if run.power:
         yield from power_cycle()
         for number, link in enumerate(link_check(run.protocol)):
-            yield from _exchange(run, link, 0 if number else run.limits.boot)
+            yield from _exchange(run, link, 0 if number else run.timers.boot)
         if run.profile.flushes:
             verdict, reason = Verdict.FAIL, "loses one of the first instructions after power-on"
         run.profile.flushes = False
@@ -171,14 +180,14 @@ def first_frames_lost(run: Run) -> Script[None]:
     run.end(case, {"answer": Axis(verdict, "an answer to each", "one was missing", reason)})
 
 
-def _banner(run: Run, heard: Heard) -> Axis:
+def _banner(run: RunState, heard: Received) -> Axis:
     words = answer_words(run.protocol, heard.codes)
     reason = "bytes came before the first instruction was answered"
     return Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
 
 
-def _second_power_on(run: Run) -> Script[None]:
-    """Once more from power-on, this time with a motion first; skipped without a power switch."""
+def _second_power_on(run: RunState) -> Procedure[None]:
+    """Test the first frame after power-on again, now a motion; skipped without a power switch."""
     case = motion_first(run.protocol)
     if case is None:
         return
@@ -199,57 +208,57 @@ def _second_power_on(run: Run) -> Script[None]:
     run.end(case, axes, heard.answers, sent)
 
 
-def _from_power_on(run: Run, case: Case) -> Script[tuple[dict[str, Axis], Heard, int]]:
-    """Switch it off and on, and make the case's exchange: its axes, what came, when it had gone."""
+def _from_power_on(run: RunState, case: Case) -> Procedure[tuple[dict[str, Axis], Received, int]]:
+    """Power-cycle and make the case's exchange: its axes, its answers, when it was sent (ns)."""
     yield from power_cycle()
-    if (run.profile.boot or 0) > run.limits.longest:
-        # It had to be asked again. Left alone for twice as long it is awake, if that was why.
+    if (run.profile.boot or 0) > run.timers.longest:
+        # It needed several tries. If it was still booting, twice that time is enough.
         yield from listen(None, 2 * (run.profile.boot or 0))
         sent = yield from send(case.stimulus)
         heard = yield from run.all_answers(2)
     else:
-        heard, sent = yield from _exchange(run, case, run.limits.boot)
+        heard, sent = yield from _exchange(run, case, run.timers.boot)
     if _chatter(case, heard):
-        yield from listen(None, run.limits.deadline)
-        heard, sent = yield from _exchange(run, case, run.limits.boot)
-    answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True)
+        yield from listen(None, run.timers.deadline)
+        heard, sent = yield from _exchange(run, case, run.timers.boot)
+    answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers)
     state = yield from _still(run, case.expected, case.reading, may_move=True)
     return {"answer": answer, "state": state}, heard, sent
 
 
-def _chatter(case: Case, heard: Heard) -> bool:
-    """Whether a board introduced itself instead of answering: what follows an answer is no banner.
+def _chatter(case: Case, heard: Received) -> bool:
+    """Whether a booting board sent a banner instead of an answer.
 
-    A board that boots may have begun to speak before the first byte reached it.
+    Its banner may have begun before the first byte reached it; what follows a right answer is none.
     """
     answered = heard.codes[:1] in [accepted.codes for accepted in case.accepted]
     return len(heard.answers) > _CHATTER and not answered
 
 
-def _exchange(run: Run, case: Case, boot: int) -> Script[tuple[Heard, int]]:
-    """Send and hear all that comes back; a board that boots is asked again for `boot` ns."""
+def _exchange(run: RunState, case: Case, boot: int) -> Procedure[tuple[Received, int]]:
+    """Send the stimulus and receive all answers; for `boot` ns a silent board gets it again."""
     sent = yield from send(case.stimulus)
     heard = yield from run.answers(1)
-    waited = run.limits.longest
+    waited = run.timers.longest
     if not heard.answers and not boot:
-        heard = yield from listen(None, max(run.timeout + run.limits.settle, run.patience))
+        heard = yield from listen(None, max(run.timeout + run.timers.settle, run.patience))
         if not heard.answers:
-            # It may throw away what follows a fault until the line was idle (R-drain-known).
+            # It may discard what follows a fault until the line was idle (R-drain-known).
             sent = yield from send(case.stimulus)
             heard = yield from run.answers(1)
             run.profile.flushes = run.profile.flushes or bool(heard.answers)
     while not heard.answers and waited < boot:
         sent = yield from send(case.stimulus)
         heard = yield from run.answers(1)
-        waited += run.limits.longest
-    more = yield from listen(None, run.limits.silence)
-    return Heard(heard.answers + more.answers, more.now), sent
+        waited += run.timers.longest
+    more = yield from listen(None, run.timers.silence)
+    return Received(heard.answers + more.answers, more.now), sent
 
 
-def _line_fault(run: Run, exchanges: list[tuple[bytes, Heard]]) -> str:
+def _line_fault(run: RunState, exchanges: list[tuple[bytes, Received]]) -> str:
     if not any(heard.answers for _, heard in exchanges):
         return (
-            f"nobody answered in {run.limits.boot / 1e9:.0f} s: check power, wiring (TX to RX, "
+            f"nobody answered in {run.timers.boot / 1e9:.0f} s: check power, wiring (TX to RX, "
             "common ground), the port and --baud"
         )
     if all(heard.codes == tuple(frame) for frame, heard in exchanges):
@@ -260,24 +269,26 @@ def _line_fault(run: Run, exchanges: list[tuple[bytes, Heard]]) -> str:
     return ""
 
 
-def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -> Script[Axis]:
-    """The robot stands still; what else the probe tells is compared with `expected`.
+def _still(
+    run: RunState, expected: State, reading: str, *, may_move: bool = False
+) -> Procedure[Axis]:
+    """Check that the robot stands still; the other observed facets are compared with `expected`.
 
-    `may_move` where a motion was set: then it moves only if it has a speed from power-on.
+    `may_move` if a motion was set: then the robot moves only if it has a speed from power-on.
     """
-    if not run.looks_freely:
-        return run.blind(_STOPPED)
-    seen = yield from see()
+    if not run.observable:
+        return run.not_observable(_STOPPED)
+    seen = yield from observe()
     start = seen.asked
-    # After the first byte only what it set is looked at: the rest is as the robot was found.
+    # After the first byte only what it set is compared: the rest is as the robot was found.
     as_found = () if reading else ("led", "steering")
-    belief = Belief(expected)
-    axis = judge_belief(run.model, belief, seen.look, as_found)
-    while axis.verdict is Verdict.FAIL and seen.now - start < run.limits.deadline and not reading:
+    expected_state = ExpectedState(expected)
+    axis = judge_state(run.model, expected_state, seen.look, as_found)
+    while axis.verdict is Verdict.FAIL and seen.now - start < run.timers.deadline and not reading:
         # The probe is another line: it may be behind the answer.
-        yield from listen(None, run.limits.silence)
-        seen = yield from see()
-        axis = judge_belief(run.model, belief, seen.look, as_found)
+        yield from listen(None, run.timers.silence)
+        seen = yield from observe()
+        axis = judge_state(run.model, expected_state, seen.look, as_found)
     words = look_words(seen.look)
     if seen.look.moving is None:
         return Axis(Verdict.INCONCLUSIVE, _STOPPED, words, NOT_OBSERVABLE, reading)

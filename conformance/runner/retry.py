@@ -1,74 +1,42 @@
-"""Judges a case: tries it, tries it again if it failed, and shortens what fails for good.
+"""Retry policy: a failed case counts as failed only if the failure is reproduced.
 
-A mismatch on a line may be noise. Reproduced twice it is a failure; otherwise it is flaky, which is
-inconclusive and never a pass. A fault that shows only now and then (a counter) is tried more often.
+A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
+flaky, that is inconclusive and never a pass. A fault that shows only now and then (a counter) is
+tried more often. Reproduced failures of a sequence are minimised.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import comb
 
 import msgspec
 
-from conformance.cases.sequence import Burst, Mismatch, Walk
-from conformance.cases.single_frames import Case
-from conformance.dut.operations import Script
-from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.runner.homing import home
-from conformance.runner.run import Run
-from conformance.runner.sequence import walk
-from conformance.runner.single_frame import try_case
-from spec.codec import spaced
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.runner.attempt import Attempt, attempt
+from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
-_MORE, _OFTEN = 24, 3  # what does not show each time: tried so often, shown so often
-_BYTES = 8000  # that more tries may cost
-_NOISE, _UNLIKELY = 2e-4, 0.005  # bytes spoilt on a line that may still be used; what is no chance
-_SINGLE = 20  # bytes of a case's set-up and recovery
+_MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
+_BYTES = 8000  # most bytes on the line for all tries of a case
+# Share of bytes spoilt on a usable line; probability below which a failure is no chance.
+_NOISE, _UNLIKELY = 2e-4, 0.005
+_SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 _FLAKY = 8
-_TRUSTED = 6  # failures reproduced, and nothing flaky: the line is good and the device is not
-_SHRUNK, _SHORTER = 5, 60  # walks that are shortened in a run, tries for each
+_TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
 
 
-@dataclass(frozen=True, slots=True)
-class _Try:
-    """One try of a case: its result, and where and how it went wrong."""
-
-    result: CaseResult
-    mismatch: Mismatch | None
-
-    @property
-    def failed(self) -> bool:
-        return self.result.verdict is Verdict.FAIL
-
-    @property
-    def axis(self) -> str:
-        """The axis that failed."""
-        return self.how.partition(":")[0]
-
-    @property
-    def how(self) -> str:
-        """How it failed, without the numbers."""
-        name, axis = max(self.result.axes.items(), key=lambda item: item[1].verdict)
-        return f"{name}: {re.sub(r'[0-9]+', '#', axis.reason)}"
-
-    @property
-    def where(self) -> tuple[int, str]:
-        """Where and how it failed."""
-        return (self.mismatch.burst if self.mismatch else 0), self.how
-
-
-def judge_case(run: Run, case: Case | Walk) -> Script[None]:
-    """Try a case, reproduce what fails, and report it. Leaves the line homed."""
+def judge_case(run: RunState, case: Case | SequenceCase) -> Procedure[None]:
+    """Attempt a case, reproduce a failure, and publish the result. Leaves the line homed."""
     allowed = run.profile.choices.allowed
-    if "pipelining" in allowed and isinstance(case, Walk) and case.pipelined:
+    if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
         run.end(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")})
         return
-    first = yield from _try(run, case)
+    first = yield from attempt(run, case)
     if not first.failed:
         run.publish(first.result)
         return
@@ -76,85 +44,73 @@ def judge_case(run: Run, case: Case | Walk) -> Script[None]:
         run.publish(_named(case, first))
         return
     run.suspect = first.result
-    hits, tries = yield from _again(run, case, first)
-    if not hits and not _cannot_be_noise(run, first):
+    same_place, tries = yield from _again(run, case, first)
+    if not same_place and not _cannot_be_noise(run, first):
         run.suspect = None
         run.flaky += 1
         run.publish(_flaky(first.result, tries))
         return
     run.reproduced += 1
-    # A run that ends while the walk is shortened still has this failure.
+    # A run that ends while the sequence is minimised still has this failure.
     run.suspect = result = _named(case, first)
-    if isinstance(case, Walk) and first.mismatch:
+    if isinstance(case, SequenceCase) and first.mismatch:
         shorter = case
-        if run.shrunk < _SHRUNK:
+        if run.shrunk < LONGEST_MINIMISED:
             run.shrunk += 1
-            shorter = yield from _shrink(run, case, first)
+            shorter = yield from minimise(run, case, first)
         else:
-            shorter = _up_to(case, first.mismatch)
+            shorter = up_to(case, first.mismatch)
         sent = tuple(spaced(data) for data in shorter.sent)
         result = msgspec.structs.replace(result, sent=sent, reproduce=reproducer(run, shorter))
     run.suspect = None
     run.publish(result)
 
 
-def _try(run: Run, case: Case | Walk) -> Script[_Try]:
-    """One try, homed afterwards; what is charged to it while homing counts."""
-    run.trying = []
-    mismatch = None
-    if isinstance(case, Walk):
-        mismatch = yield from walk(run, case)
-    else:
-        yield from try_case(run, case)
-    yield from home(run)
-    return _Try(run.tried(case.id), mismatch)
-
-
-def _again(run: Run, case: Case | Walk, first: _Try) -> Script[tuple[bool, int]]:
-    """Whether the failure is reproduced, and in how many tries that was found out."""
-    hits = alike = tries = 0
+def _again(run: RunState, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int]]:
+    """Attempt a failed case again: whether the failure is reproduced, and in how many tries."""
+    same_place = same_kind = tries = 0
     size = _bytes(case)
-    # A byte that is spoilt shows in an answer: a missed stop beside the right ones is no noise.
+    # A spoilt byte shows in an answer: a missed stop beside right answers is no noise.
     spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
-    # Where the line was flaky before, what goes wrong alike but elsewhere may be its doing again.
-    often = _OFTEN + min(run.flaky, _OFTEN)
-    # A line that is flaky throughout is not tried for so long each time.
+    # On a line that was flaky before, the same failure in another place may be noise again.
+    needed = _OFTEN + min(run.flaky, _OFTEN)
+    # On a line that is flaky throughout each case gets fewer tries.
     most = _TRIES if run.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
     while tries < most:
-        again = yield from _try(run, case)
+        again = yield from attempt(run, case)
         tries += 1
         if again.failed:
-            hits += again.where == first.where
-            alike += again.how == first.how
-        if tries <= _TRIES and hits >= _TWICE:
+            same_place += again.where == first.where
+            same_kind += again.how == first.how
+        if tries <= _TRIES and same_place >= _TWICE:
             return True, tries
-        # A long walk is spoilt more often than a short one, and then anywhere.
-        if alike >= often and _at_least(alike, tries, spoilt) < _UNLIKELY:
+        # Noise hits a long sequence more often than a short one, and in any place.
+        if same_kind >= needed and _at_least(same_kind, tries, spoilt) < _UNLIKELY:
             return True, tries
-        if tries >= _TRIES and alike + (most - tries) < often:
+        if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
     return False, tries
 
 
-def _bytes(case: Case | Walk) -> int:
-    """How many bytes go over the line in a try, answers included; about so many for a case."""
-    if isinstance(case, Walk):
+def _bytes(case: Case | SequenceCase) -> int:
+    """Bytes on the line in one try, answers included; an estimate for a single-frame case."""
+    if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
     return _SINGLE + len(case.stimulus)
 
 
 def _at_least(count: int, tries: int, chance: float) -> float:
-    """How likely that many of so many tries are, each with that chance."""
+    """The probability that at least `count` of `tries` fail, each with probability `chance`."""
     return sum(
         comb(tries, n) * chance**n * (1 - chance) ** (tries - n) for n in range(count, tries + 1)
     )
 
 
-def _cannot_be_noise(run: Run, tried: _Try) -> bool:
-    """Whether a stop was missed for the second time although every answer was right.
+def _cannot_be_noise(run: RunState, tried: Attempt) -> bool:
+    """Whether a stop was missed, for the second time in the run, although the answers were right.
 
-    A byte that the line has changed shows in an answer too; a stop that fails beside the right
-    answers is the device's, also if it does so only now and then.
+    A byte changed on the line shows in an answer too; a stop that fails beside right answers is a
+    fault of the device, even if it happens only now and then.
     """
     axes = tried.result.axes
     answer, stop = axes.get("answer"), axes.get("stop")
@@ -166,27 +122,25 @@ def _cannot_be_noise(run: Run, tried: _Try) -> bool:
     return run.missed_stops > 1
 
 
-def _up_to(case: Walk, mismatch: Mismatch) -> Walk:
-    """The walk as far as it went."""
-    return replace(case, bursts=case.bursts[: max(0, mismatch.burst) + 1])
-
-
-def _named(case: Case | Walk, tried: _Try) -> CaseResult:
-    """The result with the clause that the failing step breaks, and what was sent until then."""
-    if tried.mismatch is None or not isinstance(case, Walk):
+def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
+    """The result with the clause that the failing step breaks, and the bytes sent up to it."""
+    if tried.mismatch is None or not isinstance(case, SequenceCase):
         return tried.result
-    sent = tuple(spaced(data) for data in _up_to(case, tried.mismatch).sent)
+    sent = tuple(spaced(data) for data in up_to(case, tried.mismatch).sent)
     step = tried.mismatch.step
     name, axis = tried.mismatch.name, tried.mismatch.axis
     what = f"burst {tried.mismatch.burst + 1}, frame {spaced(step.frame)}: {axis.reason}"
     told = Axis(axis.verdict, axis.expected, axis.actual, what, axis.reading)
     axes = tried.result.axes | {name: told}
     clause = tried.mismatch.clause
-    return msgspec.structs.replace(tried.result, axes=axes, clause=clause, sent=sent)
+    planned = case.clause if clause != case.clause else ""
+    return msgspec.structs.replace(
+        tried.result, axes=axes, clause=clause, planned=planned, sent=sent
+    )
 
 
 def _flaky(result: CaseResult, tries: int) -> CaseResult:
-    """The result as inconclusive: what failed once and was not reproduced."""
+    """The result as inconclusive, because its failure was not reproduced."""
     axes = {
         name: Axis(
             Verdict.INCONCLUSIVE,
@@ -200,69 +154,3 @@ def _flaky(result: CaseResult, tries: int) -> CaseResult:
         for name, axis in result.axes.items()
     }
     return msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
-
-
-def _shrink(run: Run, case: Walk, first: _Try) -> Script[Walk]:
-    """The shortest walk found that still goes wrong on the same axis.
-
-    Bursts are left out, first many at a time, then frames of what is left. The set-up stays: what
-    the robot was before is not what it is when it is switched on.
-    """
-    assert first.mismatch is not None
-    last = first.mismatch.burst
-    if last < 0:
-        begun = case.setup[: len(case.setup) + last + 1]
-        return replace(case, setup=(), bursts=tuple(Burst((step,)) for step in begun))
-    best = replace(case, bursts=case.bursts[: last + 1])
-    size, left = max(1, len(best.bursts) // 2), _SHORTER
-    while left > 0:
-        for shorter in (*_without_bursts(best, size), *(_without_steps(best) if size == 1 else ())):
-            left -= 1
-            tried = yield from _try(run, shorter)
-            end = tried.mismatch.burst + 1 if tried.mismatch else len(shorter.bursts)
-            if tried.failed and end > 0 and tried.axis == first.axis:
-                best = replace(shorter, bursts=shorter.bursts[:end])
-                size = max(1, min(size, len(best.bursts) // 2))
-                break
-            if left <= 0:
-                break
-        else:
-            if size == 1:
-                break
-            size //= 2
-    return best
-
-
-def _without_bursts(walk: Walk, size: int) -> Iterator[Walk]:
-    """The walk without each run of `size` bursts, the last ones first."""
-    for end in range(len(walk.bursts), 0, -size):
-        left = walk.bursts[: max(0, end - size)] + walk.bursts[end:]
-        if left:
-            yield replace(walk, bursts=left)
-
-
-def _without_steps(walk: Walk) -> Iterator[Walk]:
-    """The walk without each frame of its bursts of several; pauses inside a burst go with it."""
-    for at, burst in enumerate(walk.bursts):
-        for index in range(len(burst.steps) if len(burst.steps) > 1 else 0):
-            steps = burst.steps[:index] + burst.steps[index + 1 :]
-            pauses = burst.pauses if index == len(burst.steps) - 1 else ()
-            fewer = replace(burst, steps=steps, pauses=pauses)
-            yield replace(walk, bursts=(*walk.bursts[:at], fewer, *walk.bursts[at + 1 :]))
-
-
-def reproducer(run: Run, case: Walk) -> str:
-    """What `bilprov send` is given to do the same: each burst's bytes, and pauses where needed."""
-    bursts = (*(Burst((step,)) for step in case.setup), *case.bursts)
-    words: list[str] = []
-    split = any(burst.pauses for burst in bursts)
-    gap = max(1, run.timeout // 16_000_000)
-    for burst in bursts:
-        data = burst.data
-        places = [0, *(p for p in burst.pauses if p < len(data)), len(data)]
-        for start, end in pairwise(places):
-            words += [f"pause={gap}"] if start else []
-            words.append(data[start:end].hex())
-        if split and burst is not bursts[-1]:
-            words.append(f"pause={run.usual // 1_000_000}")
-    return " ".join((["--together"] if split else []) + words)

@@ -1,6 +1,6 @@
-"""Walks a walk: sends its bursts, holds every answer and every look against the model.
+"""Executes a sequence: sends its bursts, compares each answer and observation with the model.
 
-It ends at the first mismatch: what comes after one is no longer the walk that was planned.
+It ends at the first mismatch: after one the expected state is not known.
 """
 
 from __future__ import annotations
@@ -8,25 +8,35 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases.adaptation import as_chosen
-from conformance.cases.sequence import Burst, Mismatch, Walk
-from conformance.cases.steps import Step
-from conformance.dut.operations import Heard, Script, listen, send
-from conformance.oracle.judge import MS
-from conformance.oracle.state_model import Belief
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.run import Run
-from conformance.runner.sequence_answers import Early, answered_early, flushes, judge_burst, unasked
-from conformance.runner.sequence_state import dwell, look_after
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.adaptation import adapt_to_device
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.steps import Step
+from bilprov.conformance.dut.operations import Procedure, Received, listen, send
+from bilprov.conformance.oracle.state_model import ExpectedState
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.sequence_answers import (
+    Early,
+    Mismatch,
+    answered_early,
+    flushes,
+    judge_burst,
+    unasked,
+)
+from bilprov.conformance.runner.sequence_state import look_after, watch_idle
 
 
-def walk(run: Run, case: Walk) -> Script[Mismatch | None]:
-    """Walk on a homed line. The case is left open: the next homing makes it final."""
-    return (yield from _Walker(run, case).go())
+def run_sequence(run: RunState, case: SequenceCase) -> Procedure[Mismatch | None]:
+    """Execute a sequence on a homed line; return its first mismatch, None if there is none.
+
+    The case is left open: the next homing makes it final.
+    """
+    return (yield from _SequenceRun(run, case).go())
 
 
-class _Walker:
-    def __init__(self, run: Run, case: Walk) -> None:
+class _SequenceRun:
+    def __init__(self, run: RunState, case: SequenceCase) -> None:
         self._run = run
         self._case = case
         self._axes = {"answer": Axis(Verdict.PASS, "each instruction answered once", "as expected")}
@@ -34,23 +44,23 @@ class _Walker:
         self._coarse = 0
         self._blind = False
 
-    def go(self) -> Script[Mismatch | None]:
+    def go(self) -> Procedure[Mismatch | None]:
         run, case = self._run, self._case
-        run.open(case, self._axes, Heard((), 0), 0)
-        self._blind = not run.looks_freely or run.moves == set()
-        run.belief = run.model.homed(run.model.found())
+        run.open(case, self._axes, Received((), 0), 0)
+        self._blind = not run.observable or run.moves == set()
+        run.expected_state = run.model.homed(run.model.found())
         found: Mismatch | None = None
         setup = (Burst((step,), looks=False) for step in case.setup)
         for index, burst in enumerate((*setup, *case.bursts), -len(case.setup)):
-            if run.belief.rests:
-                run.belief = replace(run.belief, rests=frozenset())
+            if run.expected_state.rests_on:
+                run.expected_state = replace(run.expected_state, rests_on=frozenset())
             found = yield from self._burst(burst)
             if found:
                 found = replace(found, burst=index)
                 run.axes[found.name] = found.axis
                 break
         if not found and self._blind:
-            run.axes["state"] = run.blind("as the model says after each burst")
+            run.axes["state"] = run.not_observable("as the model says after each burst")
         elif not found and self._looked and "state" not in run.axes:
             actual = f"{self._looked} looks as expected"
             run.axes["state"] = Axis(Verdict.PASS, "as the model says", actual)
@@ -62,9 +72,9 @@ class _Walker:
 
     # -- one burst ----------------------------------------------------------------------------
 
-    def _burst(self, burst: Burst) -> Script[Mismatch | None]:
+    def _burst(self, burst: Burst) -> Procedure[Mismatch | None]:
         run = self._run
-        chosen = [as_chosen(run.protocol, run.profile.choices, step) for step in burst.steps]
+        chosen = [adapt_to_device(run.protocol, run.profile.choices, step) for step in burst.steps]
         for part in self._parts(burst, chosen):
             found = yield from self._part(part)
             if found:
@@ -72,10 +82,10 @@ class _Walker:
         return None
 
     def _parts(self, burst: Burst, chosen: list[Step]) -> Iterator[Burst]:
-        """The burst in pieces where a device that loses or lags leaves open what it would do.
+        """Split a burst where a device that loses frames or lags may react in more than one way.
 
-        One that loses what follows a fault until the line is idle may do so or not where the line
-        pauses; one that stops late has not stopped yet when the next frame comes.
+        One that discards what follows a fault until the line is idle may or may not do so at a
+        pause; one that stops late has not stopped yet when the next frame comes.
         """
         profile = self._run.profile
         apart = profile.stop_latency or (burst.pauses and profile.flushes)
@@ -86,11 +96,11 @@ class _Walker:
         steps: list[Step] = []
         for step in chosen:
             steps.append(step)
-            if step.faulty or step.deed.stops or step is chosen[-1]:
-                yield Burst(tuple(steps), looks=burst.looks, dwell=burst.dwell)
+            if step.faulty or step.frame_effect.stops or step is chosen[-1]:
+                yield Burst(tuple(steps), looks=burst.looks, idle_ms=burst.idle_ms)
                 steps = []
 
-    def _part(self, burst: Burst) -> Script[Mismatch | None]:
+    def _part(self, burst: Burst) -> Procedure[Mismatch | None]:
         run, chosen = self._run, list(burst.steps)
         stray = yield from listen(None, 0)
         if stray.answers:
@@ -111,14 +121,15 @@ class _Walker:
         self._looked += 1
         if not found and run.profile.stop_latency:
             run.hear((yield from listen(None, 2 * run.profile.stop_latency)))
-        if not found and burst.dwell:
-            found = yield from dwell(run, taken[-1], burst.dwell * MS)
+        if not found and burst.idle_ms:
+            found = yield from watch_idle(run, taken[-1], burst.idle_ms * MS)
         return found
 
-    def _send(self, burst: Burst, steps: list[Step]) -> Script[tuple[int, Early, bool]]:
-        """Send it, with its pauses; tells when, what came in each, and if they were short enough.
+    def _send(self, burst: Burst, steps: list[Step]) -> Procedure[tuple[int, Early, bool]]:
+        """Send a burst with its pauses.
 
-        What came is given with how many bytes had gone.
+        Returns when its last byte was sent (ns), the answers in each pause with the number of bytes
+        sent before it, and whether the pauses were short enough for the time-out.
         """
         run, data = self._run, b"".join(step.frame for step in steps)
         places = [p for p in burst.pauses if p < len(data)] if len(data) == len(burst.data) else []
@@ -138,19 +149,27 @@ class _Walker:
         """How long (ns) a pause inside a frame lasts."""
         return min(self._run.timeout // 8, 4 * MS)
 
-    def _forget(self) -> Script[None]:
-        """The device may have cut the frame: wait until it must have, and know nothing."""
+    def _forget(self) -> Procedure[None]:
+        """Wait until a frame the device may have truncated is over; then the state is unknown."""
         run = self._run
         run.hear((yield from listen(None, 2 * run.timeout + run.usual)))
-        run.belief = replace(run.model.found(), loose=frozenset(("speed", "steering", "led")))
+        run.expected_state = replace(
+            run.model.found(), unknown=frozenset(("speed", "steering", "led"))
+        )
 
-    def _take(self, steps: list[Step]) -> tuple[Belief, list[Step]]:
-        """What the model makes of them: the belief before the last that counts, and which count."""
-        run, before = self._run, self._run.belief
+    def _take(self, steps: list[Step]) -> tuple[ExpectedState, list[Step]]:
+        """Apply the steps to the model, up to one after which the device discards the rest.
+
+        Returns the expected state before the last step applied, and the steps applied.
+        """
+        run, before = self._run, self._run.expected_state
         taken: list[Step] = []
         for step in steps:
             taken.append(step)
-            before, run.belief = run.belief, run.model.after(run.belief, step.deed)
+            before, run.expected_state = (
+                run.expected_state,
+                run.model.after(run.expected_state, step.frame_effect),
+            )
             if flushes(run, step):
                 break
         return before, taken

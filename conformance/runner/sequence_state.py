@@ -1,38 +1,41 @@
-"""Holds what is seen of a robot that walks against the model: after a burst, and left alone."""
+"""Compares observations with the expected state of a sequence: after a burst, and while idle."""
 
 from __future__ import annotations
 
-from captures.schemas import Look
-from conformance.cases.sequence import Mismatch
-from conformance.cases.steps import Step
-from conformance.dut.operations import Script, listen, see
-from conformance.oracle.choices import POINTS
-from conformance.oracle.judge import MOVING, MS, contradiction, differences, look_words, state_words
-from conformance.oracle.state_model import Belief
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.run import Run
-from conformance.runner.sequence_answers import unasked
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.steps import Step
+from bilprov.conformance.dut.operations import Procedure, listen, observe
+from bilprov.conformance.oracle.choices import POINTS
+from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
+from bilprov.conformance.oracle.state_model import ExpectedState
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import look_words, state_words
+from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.sequence_answers import Mismatch, unasked
 
-_DWELL = 4 * MS  # between two looks at a robot that is left alone
+_IDLE_MS = 4 * MS  # between two looks while the line is idle
 
 
-def look_after(run: Run, step: Step, before: Belief) -> Script[Mismatch | None]:
-    """Look until it fits, for as long as a stop may take; `before` was believed before the step."""
-    seen = yield from see()
+def look_after(run: RunState, step: Step, before: ExpectedState) -> Procedure[Mismatch | None]:
+    """Observe until the state fits, for as long as a stop may take; return a mismatch, or None.
+
+    `before` is the expected state before the step.
+    """
+    seen = yield from observe()
     start = seen.asked
-    found = differences(run.model, run.belief, seen.look)
-    patience = max(run.limits.deadline, int(run.protocol.timing.stop_longest * MS))
+    found = differences(run.model, run.expected_state, seen.look)
+    patience = max(run.timers.deadline, int(run.protocol.timing.stop_longest * MS))
     first = [facet for facet, _, _ in found]
     while found and seen.now - start < patience:
         heard = yield from listen(None, 2 * MS)
         if heard.answers:
             return unasked(run, step, heard)
-        seen = yield from see()
-        found = differences(run.model, run.belief, seen.look)
-    stops = run.belief.still and any(facet in MOVING for facet in first)
+        seen = yield from observe()
+        found = differences(run.model, run.expected_state, seen.look)
+    stops = run.expected_state.still and any(facet in MOVING for facet in first)
     if not found:
         late = seen.asked - start
-        if stops and late > run.limits.grace:
+        if stops and late > run.timers.grace:
             reason = f"stopped only {late / MS:.0f} ms after its answer"
             words = "stopped", look_words(seen.look)
             axis = Axis(Verdict.NON_STRICT, *words, reason, "R-stop-latency")
@@ -40,11 +43,11 @@ def look_after(run: Run, step: Step, before: Belief) -> Script[Mismatch | None]:
             run.profile.stop_latency = max(run.profile.stop_latency, late)
         _rest_on(run, seen.look)
         return None
-    run.waste(patience)
+    run.add_waiting(patience)
     facet, wanted, actual = found[0]
     reason = f"{facet} is {actual}, expected is {wanted}"
-    reading, why = contradiction(run.model, before, step.deed, seen.look)
-    words = state_words(run.belief.state), look_words(seen.look)
+    reading, why = contradiction(run.model, before, step.frame_effect, seen.look)
+    words = state_words(run.expected_state.state), look_words(seen.look)
     axis = Axis(Verdict.FAIL, *words, why or reason, reading)
     name = "stop" if stops and seen.look.moving else "state"
     clauses = run.protocol.clauses
@@ -53,23 +56,23 @@ def look_after(run: Run, step: Step, before: Belief) -> Script[Mismatch | None]:
     return Mismatch(step, name, axis, clause)
 
 
-def dwell(run: Run, step: Step, time: int) -> Script[Mismatch | None]:
-    """Nothing is sent for `time` ns: nothing comes, and nothing changes by itself."""
+def watch_idle(run: RunState, step: Step, time: int) -> Procedure[Mismatch | None]:
+    """Send nothing for `time` ns and check that no answer comes and that the state stays."""
     until = (yield from listen(None, 0)).now + time
     now = 0
     while now < until:
-        heard = yield from listen(None, min(_DWELL, time))
+        heard = yield from listen(None, min(_IDLE_MS, time))
         now = heard.now
         if heard.answers:
             return unasked(run, step, heard)
-        seen = yield from see()
-        found = differences(run.model, run.belief, seen.look)
+        seen = yield from observe()
+        found = differences(run.model, run.expected_state, seen.look)
         asleep = run.profile.watchdog is not None and seen.look.moving is False
         if found and not asleep:
             facet, _, actual = found[0]
-            moves = run.belief.still and seen.look.moving
+            moves = run.expected_state.still and seen.look.moving
             reason = "moved again by itself" if moves else f"{facet} became {actual} by itself"
-            words = state_words(run.belief.state), look_words(seen.look)
+            words = state_words(run.expected_state.state), look_words(seen.look)
             axis = Axis(Verdict.FAIL, *words, reason)
             clauses = run.protocol.clauses
             clause = clauses.safety if moves else clauses.instructions
@@ -77,12 +80,12 @@ def dwell(run: Run, step: Step, time: int) -> Script[Mismatch | None]:
     return None
 
 
-def _rest_on(run: Run, look: Look) -> None:
-    """Another choice that shaped what was rightly seen gives the walk its verdict."""
-    for point in run.belief.rests:
+def _rest_on(run: RunState, look: Look) -> None:
+    """Give the state axis the verdict of each other choice on which the matching state rests."""
+    for point in run.expected_state.rests_on:
         verdict, reading = run.profile.choices.verdict(point), POINTS[point].reading
         axis = run.axes.get("state")
         if axis is None or verdict > axis.verdict:
             reason = f"{run.profile.choices.word(point)}: another reading of {reading}"
-            words = state_words(run.belief.state), look_words(look)
+            words = state_words(run.expected_state.state), look_words(look)
             run.axes["state"] = Axis(verdict, *words, reason, reading)

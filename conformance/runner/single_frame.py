@@ -1,33 +1,37 @@
-"""Tries one case: set-up, stimulus, all answers, the stop, the state, and what comes after."""
+"""Executes one single-frame test case: preamble, stimulus, answers, stop, state, later checks."""
 
 from __future__ import annotations
 
-from conformance.cases.adaptation import as_chosen
-from conformance.cases.single_frames import Case
-from conformance.cases.steps import Class
-from conformance.dut.operations import Heard, Script, Seen, listen, see, send
-from conformance.oracle.judge import (
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.adaptation import adapt_to_device
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.operations import (
+    Observation,
+    Procedure,
+    Received,
+    listen,
+    observe,
+    send,
+)
+from bilprov.conformance.oracle.judge import (
     MOVING,
-    MS,
     NOT_OBSERVABLE,
-    answer_words,
     contradiction,
     judge_answers,
-    judge_belief,
-    look_words,
-    state_words,
-    unseen,
+    judge_state,
 )
-from conformance.oracle.verdicts import Axis, Verdict
-from conformance.runner.after_stop import hold, recover, restart
-from conformance.runner.homing import set_up, watch
-from conformance.runner.run import Run
-from spec.fields import Outcome
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
+from bilprov.conformance.runner.after_stop import recovery, restart_guard, stays_stopped
+from bilprov.conformance.runner.homing import set_up, watch
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.fields import Outcome
 
 
-def try_case(run: Run, case: Case) -> Script[None]:
-    """Try a case on a homed line. It is left open: the next homing makes it final."""
-    case = case.as_step(as_chosen(run.protocol, run.profile.choices, case.step))
+def try_case(run: RunState, case: Case) -> Procedure[None]:
+    """Execute a case on a homed line. It is left open: the next homing makes it final."""
+    case = case.as_step(adapt_to_device(run.protocol, run.profile.choices, case.step))
     looks = run.looks_at(case)
     lost, stray = yield from _precondition(run, case, looks)
     if stray.answers:
@@ -36,46 +40,49 @@ def try_case(run: Run, case: Case) -> Script[None]:
         axis = Axis(Verdict.FAIL, "no answer", words, reason, "R-unsolicited")
         run.open(case, {"answer": axis}, stray, stray.now)
         return
-    if lost and case.kind is not Class.VALID:
+    if lost and case.kind is not FrameClass.VALID:
         axis = Axis(Verdict.INCONCLUSIVE, "", "", f"precondition lost: {lost}")
-        run.open(case, {"answer": axis}, Heard((), 0), 0)
+        run.open(case, {"answer": axis}, Received((), 0), 0)
         return
     sent = yield from send(case.stimulus)
-    run.before, run.belief = run.belief, run.model.after(run.belief, case.deed)
+    run.before, run.expected_state = (
+        run.expected_state,
+        run.model.after(run.expected_state, case.frame_effect),
+    )
     heard, filled = yield from _answers(run, case, sent)
 
-    def judged(heard: Heard, sent: int) -> Axis:
+    def judged(heard: Received, sent: int) -> Axis:
         return _judge_heard(run, case, heard, sent, filled)
 
     run.open(case, {"answer": judged(heard, sent)}, heard, sent)
     if case.arrived is None:
         run.profile.measured(heard, sent)
-    # A truncated frame was left alone for its time-out, however early its answer came.
+    # After a truncated frame the line was silent for the time-out, however early its answer came.
     whole = heard.answers and case.arrived is None
     answered = heard.answers[-1][0] if whole else heard.now
     if not looks:
         if case.stop:
-            run.axes["stop"] = run.blind("stopped")
-        run.axes["state"] = run.blind(state_words(run.belief.state))
+            run.axes["stop"] = run.not_observable("stopped")
+        run.axes["state"] = run.not_observable(state_words(run.expected_state.state))
     elif case.stop:
         yield from _stop(run, case, answered)
     else:
         yield from _state(run, case)
     if case.then:
-        yield from recover(run, case, looks)
-    elif case.stop and (yield from hold(run, case, looks, judged)):
-        yield from restart(run, case, looks)
+        yield from recovery(run, case, looks)
+    elif case.stop and (yield from stays_stopped(run, case, looks, judged)):
+        yield from restart_guard(run, case, looks)
 
 
-def _precondition(run: Run, case: Case, looks: bool) -> Script[tuple[str, Heard]]:
-    """Bring the robot to where the case begins.
+def _precondition(run: RunState, case: Case, looks: bool) -> Procedure[tuple[str, Received]]:
+    """Bring the robot to the case's initial state (the preamble).
 
     Returns what is missing, "" if nothing, and the answers that came without an instruction.
     """
     lost = yield from set_up(run, case.setup)
     if not lost and looks and case.setup.moving:
         moves = run.moves is None or case.setup.motion in run.moves
-        patience = run.limits.deadline if moves else 0
+        patience = run.timers.deadline if moves else 0
         seen = yield from watch(run, moving=True, patience=patience)
         if not seen.look.moving:
             lost = f"not seen moving ({case.setup.motion.value}) before the stimulus"
@@ -83,39 +90,39 @@ def _precondition(run: Run, case: Case, looks: bool) -> Script[tuple[str, Heard]
     return lost, stray
 
 
-def _answers(run: Run, case: Case, sent: int) -> Script[tuple[Heard, bool]]:
-    """All that is due, and whether a filler was sent in order to get it."""
+def _answers(run: RunState, case: Case, sent: int) -> Procedure[tuple[Received, bool]]:
+    """Receive the due answers; return them, and whether a pad byte was sent to get them."""
     due = len(case.accepted[0].codes)
     if case.arrived is not None:
         return (yield from _after_silence(run, due, sent)), False
     if not case.short:
         return (yield from run.answers(due)), False
-    # Half a time-out without an answer: is it slow, or does it wait for data nobody announced?
+    # No answer for half a time-out: a slow device, or one that waits for data not announced.
     heard = yield from listen(due, run.timeout // 2)
     if len(heard.answers) >= due:
         return heard, False
-    yield from send(bytes([run.protocol.filler]))
+    yield from send(bytes([run.protocol.pad_byte]))
     more = yield from run.answers(due + 1)
-    return Heard(heard.answers + more.answers, more.now), True
+    return Received(heard.answers + more.answers, more.now), True
 
 
-def _after_silence(run: Run, due: int, sent: int) -> Script[Heard]:
-    """What comes while a truncated frame is left alone, for its whole time-out."""
+def _after_silence(run: RunState, due: int, sent: int) -> Procedure[Received]:
+    """Receive the answers to a truncated frame, sending nothing during its whole time-out."""
     timeout = run.timeout
-    pause = timeout + timeout // 4 + run.limits.settle
+    pause = timeout + timeout // 4 + run.timers.settle
     if run.profile.truncation_answered is False:
         return (yield from listen(None, pause))
     heard = yield from run.answers(due, pause + run.usual)
     run.timeouts += run.timeout if heard.answers else 0
     if heard.now - sent < timeout // 2:
-        # Answered at its header: what comes now would still be taken for its data.
+        # Answered at its header: bytes sent now would still be taken for its data.
         more = yield from listen(None, sent + pause - heard.now)
-        heard = Heard(heard.answers + more.answers, more.now)
+        heard = Received(heard.answers + more.answers, more.now)
     return heard
 
 
-def _judge_heard(run: Run, case: Case, heard: Heard, sent: int, filled: bool) -> Axis:
-    """The answer axis of what was heard so far; `filled` if a filler was sent after the frame."""
+def _judge_heard(run: RunState, case: Case, heard: Received, sent: int, filled: bool) -> Axis:
+    """The answer axis of the answers so far; `filled` if a pad byte was sent after the frame."""
     if filled:
         ok = run.protocol.answers[Outcome.VALID].code
         own = list(heard.answers)
@@ -127,13 +134,13 @@ def _judge_heard(run: Run, case: Case, heard: Heard, sent: int, filled: bool) ->
             return Axis(Verdict.FAIL, expected, actual, reason, "R-example-right")
         if last is not None:
             own.remove(last)
-        heard = Heard(tuple(own), heard.now)
+        heard = Received(tuple(own), heard.now)
     timed = case.arrived is None
-    return judge_answers(run.protocol, case.accepted, heard, sent, timed=timed)
+    return judge_answers(run.protocol, case.accepted, heard, sent, timed=timed, timers=run.timers)
 
 
-def _stop(run: Run, case: Case, answered: int) -> Script[None]:
-    """The stop axis: standing still when the answer is there; and the state it left."""
+def _stop(run: RunState, case: Case, answered: int) -> Procedure[None]:
+    """Judge the stop axis (the robot stands once the answer is there) and the state after it."""
     longest = int(run.protocol.timing.stop_longest * MS)
     seen = yield from watch(run, moving=False, patience=longest)
     words, reading = look_words(seen.look), "R-stop-latency"
@@ -143,7 +150,7 @@ def _stop(run: Run, case: Case, answered: int) -> Script[None]:
     elif seen.look.moving:
         reason = f"still moves {late / MS:.0f} ms after its answer was due"
         axis = Axis(Verdict.FAIL, "stopped", words, reason, reading)
-    elif late > run.limits.grace:
+    elif late > run.timers.grace:
         run.profile.stop_latency = max(run.profile.stop_latency, late)
         reason = f"stopped only {late / MS:.0f} ms after its answer"
         axis = Axis(Verdict.NON_STRICT, "stopped", words, reason, reading)
@@ -153,27 +160,27 @@ def _stop(run: Run, case: Case, answered: int) -> Script[None]:
     run.axes["state"] = _judge_state(run, case, seen)
 
 
-def _state(run: Run, case: Case) -> Script[None]:
-    """The state axis of an instruction that need not stop: looked at until it fits."""
-    seen = yield from see()
+def _state(run: RunState, case: Case) -> Procedure[None]:
+    """Judge the state axis of an instruction that need not stop: observe until the state fits."""
+    seen = yield from observe()
     start = seen.asked
     axis = _judge_state(run, case, seen)
-    patience = run.limits.deadline
+    patience = run.timers.deadline
     while axis.verdict is Verdict.FAIL and seen.now - start < patience:
         heard = yield from listen(None, 10 * MS)
         run.hear(heard)
-        seen = yield from see()
+        seen = yield from observe()
         axis = _judge_state(run, case, seen)
     if axis.verdict is Verdict.FAIL:
-        run.waste(patience)
+        run.add_waiting(patience)
     run.axes["state"] = axis
 
 
-def _judge_state(run: Run, case: Case, seen: Seen) -> Axis:
+def _judge_state(run: RunState, case: Case, seen: Observation) -> Axis:
     elsewhere = MOVING if case.stop and seen.look.moving else ()
-    axis = judge_belief(run.model, run.belief, seen.look, elsewhere)
+    axis = judge_state(run.model, run.expected_state, seen.look, elsewhere)
     if axis.verdict is Verdict.FAIL:
-        reading, why = contradiction(run.model, run.before, case.deed, seen.look)
+        reading, why = contradiction(run.model, run.before, case.frame_effect, seen.look)
         if why:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
     if axis.verdict is Verdict.FAIL and run.moves == set():
@@ -184,3 +191,21 @@ def _judge_state(run: Run, case: Case, seen: Seen) -> Axis:
         reason = f"{NOT_OBSERVABLE}: {blind}"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
     return axis
+
+
+def unseen(case: Case, look: Look) -> str:
+    """Which facets this case tests that the probe does not show, as words; "" if none."""
+    if look.moving is None:
+        return "the probe does not know whether the robot moves"
+    if case.kind is not FrameClass.VALID:
+        return ""
+    changed = [
+        name
+        for name in ("speed", "steering", "led")
+        if getattr(case.expected, name) != getattr(case.setup, name)
+    ]
+    wheels = look.left is not None and look.right is not None
+    blind = [n for n in changed if getattr(look, n) is None and (n == "led" or not wheels)]
+    if case.expected.moving and look.motion is None and not wheels:
+        blind.append("direction")
+    return f"the probe does not tell {', '.join(blind)}" if blind else ""

@@ -1,25 +1,28 @@
-"""What happens on the line between the cases and is nobody's: answers too many, and too few."""
+"""Answers received or missing outside any test case.
+
+Isolated ones are inconclusive; repeated ones fail `line/unsolicited`, silence fails `line/lost`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from conformance.cases.single_frames import Case, special
-from conformance.oracle.judge import answer_words
-from conformance.oracle.verdicts import Axis, Verdict
-from spec.protocol import Protocol
+from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wording import answer_words
+from bilprov.spec.protocol import Protocol
 
 Answers = tuple[tuple[int, int], ...]
 End = Callable[[Case, dict[str, Axis], Answers, int], None]
 
-_STRAYS = 3  # answers that are nobody's, until they are the device's and not the line's
+_STRAYS = 3  # stray answers: so many are no noise but a failure of the device
 
 
-class Between:
-    """Books of what no case is charged with. `end` is called with a case, its axes and answers.
+class StrayAnswers:
+    """Collects stray and missing answers. `end` is called with a case, its axes and answers.
 
-    A byte that came or got lost once may be the line's: no failure, and no pass. A flood, or what
-    comes again and again, is the device's, and so is a silence without end.
+    A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
+    answers are the device's failure, and so is a device that stops answering.
     """
 
     def __init__(self, protocol: Protocol, end: End) -> None:
@@ -29,26 +32,27 @@ class Between:
         self._stray = False
         self._lost = 0
 
-    def came(self, answers: Iterable[tuple[int, int]], reason: str) -> None:
-        """Answers that nobody asked for."""
+    def unexpected(self, answers: Iterable[tuple[int, int]], reason: str) -> None:
+        """Record answers, as (time in ns, code), that no instruction asked for."""
         came = tuple(answers)
         self._strays.append((came, reason))
         if len(self._strays) >= _STRAYS or len(came) >= _STRAYS:
             self._end_strays(Verdict.FAIL)
 
-    def lost(self, count: int) -> None:
-        """So many instructions were not answered, and the device went on answering."""
+    def missing(self, count: int) -> None:
+        """Record `count` unanswered instructions of a device that went on answering."""
         self._lost += count
 
     def silent(self, reason: str) -> None:
-        """The device stopped answering."""
+        """Report that the device stopped answering: a failure."""
         self._lost = 0
         self._silence(Verdict.FAIL, reason)
 
     def close(self, *, keeps_all: bool) -> None:
-        """The run is over; `keeps_all` if the device takes each instruction, whatever came before.
+        """Report at the run's end what was recorded, as inconclusive.
 
-        One that does not may have lost what was sent behind a fault.
+        Missing answers count only if the device `keeps_all`, that is takes each instruction
+        regardless of what preceded it; any other may discard what follows a fault.
         """
         if self._strays:
             self._end_strays(Verdict.INCONCLUSIVE)
@@ -59,7 +63,7 @@ class Between:
 
     def _silence(self, verdict: Verdict, reason: str) -> None:
         clause, requirement = self._protocol.clauses.responses, "answers between the cases too"
-        case = special(self._protocol, "line/lost", clause, requirement, b"")
+        case = runner_case(self._protocol, "line/lost", clause, requirement, b"")
         axis = Axis(verdict, "each instruction answered once", "no answer", reason)
         self._end(case, {"answer": axis}, (), 0)
 
@@ -75,5 +79,5 @@ class Between:
         words = answer_words(self._protocol, tuple(code for _, code in came))
         axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
         clause, requirement = self._protocol.clauses.responses, "answers only when it is asked"
-        case = special(self._protocol, "line/unsolicited", clause, requirement, b"")
+        case = runner_case(self._protocol, "line/unsolicited", clause, requirement, b"")
         self._end(case, {"answer": axis}, came, came[0][0])

@@ -1,4 +1,4 @@
-"""Measures how long a frame may pause: from a header whose data never come to answer and stop."""
+"""Measures the truncation time-out: from a header whose data never come to answer and stop."""
 
 from __future__ import annotations
 
@@ -7,18 +7,20 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from conformance.cases.opening import truncation_timeout
-from conformance.cases.sequence import Walk
-from conformance.cases.single_frames import Case
-from conformance.dut.operations import Heard, Script, listen, see, send
-from conformance.oracle.judge import MS, judge_answers, look_words
-from conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from conformance.runner.homing import home, set_up, watch
-from conformance.runner.run import Run
-from spec.motion import State
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.opening import truncation_timeout
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.operations import Procedure, Received, listen, observe, send
+from bilprov.conformance.oracle.judge import judge_answers
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.runner.homing import home, set_up, watch
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.motion import State
 
 _STEP = 10 * MS
-_JITTER = 20 * MS  # of the link; what differs by less is the same
+_JITTER = 20 * MS  # of the link; times that differ by less count as equal
 _TWICE, _TRIES = 2, 6
 
 
@@ -34,7 +36,7 @@ class _Measured:
         return self.result.verdict is Verdict.FAIL
 
     def agrees(self, other: _Measured) -> bool:
-        """Whether both tell the same; the line's own jitter counts as the same."""
+        """Whether both measurements agree, but for the jitter of the line."""
         if self.failed or other.failed:
             return self.failed and other.failed
         mine, theirs = self.timeout, other.timeout
@@ -45,11 +47,11 @@ class _Measured:
         return abs(mine - theirs) <= max(_JITTER, min(mine, theirs) // 2)
 
 
-def measure_timeout(run: Run) -> Script[None]:
+def measure_timeout(run: RunState) -> Procedure[None]:
     """Measure the truncation time-out and judge it as a case. Leaves the line homed.
 
-    One long wait may be the line's doing, a byte changed: it is made until two tell the same,
-    and what fails until it was reproduced twice.
+    A single result may be noise, a byte changed on the line: it is measured until two results
+    agree, and a failure until it was reproduced twice.
     """
     case = truncation_timeout(run.protocol)
     if case is None:
@@ -74,19 +76,21 @@ def measure_timeout(run: Run) -> Script[None]:
             flaky = Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason, axis.reading)
             axes = best.result.axes | {name: flaky}
             result = msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
+    if result.clause != case.clause:
+        result = msgspec.structs.replace(result, planned=case.clause)
     run.publish(result)
 
 
-def _measure(run: Run, case: Case) -> Script[_Measured]:
-    """One measurement, homed afterwards; what is charged to it while homing counts."""
+def _measure(run: RunState, case: Case) -> Procedure[_Measured]:
+    """Measure once and home the line; late answers found while homing count against it."""
     run.trying = []
     timeout = yield from _once(run, case)
     yield from home(run)
     return _Measured(run.tried(case.id), timeout)
 
 
-def _once(run: Run, case: Case) -> Script[int | None]:
-    watched = run.looks_freely and bool(run.moves)
+def _once(run: RunState, case: Case) -> Procedure[int | None]:
+    watched = run.observable and bool(run.moves)
     if watched and run.moves:
         _, fast = run.protocol.limits.get("speed", (0, 0))
         yield from set_up(run, State(motion=min(run.moves), speed=fast))
@@ -96,7 +100,12 @@ def _once(run: Run, case: Case) -> Script[int | None]:
     # The answer is due when the time-out is over, which only a stop shows.
     axes = {
         "answer": judge_answers(
-            run.protocol, case.accepted, heard, stopped or sent, timed=stopped is not None
+            run.protocol,
+            case.accepted,
+            heard,
+            stopped or sent,
+            timed=stopped is not None,
+            timers=run.timers,
         )
     }
     if watched and heard.answers:
@@ -108,7 +117,7 @@ def _once(run: Run, case: Case) -> Script[int | None]:
             axes["stop"] = Axis(Verdict.FAIL, "stopped", words, reason, "R-stop-latency")
     timeout = None
     if moment is not None:
-        # What an answer takes anyway is not part of the time-out; a stop shows at once.
+        # The usual latency of an answer is not part of the time-out; a stop shows at once.
         usual = sorted(run.profile.latencies)[len(run.profile.latencies) // 2 :][:1]
         answered = moment - sent - sum(usual) if heard.answers else moment - sent
         seen_stopped = stopped - sent if stopped is not None else answered
@@ -118,7 +127,7 @@ def _once(run: Run, case: Case) -> Script[int | None]:
         reason = "never timed out and kept driving"
         axes["stop"] = Axis(Verdict.FAIL, "stopped", "moving", reason, case.reading)
     else:
-        axes["stop"] = run.blind("stopped")
+        axes["stop"] = run.not_observable("stopped")
     stop = axes.get("stop")
     if stop and stop.verdict is Verdict.FAIL and axes["answer"].verdict is not Verdict.FAIL:
         case = replace(case, clause=run.protocol.clauses.safety)
@@ -126,23 +135,26 @@ def _once(run: Run, case: Case) -> Script[int | None]:
     return timeout
 
 
-def _wait(run: Run, sent: int, watched: bool) -> Script[tuple[Heard, int | None]]:
-    """Listen, and look where looking is cheap, until it answers and stops, or for ever long."""
-    heard = Heard((), sent)
+def _wait(run: RunState, sent: int, watched: bool) -> Procedure[tuple[Received, int | None]]:
+    """Listen, observing the robot if `watched`, until an answer comes or `never` ns are over.
+
+    Returns the answers, and when (ns) the robot was seen stopped, None if it was not.
+    """
+    heard = Received((), sent)
     stopped: int | None = None
-    until = sent + run.limits.never
+    until = sent + run.timers.never
     while heard.now < until and not heard.answers:
         more = yield from listen(1, _STEP if watched else until - heard.now)
-        heard = Heard(heard.answers + more.answers, more.now)
+        heard = Received(heard.answers + more.answers, more.now)
         if watched and stopped is None and not heard.answers:
-            seen = yield from see()
+            seen = yield from observe()
             if seen.look.moving is False:
                 stopped = seen.now
-    more = yield from listen(None, run.limits.silence)
-    return Heard(heard.answers + more.answers, more.now), stopped
+    more = yield from listen(None, run.timers.silence)
+    return Received(heard.answers + more.answers, more.now), stopped
 
 
-def _in_limits(run: Run, timeout: int) -> Axis:
+def _in_limits(run: RunState, timeout: int) -> Axis:
     timing = run.protocol.timing
     expected = f"{timing.truncation_shortest:g} ms to {timing.truncation_longest:g} ms"
     inside = timing.truncation_shortest <= timeout / MS <= timing.truncation_longest
@@ -151,6 +163,6 @@ def _in_limits(run: Run, timeout: int) -> Axis:
     return Axis(verdict, expected, f"{timeout / MS:.1f} ms", reason, "R-truncation-timeout")
 
 
-def needs_timeout(cases: Sequence[Case | Walk]) -> bool:
-    """Whether any of the cases waits for the time-out."""
-    return any(isinstance(c, Walk) or c.arrived is not None or c.short for c in cases)
+def needs_timeout(cases: Sequence[Case | SequenceCase]) -> bool:
+    """Whether any of the cases depends on the truncation time-out."""
+    return any(isinstance(c, SequenceCase) or c.arrived is not None or c.short for c in cases)

@@ -1,1 +1,1 @@
-"""What is written out of the Protocol for other programs, one file for each form."""
+"""Emitters: files generated from the Protocol for other programs, one module for each form."""

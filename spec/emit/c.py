@@ -1,19 +1,19 @@
-"""A C header: the protocol's constants, for firmware and for hosts written in C."""
+"""Generates a C header with the protocol's constants, for firmware and hosts written in C."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 
-from spec.fields import Outcome
-from spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 
 Line = tuple[str, str, str]
-"""A constant: its name, its value and what it is."""
+"""A constant: its name, its value and its description."""
 
 
 def c_header(protocol: Protocol) -> str:
-    """The header's text, C90 and C++: nothing but constants, all with the protocol's prefix."""
+    """Return the header's text (C90 and C++): constants only, all with the protocol's prefix."""
     prefix = _word(protocol.name)
     parts = [
         ("The frame", _frame(protocol)),
@@ -46,7 +46,7 @@ def _frame(protocol: Protocol) -> Iterator[Line]:
         yield f"{_word(name)}_MASK", _hex(((1 << width) - 1) << shift), ""
     yield "MAX_DATA", str(max(protocol.lengths)), "data bytes that a header can announce"
     yield "MAX_FRAME", str(protocol.longest_frame), "bytes of the longest frame"
-    yield "FILLER", _hex(protocol.filler), "the only byte that is safe to pad with: it stops"
+    yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"
 
 
 def _instruction(protocol: Protocol, spec: InstructionSpec) -> Iterator[Line]:
@@ -98,7 +98,7 @@ def _define(prefix: str, name: str, value: str, prose: str) -> str:
 
 
 def _word(name: str) -> str:
-    """A name as part of a C constant: RotateRight is ROTATE_RIGHT."""
+    """Return a name as part of a C constant: RotateRight is ROTATE_RIGHT."""
     parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
     return re.sub(r"[^A-Za-z0-9]+", "_", parted).strip("_").upper()
 
@@ -108,5 +108,5 @@ def _hex(value: int) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text that cannot end a comment, nor begin another."""
+    """Return text that can neither end a C comment nor begin another."""
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")

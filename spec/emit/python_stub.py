@@ -1,24 +1,25 @@
-"""The instructions as typed Python methods: the stub beside `analyzer/robot.py`, as text."""
+"""Generates the Python stub beside `analyzer/client/robot.py`: instructions as typed methods."""
 
 from __future__ import annotations
 
 import textwrap
 
-from spec.protocol import FieldSpec, InstructionSpec, Protocol
-from spec.python_names import method_names, parameter_names
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.python_names import method_names, parameter_names
 
-RENEW = "python -m analyzer.robot_stub"
-"""What writes the stub of the kit's own grammar anew."""
+RENEW = "python -m bilprov.analyzer.client.write_stub"
+"""The command that regenerates the stub of the kit's own grammar."""
 
 _WIDTH = 100
 _HEAD = '''\
 """The robot's instructions as methods, for type checkers and editors.
 
-Written out of the grammar (@GRAMMAR@) by `@RENEW@`; do not edit.
+Written out of the grammar (@GRAMMAR@), not edited by hand. To renew it:
+`@RENEW@`.
 """
 
-from analyzer.driver import Answer, Driver
-from analyzer.port_driver import PortDriver
+from bilprov.analyzer.client.driver import Answer, Driver
+from bilprov.analyzer.client.port_driver import PortDriver
 
 class Instructions(Driver):
     """The instructions of @GRAMMAR@; `Driver` says what each of them raises."""
@@ -30,7 +31,7 @@ class Robot(Instructions, PortDriver):
 
 
 def python_stub(protocol: Protocol) -> str:
-    """The text of a stub (.pyi) with a method for each instruction."""
+    """Return the text of a stub (.pyi) with a method for each instruction."""
     grammar = _quoted(f"{protocol.name} {protocol.version}")
     methods = (_method(name, spec) for name, spec in method_names(protocol).items())
     head = _HEAD.replace("@GRAMMAR@", grammar).replace("@RENEW@", RENEW)
@@ -59,12 +60,12 @@ def _parameter(name: str, part: FieldSpec) -> str:
 
 
 def _wrapped(text: str, taken: int) -> str:
-    """Lines of a docstring; `taken` is how much of the first one the quotes take."""
+    """Wrap text into docstring lines; the quotes take `taken` characters of the first line."""
     room = _WIDTH - 8
     lines = textwrap.wrap("_" * taken + _quoted(text), room, break_long_words=False)
     return "\n        ".join(lines)[taken:]
 
 
 def _quoted(text: str) -> str:
-    """One line that can stand in a docstring."""
+    """Return the text as one line that is safe within a docstring."""
     return " ".join(text.split()).replace("\\", "\\\\").replace('"', '\\"')

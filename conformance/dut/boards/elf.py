@@ -1,11 +1,11 @@
-"""What an ELF file is for, and what it puts into flash memory."""
+"""Reads an ELF file: its processor architecture, and the bytes it loads into flash memory."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
 
-from conformance.dut.boards.emulator import EmulatorError
+from bilprov.conformance.dut.boards import EmulatorError
 
 AVR, ARM = 83, 40
 
@@ -14,20 +14,20 @@ _HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
 _SEGMENT = struct.Struct("<IIIIIIII")
 _LOAD = 1
 _ELSEWHERE = 0x800000
-"""From here on avr-gcc places what is no flash: RAM, EEPROM, fuses."""
+"""From this address on avr-gcc places RAM, EEPROM and fuses, not flash."""
 _LARGEST = 1 << 24  # bytes of a file
 
 
 def architecture(firmware: Path) -> int:
-    """The file's e_machine. Raises EmulatorError, in one sentence, for a file that is no ELF."""
+    """The file's e_machine, such as AVR or ARM. Raises EmulatorError for a file that is no ELF."""
     return int(_header(firmware, _read(firmware))[2])
 
 
 def flash(firmware: Path, size: int) -> bytes:
-    """What the file puts into a flash memory of `size` bytes, from address 0 on.
+    """The bytes that the file loads into a flash memory of `size` bytes, from address 0 on.
 
-    Raises EmulatorError, in one sentence, for a file that is cut off or damaged, that has nothing
-    for the flash or too much.
+    Raises EmulatorError, in one sentence, for a file that is cut off or damaged, or that has
+    nothing or too much for the flash.
     """
     data = _read(firmware)
     _, _, _, _, _, at, _, _, _, each, count, *_ = _header(firmware, data)

@@ -1,6 +1,6 @@
-"""The few functions of libsimavr that a board takes, through ctypes. The only file that knows it.
+"""Binding of libsimavr through ctypes: only the functions that a board needs, only in this file.
 
-Written for libsimavr 1.6, as Debian brings it; another layout of its structures is refused.
+Written for libsimavr 1.6, as in Debian; another layout of its structures is refused.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from ctypes import (
     c_void_p,
 )
 
-from conformance.dut.boards.emulator import EmulatorError
+from bilprov.conformance.dut.boards import EmulatorError
 
 INSTALL = "apt-get install simavr"
 _LIBRARY = "libsimavr.so.2"
 _INPUT, _OUTPUT = 0, 1  # of the serial line's IRQs
 _FRAMING_ERROR = 0x8000
-_STUCK = 10_000  # turns without time: it has crashed, or sleeps for ever
+_STUCK = 10_000  # calls in which no cycle passes: it has crashed, or sleeps for ever
 _QUIET = CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_void_p)(lambda *_: None)
-"""What it would say of its own, where nobody reads it."""
+"""A logger that discards the messages of libsimavr."""
 
 
 class _Avr(Structure):
-    """The beginning of avr_t, as far as `sleep`."""
+    """The first fields of the structure avr_t, up to `sleep`."""
 
     _fields_ = [
         ("mmcu", c_char_p),
@@ -68,22 +68,23 @@ class _Avr(Structure):
 
 _Timer = CFUNCTYPE(c_uint64, c_void_p, c_uint64, c_void_p)
 _WAKE = _Timer(lambda _avr, _when, _param: 0)
-"""A timer that is not armed again: the emulator does not sleep past it."""
+"""A timer that is not armed again; the emulator does not sleep past its cycle."""
 _Notify = CFUNCTYPE(None, c_void_p, c_uint32, c_void_p)
 
 
 _AWAKE = ctypes.cast(ctypes.CDLL(None).abs, c_void_p)
-"""What it calls to sleep: nobody waits, since the emulator's time is not ours.
+"""The sleep function of the emulator: it returns at once, since emulated time is not real time.
 
-Firmware with phase-correct PWM sleeps a quarter of a million times a second of its time, where a
-function of Python would take longer than all the rest; so this is one of C that does nothing.
+Firmware with phase-correct PWM sleeps 250,000 times per emulated second; a Python function would
+take longer than all the rest, so this is a C function without effect.
 """
 
 
 class Avr:
-    """One microcontroller at the moment of power-on, with `code` in its flash from address 0 on.
+    """One emulated microcontroller from power-on, with `code` in its flash from address 0 on.
 
-    `on_answer` is called with each byte that it sends. Raises EmulatorError.
+    `frequency` is its clock in Hz. `on_answer` is called with each byte that it sends. Raises
+    EmulatorError if libsimavr is missing, of another version, or does not know the chip.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class Avr:
         return int(self._avr.cycle)
 
     def run_until(self, cycle: int) -> None:
-        """Run to that cycle, or a few further; firmware that crashed does nothing any more."""
+        """Run to that clock cycle, or a few further; crashed firmware does not run any more."""
         avr, run, handle = self._avr, self._library.avr_run, self._handle
         if avr.cycle < cycle:
             self._library.avr_cycle_timer_register(handle, cycle - avr.cycle, _WAKE, None)
@@ -121,12 +122,12 @@ class Avr:
         while (now := avr.cycle) < cycle and not self.crashed:
             avr.run_cycle_limit = cycle - now
             run(handle)
-            # Waking up takes a turn without time; where it stands still it would do so for ever.
+            # Waking up takes one call in which no cycle passes; after a crash none passes at all.
             idle = idle + 1 if avr.cycle == now else 0
             self.crashed = idle > _STUCK
 
     def receive(self, byte: int, *, spoilt: bool = False) -> None:
-        """A byte arrives on the serial line, `spoilt` with a framing error."""
+        """Let a byte arrive on the serial line, with a framing error if `spoilt`."""
         self._library.avr_raise_irq(self._input, byte | (_FRAMING_ERROR if spoilt else 0))
 
     def memory(self, address: int) -> int:
@@ -134,7 +135,7 @@ class Avr:
         return int(self._library.avr_core_watch_read(self._handle, address))
 
     def close(self) -> None:
-        """Give the emulator up."""
+        """End the emulator."""
         if self._handle:
             self._library.avr_terminate(self._handle)
             self._handle = None
@@ -147,7 +148,7 @@ class Avr:
 
 
 def _named(name: str) -> int:
-    """AVR_IOCTL_DEF: four characters as a number."""
+    """The number of four characters, as the macro AVR_IOCTL_DEF makes it."""
     return int.from_bytes(name.encode(), "big")
 
 
@@ -163,7 +164,7 @@ def _library() -> ctypes.CDLL:
 
 
 def _typed(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Say what its functions take and return. Raises AttributeError for one that it has not."""
+    """Declare the types of its functions. Raises AttributeError for one that is missing."""
     library.avr_make_mcu_by_name.restype = c_void_p
     for name in ("avr_init", "avr_run", "avr_terminate"):
         getattr(library, name).argtypes = [c_void_p]

@@ -1,6 +1,6 @@
-"""A board at the pace of the wall clock, for a pty: bytes take their time on the wire, both ways.
+"""Runs an emulated board in real time, for a pty: bytes take their time on the wire, both ways.
 
-The clock is given; no port here. Between two calls nothing is skipped: what is late is caught up.
+The caller passes the time; no port here. After a late call the board catches up and skips nothing.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ from collections.abc import Callable
 
 import msgspec
 
-from conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
 
 HELD = 1 << 20
-"""Bytes of the host that wait for the wire: more than a minute of it. What does not fit is lost."""
+"""Most bytes that wait for the wire, more than a minute's worth; further ones are lost."""
 
-_SOON = 100_000  # ns; a board that wants to be looked at sooner is in the middle of something
-_IDLE = 2_000_000  # ns between two looks at a board that is not
-_SLICE = 20_000_000  # ns caught up at a time, so that Ctrl-C and probes are heard meanwhile
-_AGAIN = 20_000  # ns until it is seen again whether the chip has taken a byte
-_WAITED = 3  # bytes' time; for a chip that has not read then the line does not wait either
+_SOON = 100_000  # ns; a board whose deadline is nearer is busy
+_IDLE = 2_000_000  # ns between two calls for a board that is not busy
+_SLICE = 20_000_000  # ns caught up at a time, so that Ctrl-C and probes are served meanwhile
+_AGAIN = 20_000  # ns until the next check whether the chip has read a byte
+_WAITED = 3  # bytes' time, after which the line no longer waits for the chip to read
 
 
 class PacedBoard:
     """A simavr board as a device to serve: times are integers in ns since its power-on.
 
     `byte_time` is the time of a byte on the wire in ns. The emulator takes a bit longer for one and
-    drops without a word what its small buffer cannot hold: so a byte waits for the one before to be
-    read. `note` is told, in one sentence, that the firmware crashed, or that bytes were lost.
+    silently drops bytes that do not fit its small buffer: so a byte waits until the one before is
+    read. `note` is called with one sentence if the firmware crashed or bytes were lost.
     """
 
     def __init__(self, board: SimavrBoard, byte_time: int, note: Callable[[str], None]) -> None:
@@ -35,14 +35,15 @@ class PacedBoard:
         self._board = board
         self._byte_time = byte_time
         self._note = note
-        self._at = 0  # as far as the board has run
-        self._chunks: deque[tuple[int, bytes]] = deque()  # when they came, the host's bytes
-        self._index = 0  # of the first one's bytes that are on their way
+        self._at = 0  # the time up to which the board has run
+        self._chunks: deque[tuple[int, bytes]] = deque()  # (arrival, bytes of the host)
+        self._index = 0  # number of bytes of the first chunk already handed over
         self._held = 0
         self._flooded = False
-        self._free = self._run_over = 0  # when the wire to the chip is free, and is taken anyway
+        # When the wire to the chip is free, and when it takes a byte although one is unread.
+        self._free = self._run_over = 0
         self._back = 0  # when the wire to the host is free
-        self._answers: deque[tuple[int, int]] = deque()  # when they arrive, answers
+        self._answers: deque[tuple[int, int]] = deque()  # (arrival, answer)
 
     def receive(self, data: bytes, now: int) -> None:
         """Take bytes from the host: the first one's start bit is at `now`, if the wire is free."""
@@ -55,7 +56,7 @@ class PacedBoard:
             self._held += len(fitting)
 
     def advance(self, now: int) -> bytes:
-        """Let the board run until `now`, or a part of the way, and return what has arrived."""
+        """Run the board until `now`, or a part of the way; return the answers that arrived."""
         until = max(self._at, min(now, self._at + _SLICE))
         while (start := self._next()) is not None and start <= until:
             self._run(start)
@@ -68,10 +69,10 @@ class PacedBoard:
         return bytes(due)
 
     def deadline(self) -> int | None:
-        """Return when, in ns, `advance` is wanted next; None from a board that crashed."""
+        """Return when (ns) `advance` is to be called next; None if the board crashed."""
         wanted = [self._answers[0][0]] if self._answers else []
         if not self.crashed:
-            # An answer is under way for a byte's time: who looks that often delivers it in time.
+            # An answer is under way for a byte's time: calls at that interval deliver it in time.
             busy = self._chunks or self._board.deadline() - self._at < _SOON
             wanted.append(self._at + (self._byte_time if busy else _IDLE))
         return min(wanted, default=None)
@@ -83,13 +84,13 @@ class PacedBoard:
         return msgspec.json.encode({name: seen for name, seen in look.items() if seen is not None})
 
     def _next(self) -> int | None:
-        """When the next byte of the host can start, None where none waits."""
+        """When (ns) the next byte of the host can start, None where none waits."""
         return max(self._chunks[0][0], self._free) if self._chunks else None
 
     def _begin(self, start: int) -> None:
-        """A byte starts on its way, unless one before has not been read.
+        """Hand over the next byte to the board, unless the one before has not been read.
 
-        It is handed over at its start bit: the emulator lets its time pass by itself.
+        This happens at its start bit: the emulator adds the time of the byte itself.
         """
         if self._board.unread and start < self._run_over:
             self._free = start + _AGAIN
@@ -105,7 +106,7 @@ class PacedBoard:
             self._index = 0
 
     def _run(self, until: int) -> None:
-        """Run the board, in steps as small as it wants to be looked at."""
+        """Run the board until `until` (ns), in steps as small as its deadlines ask for."""
         while not self.crashed and self._at < until:
             self._at = min(until, max(self._board.deadline(), self._at + 1))
             for answer in self._board.advance(self._at):

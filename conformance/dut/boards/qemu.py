@@ -1,6 +1,7 @@
-"""A board under QEMU: a process of its own in real time, reached by its line and its monitor.
+"""An emulated board in a QEMU process, in real time: its serial line and its monitor (QMP).
 
-The machine is chosen by the file's own type; the robot's state is found in RAM by its magic number.
+The ELF file's architecture selects the machine; the robot's state is found in RAM by its magic
+number.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from analyzer.transport.line_settings import LineSettings
-from analyzer.transport.port import Port
-from analyzer.transport.ports import open_port
-from captures.schemas import Look
-from conformance.dut.boards.elf import ARM, AVR, architecture
-from conformance.dut.boards.emulator import EmulatorError
-from conformance.dut.boards.qmp import Monitor
-from conformance.dut.power import PowerError
-from conformance.dut.probes import ProbeError
-from spec.motion import Motion
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.boards import EmulatorError
+from bilprov.conformance.dut.boards.elf import ARM, AVR, architecture
+from bilprov.conformance.dut.boards.qmp import Monitor
+from bilprov.conformance.dut.power import PowerError
+from bilprov.conformance.dut.probes import ProbeError
+from bilprov.spec.motion import Motion
 
 _PATIENCE = 10.0  # s until the firmware must run, and the line must be opened
-_STEP = 0.02  # s between two looks whether it does
+_STEP = 0.02  # s between two checks whether it runs
 
 
 @dataclass(frozen=True, slots=True)
 class _Machine:
-    """One that QEMU emulates: how it is started, and where its RAM lies."""
+    """A machine that QEMU emulates: how it is started, and the address and size of its RAM."""
 
     program: str
     options: tuple[str, ...]
@@ -48,10 +49,10 @@ _MACHINES = {
         "qemu-system-arm", ("-M", "lm3s6965evb", "-kernel"), 0x20000000, 0x1000, "qemu-system-arm"
     ),
 }
-"""By the ELF file's number for the architecture."""
+"""The machines by the ELF file's e_machine."""
 
 _GUARD = 'read -r _; kill -KILL "$0"'
-"""For a shell: it kills a process when its own input ends, as it does however the kit has ended."""
+"""A shell script that kills a process once its own stdin closes, however the kit ends."""
 
 # struct robot_state of firmware/robot.h
 _MAGIC = struct.pack("<I", 0x42494C21)
@@ -64,20 +65,20 @@ _MOTIONS = (
 
 @contextlib.contextmanager
 def running(firmware: Path, settings: LineSettings) -> Iterator[tuple[Port, QemuBoard]]:
-    """A board that has its power, and its line, opened. Raises EmulatorError and LinkError."""
+    """A board that is switched on, with its port open. Raises EmulatorError and LinkError."""
     with contextlib.closing(QemuBoard(firmware)) as board, open_port(board.url, settings) as port:
         board.power_on()
         yield port, board
 
 
 class QemuBoard:
-    """A board until it is closed: `url` is its line, and it is its own probe.
+    """A board under QEMU: `url` is its serial line, and the board is its own probe.
 
-    It has no power until the line has been opened and `power_on` is called. Raises EmulatorError,
-    in one sentence, where QEMU is missing or does not take the file.
+    It is switched off until the line has been opened and `power_on` is called. Raises
+    EmulatorError, in one sentence, where QEMU is missing or does not run the file.
     """
 
-    sparse = False
+    costly = False
     patience = 1.0
 
     def __init__(self, firmware: Path) -> None:
@@ -103,7 +104,7 @@ class QemuBoard:
         self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
 
     def power_on(self) -> None:
-        """Start it on the line that was opened, and wait until the firmware runs."""
+        """Start QEMU on the opened line and wait until the firmware runs. Raises EmulatorError."""
         if self._line is None:
             self._line, _ = self._listener.accept()
             self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -136,10 +137,10 @@ class QemuBoard:
             raise EmulatorError(self._last_words() or str(error)) from error
 
     def power_cycle(self) -> None:
-        """Off and on: another process on the same line. Raises PowerError."""
+        """Switch the board off and on: a new process on the same line. Raises PowerError."""
         self._power_off()
         assert self._line is not None
-        with contextlib.suppress(BlockingIOError):  # what it had not read is lost with its power
+        with contextlib.suppress(BlockingIOError):  # bytes it has not read are lost
             while self._line.recv(1 << 16, socket.MSG_DONTWAIT):
                 pass
         try:
@@ -150,7 +151,7 @@ class QemuBoard:
     # -- the probe --------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask for the robot's state in RAM. Raises ProbeError."""
+        """Request the robot's state from RAM. Raises ProbeError."""
         try:
             self._monitor.ask_dump(self._at, _STATE.size)
         except EmulatorError as error:
@@ -185,7 +186,7 @@ class QemuBoard:
         )
 
     def close(self) -> None:
-        """End it; more than once is as good as once."""
+        """End QEMU and close the line; further calls do nothing."""
         self._power_off()
         if self._line is not None:
             self._line.close()
@@ -194,7 +195,7 @@ class QemuBoard:
     # -- inside -----------------------------------------------------------------------------------
 
     def _found(self) -> int:
-        """Where the robot's state lies, once the firmware has written its magic number."""
+        """The address of the robot's state in RAM; waits until its magic number is there."""
         machine, until = self._machine, time.monotonic() + _PATIENCE
         while time.monotonic() < until:
             at = self._monitor.dump(machine.ram, machine.size).find(_MAGIC)
@@ -219,14 +220,14 @@ class QemuBoard:
             self._monitor.close()
 
     def _watch(self, process: subprocess.Popen[bytes]) -> None:
-        """Cut the line when the emulator ends by itself, which is no robot that is silent."""
+        """Shut the line down if QEMU ends by itself, so that it is not taken for silence."""
         process.wait()
         if process is self._process and self._line is not None:
             with contextlib.suppress(OSError):
                 self._line.shutdown(socket.SHUT_RDWR)
 
     def _last_words(self) -> str:
-        """What a process that has ended said at last."""
+        """The last line on stderr of the process that has ended, as words; "" if there is none."""
         assert self._process is not None
         assert self._process.stderr is not None
         words = self._process.communicate()[1].decode(errors="replace").strip().splitlines()

@@ -1,4 +1,4 @@
-"""QEMU's monitor: one order a line of JSON, one reply to each, events in between."""
+"""QEMU's monitor protocol (QMP): a command per line of JSON, a reply to each, events between."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ import select
 import socket
 from typing import Any
 
-from conformance.dut.boards.emulator import EmulatorError
+from bilprov.conformance.dut.boards import EmulatorError
 
-_PATIENCE = 10.0  # s until it must reply
+_PATIENCE = 10.0  # s within which it must reply
 _BYTE = re.compile(r"0x([0-9a-f]{2})\b")
 
 
 class Monitor:
-    """One end of a socket whose other end is QEMU's. Raises EmulatorError once that has gone."""
+    """A client of QEMU's monitor over a socket. Raises EmulatorError once QEMU has ended."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self._held = b""
 
     def greet(self) -> None:
-        """Take QEMU's greeting, and begin. It runs from then on."""
+        """Read QEMU's greeting and enter command mode; the machine runs from then on."""
         self._reply()
         self._send("qmp_capabilities")
         self._reply()
 
     def dump(self, address: int, count: int) -> bytes:
-        """That many bytes of memory."""
+        """`count` bytes of memory from `address` on."""
         self.ask_dump(address, count)
         while (data := self.take_dump()) is None:
             self._wait()
         return data
 
     def ask_dump(self, address: int, count: int) -> None:
-        """Ask for bytes of memory; `take_dump` has them once `fileno` is readable."""
+        """Request `count` bytes of memory; `take_dump` returns them once `fileno` is readable."""
         self._send("human-monitor-command", **{"command-line": f"xp /{count}xb {address:#x}"})
 
     def take_dump(self) -> bytes | None:
-        """The bytes that were asked for, None while the reply is not complete."""
+        """The bytes requested, None while the reply is not complete."""
         reply = self._next()
         if reply is None:
             return None
@@ -49,11 +49,11 @@ class Monitor:
         return bytes(int(byte, 16) for bytes_ in found for byte in bytes_)
 
     def fileno(self) -> int:
-        """The descriptor that is readable when something came."""
+        """The file descriptor that is readable when data have come."""
         return self._connection.fileno()
 
     def close(self) -> None:
-        """Give the connection up."""
+        """Close the connection."""
         self._connection.close()
 
     def _send(self, order: str, **arguments: str) -> None:
@@ -75,7 +75,7 @@ class Monitor:
             raise EmulatorError(f"the emulator has not answered for {_PATIENCE:g} s")
 
     def _next(self) -> dict[str, Any] | None:
-        """The next reply of those that have come; events are passed over."""
+        """The next complete reply, None if there is none yet; events are skipped."""
         if b"\n" not in self._held:
             try:
                 data = self._connection.recv(1 << 16)

@@ -1,23 +1,22 @@
-"""An Arduino Uno under simavr: in process, in virtual time, the same every time."""
+"""An Arduino Uno emulated by simavr: in process, in virtual time, the same every time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from captures.schemas import Look
-from conformance.dut.boards import uno
-from conformance.dut.boards.elf import AVR, architecture, flash
-from conformance.dut.boards.emulator import EmulatorError
-from conformance.dut.boards.libsimavr import Avr
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.boards import EmulatorError, uno
+from bilprov.conformance.dut.boards.elf import AVR, architecture, flash
+from bilprov.conformance.dut.boards.libsimavr import Avr
 
 _NS = 1_000_000_000
-_BUSY, _IDLE = 20_000, 500_000  # ns between two looks at what it sends
+_BUSY, _IDLE = 20_000, 500_000  # ns between two checks for bytes it sends
 _SOON = 3_000_000  # ns after a byte in which it may answer
-_BOOT = 20_000_000  # ns that it has had its power when the line is first used
+_BOOT = 20_000_000  # ns from power-on to the first use of the line
 
 
 class SimavrBoard:
-    """A board with its firmware, as a device under test: times are integers in nanoseconds.
+    """A board with its firmware as a device under test: times are integers in nanoseconds.
 
     Raises EmulatorError, in one sentence, where simavr is missing or cannot load the file.
     """
@@ -31,7 +30,7 @@ class SimavrBoard:
         self.power_cycle(0)
 
     def power_cycle(self, now: int) -> None:
-        """Off and on at `now`."""
+        """Switch the board off and on at `now`."""
         self.close()
         self._sent = bytearray()
         self._avr = Avr(self._code, uno.CHIP, uno.FREQUENCY, self._sent.append)
@@ -46,12 +45,12 @@ class SimavrBoard:
         self._lively = now
 
     def spoil(self, byte: int, now: int) -> None:
-        """A byte that arrives at `now` with a framing error."""
+        """A byte from the host that arrives at `now` with a framing error."""
         self._run(now)
         self._powered.receive(byte, spoilt=True)
 
     def advance(self, now: int) -> bytes:
-        """Let time pass until `now`: what the board sends until then."""
+        """Let time pass until `now`; return the bytes the board has sent until then."""
         self._run(now)
         sent = bytes(self._sent)
         if sent:
@@ -60,7 +59,7 @@ class SimavrBoard:
         return sent
 
     def deadline(self) -> int:
-        """When to look again: firmware acts whenever it wants to."""
+        """When to call `advance` next: firmware may act at any time."""
         return self._now + (_BUSY if self._now < self._lively + _SOON else _IDLE)
 
     def look(self, now: int) -> Look:
@@ -74,7 +73,7 @@ class SimavrBoard:
 
     @property
     def crashed(self) -> bool:
-        """Whether the firmware cannot go on: nothing will wake it, or what it runs is no code."""
+        """Whether the firmware has crashed: it sleeps for ever, or it runs no valid code."""
         return self._powered.crashed
 
     @property
@@ -83,7 +82,7 @@ class SimavrBoard:
         return uno.unread(self._powered.memory)
 
     def close(self) -> None:
-        """Give the emulator up."""
+        """End the emulator."""
         if self._avr:
             self._avr.close()
             self._avr = None

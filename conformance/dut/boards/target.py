@@ -1,4 +1,4 @@
-"""The emulated board that `emulator:KIND:FIRMWARE` names."""
+"""Parses the target `emulator:KIND:FIRMWARE`, the name of an emulated board."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ SIMAVR, QEMU = "simavr", "qemu"
 
 @dataclass(frozen=True, slots=True)
 class BoardName:
-    """Which emulator, and the firmware's ELF file."""
+    """The emulator's kind, and the firmware's ELF file."""
 
     kind: str
     firmware: Path
 
     @property
     def virtual(self) -> bool:
-        """Whether it runs in virtual time, in process."""
+        """Whether the board runs in virtual time, in process."""
         return self.kind == SIMAVR
 
 
 def board_named(target: str) -> BoardName | None:
-    """What the target names, None for one that is no emulator.
+    """The board that the target names, None for a target that is no emulator.
 
-    Raises ValueError, in one sentence, for an emulator that there is not or firmware that cannot be
-    read.
+    Raises ValueError, in one sentence, for an unknown emulator or a missing firmware file.
     """
     if not target.startswith(PREFIX):
         return None

@@ -1,6 +1,6 @@
-"""How the reference robot is wired on an Arduino Uno, and what its pins then do.
+"""The wiring of the reference robot on an Arduino Uno, and the Look that its pins show.
 
-The wiring is the firmware's (see firmware/README.md); the protocol is not met here.
+The wiring is the firmware's (see firmware/README.md); nothing here knows the protocol.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from captures.schemas import Look
-from spec.motion import Motion
+from bilprov.captures.schemas import Look
+from bilprov.spec.motion import Motion
 
 CHIP, FREQUENCY, FLASH = "atmega328p", 16_000_000, 1 << 15  # Hz, bytes
 
@@ -22,7 +22,7 @@ _LIGHT = 0b111  # A2 to A0
 
 @dataclass(frozen=True, slots=True)
 class _Motor:
-    """A motor driver's pins: forward, backward (port, bit), and its PWM's register and bits."""
+    """A motor driver: its pins as (port, bit), its duty register, the bit that enables its PWM."""
 
     forward: tuple[str, int]
     backward: tuple[str, int]
@@ -31,7 +31,7 @@ class _Motor:
     connected: int
 
     def speed(self, memory: Callable[[int], int]) -> int:
-        """-255 to 255, forward positive; 0 where the driver is off, brakes, or has no duty."""
+        """The speed, -255 to 255, forward positive; 0 if it is off, brakes or has no duty."""
         forward, backward = (_is_high(memory, *pin) for pin in (self.forward, self.backward))
         if forward == backward or not _is_output(memory, *self.pwm):
             return 0
@@ -47,7 +47,7 @@ _RIGHT = _Motor(("B", 1), ("B", 2), ("D", 5), duty=0x48, connected=0x20)
 
 
 def look(memory: Callable[[int], int], now: int) -> Look:
-    """What wheels and diode do, read from the pins and the PWM registers; `now` in ns."""
+    """What wheels and LED do, read from the pins and the PWM registers; `now` in ns."""
     left, right = _LEFT.speed(memory), _RIGHT.speed(memory)
     return Look(
         t=now,
@@ -60,7 +60,7 @@ def look(memory: Callable[[int], int], now: int) -> Look:
 
 
 def unread(memory: Callable[[int], int]) -> bool:
-    """Whether a byte lies in the serial line's receiver."""
+    """Whether the serial receiver holds a byte that the firmware has not read."""
     return bool(memory(_UCSR0A) & _RXC0)
 
 

@@ -1,7 +1,7 @@
-"""The bank of faulty devices, generated from the Protocol: each misbehaves in one named way.
+"""The bank of faulty devices that the suite is tested with; each misbehaves in one named way.
 
-Faults are what the suite is tested with. Each says which cases are meant to catch it; a pattern
-makes one for each outcome, motion or instruction, a story is written by hand.
+The faults are generated from the Protocol: some once for each outcome, motion or instruction,
+others written by hand. Each fault names the test cases that are meant to catch it.
 """
 
 from __future__ import annotations
@@ -9,32 +9,31 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from conformance.dut.simulator import Fault
-from conformance.mutation.faults.answers import answer_faults
-from conformance.mutation.faults.codes import code_faults
-from conformance.mutation.faults.counts import count_faults
-from conformance.mutation.faults.delivery import delivery_faults
-from conformance.mutation.faults.history import history_faults
-from conformance.mutation.faults.line import line_faults
-from conformance.mutation.faults.motion import motion_faults
-from conformance.mutation.faults.narrow import narrow_faults
-from conformance.mutation.faults.pairs import pair_faults
-from conformance.mutation.faults.parsing import parsing_faults
-from conformance.mutation.faults.pauses import pause_faults
-from conformance.mutation.faults.settings import setting_faults
-from conformance.mutation.faults.stops import stop_faults
-from conformance.mutation.faults.timing import timing_faults
-from spec.protocol import Protocol
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.mutation.faults.answers import answer_faults
+from bilprov.conformance.mutation.faults.codes import code_faults
+from bilprov.conformance.mutation.faults.counts import count_faults, history_faults
+from bilprov.conformance.mutation.faults.delivery import delivery_faults
+from bilprov.conformance.mutation.faults.line import line_faults
+from bilprov.conformance.mutation.faults.motion import motion_faults
+from bilprov.conformance.mutation.faults.narrow import narrow_faults
+from bilprov.conformance.mutation.faults.pairs import pair_faults
+from bilprov.conformance.mutation.faults.parsing import parsing_faults
+from bilprov.conformance.mutation.faults.pauses import pause_faults
+from bilprov.conformance.mutation.faults.settings import setting_faults
+from bilprov.conformance.mutation.faults.stops import stop_faults
+from bilprov.conformance.mutation.faults.timing import timing_faults
+from bilprov.spec.protocol import Protocol
 
 
 @cache
 def fault_bank(protocol: Protocol) -> dict[str, Fault]:
-    """Every named fault that this protocol makes, by name."""
+    """Return every named fault of this protocol by name."""
     return {fault.name: fault for fault in all_faults(protocol)}
 
 
 def all_faults(protocol: Protocol) -> list[Fault]:
-    """Every named fault that this protocol makes, family by family."""
+    """Return every named fault of this protocol, family by family."""
     families = (
         answer_faults,
         stop_faults,
@@ -54,7 +53,7 @@ def all_faults(protocol: Protocol) -> list[Fault]:
     return [_with_clauses(fault) for family in families for fault in family(protocol)]
 
 
-# What a fault of each family breaks, where it does not say it itself.
+# The clauses that a fault of each family breaks, unless the fault names them itself.
 _CLAUSES = {
     "answer": ("responses", "instructions"),
     "stop": ("safety", "instructions", "responses"),

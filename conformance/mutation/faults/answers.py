@@ -1,13 +1,14 @@
-"""Faults in what is answered, and how often and how soon."""
+"""Faults in the answers: wrong codes, too many or too few answers, late or early answers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import MS, Event, Fault, Reaction, Simulator
-from conformance.dut.simulator import answers as answered
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
+from bilprov.conformance.dut.fault import answers as answered
+from bilprov.conformance.mutation.faults.vocabulary import (
     ALL_FAULTY,
     CASES,
     CUT,
@@ -20,12 +21,12 @@ from conformance.mutation.faults.vocabulary import (
     slug,
     when,
 )
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 
 def answer_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What is answered, how often, how soon."""
+    """Yield the faults in the code, number and time of answers."""
     family = "answer"
     ok = protocol.answers[Outcome.VALID].code
     unused = next(code for code in range(256) if code not in protocol.codes)
@@ -133,5 +134,5 @@ def answer_faults(protocol: Protocol) -> Iterator[Fault]:
         )
 
 
-def _twice(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     return replace(reaction, answers=reaction.answers * 2)

@@ -1,14 +1,13 @@
-"""Faults in the code of an answer: constant, stale, shifted, taken from elsewhere."""
+"""Faults in response codes, in instructions under another ID, and at power-on."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     ALL_FAULTY,
-    HISTORY,
     SEQUENCE,
     answers_with,
     as_if,
@@ -18,15 +17,15 @@ from conformance.mutation.faults.vocabulary import (
     valid,
     when,
 )
-from spec.fields import Outcome
-from spec.motion import State
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _FAMILY = "code"
 
 
 def code_faults(protocol: Protocol) -> Iterator[Fault]:
-    """Wrong codes by a rule, and instructions under another ID."""
+    """Yield faults with wrong codes by a rule, instructions under other IDs, power-on faults."""
     ok = protocol.answers[Outcome.VALID].code
     codes = sorted(protocol.codes)
     for spec in protocol.responses[2:]:
@@ -111,7 +110,7 @@ def code_faults(protocol: Protocol) -> Iterator[Fault]:
 
 
 def _elsewhere(protocol: Protocol) -> Iterator[Fault]:
-    """The last instruction under another ID: the example's, both, none, all."""
+    """Yield faults that take other IDs for the last instruction: the example's, both, none, all."""
     last = protocol.instructions[-1]
     ids = protocol.unused_ids
     if not ids or not last.effect.assignments:
@@ -168,7 +167,7 @@ def _power_on(protocol: Protocol) -> Iterator[Fault]:
         "first-frame-answered-twice",
         "power-on",
         "answers the first frame after power-on twice",
-        HISTORY,
+        ("power-on/*",),
         react=when(lambda e: e.frames == 0, lambda d, e, r: replace(r, answers=r.answers * 2)),
         clauses=("responses", "instructions"),
     )
@@ -176,7 +175,7 @@ def _power_on(protocol: Protocol) -> Iterator[Fault]:
         "second-frame-unanswered",
         "power-on",
         "does not answer the second frame after power-on",
-        HISTORY,
+        ("power-on/lost",),
         react=when(lambda e: e.frames == 1, answers_with()),
         clauses=("responses", "instructions"),
     )
@@ -184,7 +183,7 @@ def _power_on(protocol: Protocol) -> Iterator[Fault]:
         "first-fault-unanswered",
         "power-on",
         "does not answer the first fault after power-on",
-        HISTORY,
+        ("power-on/lost",),
         react=when(lambda e: faulty(e) and e.faults == 0, answers_with()),
         clauses=("responses", "instructions"),
     )
@@ -192,7 +191,7 @@ def _power_on(protocol: Protocol) -> Iterator[Fault]:
         "banner-after-first-frame",
         "power-on",
         "introduces itself 5 ms after it has answered the first frame",
-        HISTORY,
+        ("power-on/*",),
         react=when(
             lambda e: e.frames == 0,
             lambda d, e, r: replace(r, answers=(*r.answers, *((5_000_000, c) for c in b"READY"))),
@@ -215,7 +214,7 @@ def _coded(rule: Callable[[Event, int], int]) -> React:
     )(device, event, reaction)
 
 
-def _first_code(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _first_code(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if event.judgement.valid:
         return reaction
     code = device.memory.setdefault("code", event.judgement.response.code)
@@ -223,9 +222,9 @@ def _first_code(device: Simulator, event: Event, reaction: Reaction) -> Reaction
 
 
 def under_other_ids(spec: InstructionSpec, ids: tuple[int, ...], *, kept: bool) -> React:
-    """The instruction under other IDs, and under its own only if it is kept."""
+    """Return an effect: the IDs stand for the instruction; its own ID does too if `kept`."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         protocol, judgement = device.protocol, event.judgement
         frame = judgement.frame
         if judgement.id in ids:

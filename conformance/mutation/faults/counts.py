@@ -1,13 +1,16 @@
-"""Faults that count: after so many frames, every so often, once for ever."""
+"""Faults triggered by history: after N frames or faults, at every Nth, or once and for good."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
-    HISTORY,
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
+    EVERYTHING,
+    SEQUENCE,
+    SOAK,
+    WATCHED_FAULTS,
     Condition,
     answers_with,
     becomes,
@@ -16,25 +19,23 @@ from conformance.mutation.faults.vocabulary import (
     faulty,
     is_named,
     is_outcome,
-    movers,
     ordinal,
     sets,
-    setters,
     twice,
     valid,
-    variable_of,
     when,
 )
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import Protocol
+from bilprov.spec.by_effect import movers, setters, variable_of
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 _FAMILY = "history"
 _WRAP, _LONG_WRAP = 1 << 8, 1 << 16
 
 
 def count_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What shows only after so many frames."""
+    """Yield the faults that a count of frames or faults, or a latched event, triggers."""
     yield from _after_so_many(protocol)
     yield from _every_so_often(protocol)
     yield from _latched(protocol)
@@ -122,11 +123,14 @@ def _every_so_often(protocol: Protocol) -> Iterator[Fault]:
 
 def _latched(protocol: Protocol) -> Iterator[Fault]:
     ok = protocol.answers[Outcome.VALID].code
-    yield _fault(
-        "first-fault-missed",
-        "the first fault after power-on that finds it moving does not stop it",
-        _first_while_moving,
-        *("safety", "instructions"),
+    yield replace(
+        _fault(
+            "first-fault-missed",
+            "the first fault after power-on that finds it moving does not stop it",
+            _first_while_moving,
+            *("safety", "instructions"),
+        ),
+        caught_by=("power-on/first-fault",),
     )
     yield _fault(
         "bad-data-fine-once-too-many-came",
@@ -180,7 +184,8 @@ def _only_a_soak(protocol: Protocol) -> Iterator[Fault]:
 
 
 def _fault(name: str, doc: str, react: React, *clauses: str, needs: str = "") -> Fault:
-    return Fault(name.lower(), _FAMILY, doc, HISTORY, react=react, clauses=clauses, needs=needs)
+    cases = SOAK if needs else SEQUENCE
+    return Fault(name.lower(), _FAMILY, doc, cases, react=react, clauses=clauses, needs=needs)
 
 
 def _after(count: int) -> Condition:
@@ -191,14 +196,16 @@ def _every(count: int) -> Condition:
     return lambda event: event.frames % count == count - 1
 
 
-def _first_while_moving(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _first_while_moving(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if event.judgement.valid or not event.before.moving or "seen" in device.memory:
         return reaction
     device.memory["seen"] = 1
     return replace(reaction, state=event.before)
 
 
-def _bad_data_fine_once_too_many(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _bad_data_fine_once_too_many(
+    device: MutatedDevice, event: Event, reaction: Reaction
+) -> Reaction:
     if is_outcome(Outcome.TOO_MANY)(event):
         device.memory["lax"] = 1
     elif is_outcome(Outcome.BAD_DATA)(event) and "lax" in device.memory:
@@ -208,7 +215,7 @@ def _bad_data_fine_once_too_many(device: Simulator, event: Event, reaction: Reac
 
 
 def _worn_reverser(changes: int) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if event.before.moving and reaction.state.moving:
             changed = event.before.motion is not reaction.state.motion
             count = min(device.memory.get("changes", 0) + changed, changes)
@@ -221,7 +228,7 @@ def _worn_reverser(changes: int) -> React:
 
 
 def _after_outcomes(outcome: Outcome, count: int, change: React) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if event.judgement.outcome is not outcome:
             return reaction
         seen = device.memory["seen"] = min(device.memory.get("seen", 0) + 1, count + 1)
@@ -231,9 +238,39 @@ def _after_outcomes(outcome: Outcome, count: int, change: React) -> React:
 
 
 def _latching(variable: str, high: int) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if getattr(event.before, variable) == high:
             return sets(**{variable: high})(device, event, reaction)
         return reaction
 
     return react
+
+
+def history_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults of this family that show after a number of faults."""
+    family = "history"
+    for count in (10, 100):
+        yield Fault(
+            f"no-stop-after-{count}-faults",
+            family,
+            f"after {count} faults it no longer stops for one",
+            WATCHED_FAULTS,
+            react=when(
+                lambda e, count=count: not e.judgement.valid and e.faults >= count,  # type: ignore[misc]
+                drives_on,
+            ),
+        )
+    yield Fault(
+        "sticks-after-50-faults",
+        family,
+        "after 50 faults it answers nothing any more",
+        EVERYTHING,
+        react=when(lambda e: e.faults >= 50, answers_with()),
+    )
+    yield Fault(
+        "every-7th-fault-missed",
+        family,
+        "drives on after every seventh fault",
+        WATCHED_FAULTS,
+        react=when(lambda e: not e.judgement.valid and e.faults % 7 == 6, drives_on),
+    )

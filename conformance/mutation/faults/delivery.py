@@ -1,13 +1,12 @@
-"""Faults in taking what comes too fast: instructions sent ahead, and buffers that run over."""
+"""Faults triggered by fast delivery: pipelined instructions, and full buffers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.fault import Hear
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, Hear, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     PIPELINED,
     after_a_fault,
     answers_with,
@@ -16,23 +15,22 @@ from conformance.mutation.faults.vocabulary import (
     faulty,
     is_named,
     late,
-    movers,
     pipelined,
-    setters,
     twice,
     valid,
     when,
 )
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import Protocol
+from bilprov.spec.by_effect import movers, setters
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 _FAMILY = "delivery"
 _MOTIONS = list(Motion)
 
 
 def delivery_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What shows only where the host does not wait."""
+    """Yield the faults that show only if the host does not wait for each answer."""
     ok = protocol.answers[Outcome.VALID].code
     lost = answers_with()
     yield _fault(
@@ -176,7 +174,7 @@ def _both(one: React, other: React) -> React:
     return lambda device, event, reaction: other(device, event, one(device, event, reaction))
 
 
-def _resume_in_burst(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _resume_in_burst(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if not event.judgement.valid:
         if event.before.moving:
             device.memory["motion"] = _MOTIONS.index(event.before.motion)
@@ -190,7 +188,7 @@ def _resume_in_burst(device: Simulator, event: Event, reaction: Reaction) -> Rea
 
 
 def _queue(room: int) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         waiting = device.memory.get("waiting", 0) + 1 if event.pipelined else 1
         device.memory["waiting"] = min(waiting, room + 1)
         if waiting > room:
@@ -200,8 +198,8 @@ def _queue(room: int) -> React:
     return react
 
 
-def _burst(device: Simulator, now: int) -> int:
-    """Which byte this is, from 1, since the line last paused."""
+def _burst(device: MutatedDevice, now: int) -> int:
+    """Count a byte: return its number, from 1, since the line last paused."""
     memory = device.memory
     together = now - memory.get("byte at", -(1 << 60)) <= device.byte_time
     memory["burst"] = memory.get("burst", 0) + 1 if together else 1
@@ -218,7 +216,7 @@ def _ring(size: int) -> Hear:
 
 
 def _torn(size: int) -> Hear:
-    def hear(device: Simulator, data: bytes, now: int) -> bytes:
+    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         if _burst(device, now) % size == 1 and device.held:
             device.drop()
         return data
@@ -226,14 +224,14 @@ def _torn(size: int) -> Hear:
     return hear
 
 
-def _deaf_after_fault(device: Simulator, data: bytes, now: int) -> bytes:
+def _deaf_after_fault(device: MutatedDevice, data: bytes, now: int) -> bytes:
     over = device.over_at
     if device.row == 0 or device.held or over is None:
         return data
     return b"" if now - over <= device.byte_time else data
 
 
-def _flush_once(device: Simulator, data: bytes, now: int) -> bytes:
+def _flush_once(device: MutatedDevice, data: bytes, now: int) -> bytes:
     if device.faults == 0 or device.memory.get("flushed") == 2:
         return data
     if now - max(device.over_at or 0, device.memory.get("flushed at", 0)) <= device.byte_time:

@@ -1,19 +1,19 @@
-"""Faults of the line itself."""
+"""Faults of the serial line: an echo, a dead line, lost flow-control bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from conformance.dut.simulator import Fault, Simulator
-from conformance.mutation.faults.vocabulary import EVERYTHING
-from spec.protocol import Protocol
+from bilprov.conformance.dut.fault import Fault, MutatedDevice
+from bilprov.conformance.mutation.faults.vocabulary import EVERYTHING
+from bilprov.spec.protocol import Protocol
 
 
 def line_faults(protocol: Protocol) -> Iterator[Fault]:
-    """The line itself."""
+    """Yield the faults of the serial line."""
     family = "line"
 
-    def echo(device: Simulator, data: bytes, now: int) -> bytes:
+    def echo(device: MutatedDevice, data: bytes, now: int) -> bytes:
         for byte in data:
             device.answer(byte, now)
         return b""

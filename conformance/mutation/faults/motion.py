@@ -1,13 +1,12 @@
-"""Faults in what the wheels do."""
+"""Faults in the motion: missing, swapped, or not asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     FOLLOWED,
     WATCHED_FAULTS,
     drives_on,
@@ -16,12 +15,13 @@ from conformance.mutation.faults.vocabulary import (
     starts_driving,
     when,
 )
-from spec.motion import Motion, State
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
 def motion_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What the wheels do."""
+    """Yield the faults in the motion."""
     family = "motion"
     yield Fault(
         "never-moves",
@@ -86,7 +86,7 @@ def motion_faults(protocol: Protocol) -> Iterator[Fault]:
 
 
 def _swapped_motions(one: InstructionSpec, other: InstructionSpec) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         for spec, taken in ((one, other), (other, one)):
             if is_named(spec)(event):
                 return replace(reaction, state=taken.effect.apply(event.before))

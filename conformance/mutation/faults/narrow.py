@@ -1,13 +1,12 @@
-"""Faults of one kind of motion, one value, one bit, one length or one ID alone."""
+"""Faults triggered by one motion, value, bit, header or steering side alone."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.simulator import Event, Fault, React
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, React
+from bilprov.conformance.mutation.faults.vocabulary import (
     READING,
     SEQUENCE,
     Change,
@@ -23,24 +22,23 @@ from conformance.mutation.faults.vocabulary import (
     is_truncated,
     keeps,
     moving_in,
-    setters,
     slug,
     stands_still,
     then,
-    variable_of,
     when,
     words,
 )
-from spec.codec import bad_data
-from spec.fields import Outcome
-from spec.motion import WHEELS, State
-from spec.protocol import FieldSpec, Protocol
+from bilprov.spec.by_effect import moving_motions, setters, variable_of
+from bilprov.spec.codec import bad_data
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import WHEELS, State
+from bilprov.spec.protocol import FieldSpec, Protocol
 
 _FAMILY = "narrow"
 
 
 def narrow_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What shows in one corner only."""
+    """Yield the faults that only one motion, value, bit, header or steering side triggers."""
     yield from _in_one_motion(protocol)
     yield from _at_one_value(protocol)
     yield from _at_one_bit(protocol)
@@ -120,7 +118,7 @@ def _at_one_value(protocol: Protocol) -> Iterator[Fault]:
         header = protocol.header_bytes[setter.id, setter.length]
         values = {part.low, (part.low + part.high + 1) // 2, header, part.high}
         if part.name == "speed":
-            values.discard(part.high)  # ignored-at-full says it
+            values.discard(part.high)  # the family `setting` has that fault: ignored-at-full
         for value in sorted(v for v in values if part.low <= v <= part.high):
             yield _fault(
                 f"{setter.name}-{value}-ignored",
@@ -283,7 +281,7 @@ def _length(length: int) -> Condition:
 
 
 def _bad_values(protocol: Protocol, turn: int) -> Iterator[tuple[str, int]]:
-    """For each instruction with bad data, one such value of its first field."""
+    """Yield (name, value): one bad value of the first field of each instruction that has any."""
     for spec in protocol.instructions:
         values = list(bad_data(spec))
         if values:
@@ -301,7 +299,7 @@ def _bad_value(name: str, value: int) -> Condition:
 
 
 def _only_bit(name: str, part: FieldSpec, bit: int) -> Condition:
-    """Bad data whose only bit too many is this one."""
+    """Return a trigger: bad data in which this is the only bit set outside the range."""
 
     def condition(event: Event) -> bool:
         bad = event.judgement.outcome is Outcome.BAD_DATA and event.judgement.name == name

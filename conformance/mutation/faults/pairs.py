@@ -1,12 +1,12 @@
-"""Faults that show only after a certain instruction, or a certain fault, came before."""
+"""Faults that show only after a certain earlier instruction or fault."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     SEQUENCE,
     Change,
     Condition,
@@ -19,23 +19,21 @@ from conformance.mutation.faults.vocabulary import (
     faulty,
     is_named,
     is_truncated,
-    movers,
-    setters,
     stands_still,
     valid,
-    variable_of,
     when,
 )
-from spec.fields import Outcome
-from spec.motion import WHEELS, Motion, State
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.by_effect import movers, setters, variable_of
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import WHEELS, Motion, State
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _FAMILY = "pair"
 _PAIRS = 10
 
 
 def pair_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What shows only after something else."""
+    """Yield the faults that show only after a certain instruction or fault."""
     yield from _after_an_instruction(protocol)
     yield from _the_same_again(protocol)
     yield from _after_faults(protocol)
@@ -48,7 +46,7 @@ def _after_an_instruction(protocol: Protocol) -> Iterator[Fault]:
             f"{other.name}-ignored-after-{one.name}",
             f"{other.name} right after {one.name} is answered and not carried out",
             when(every(is_named(other), after(one)), drives_on),
-            # What is homed with stops cannot be set up again: it shows after faults alone.
+            # Homing ends with stops, so a set-up cannot make this setting: it shows after faults.
             *(("instructions", "safety") if one is protocol.stop else ("instructions",)),
         )
     for setter in settings:
@@ -195,7 +193,7 @@ def _fault(name: str, doc: str, react: React, *clauses: str) -> Fault:
 
 
 def _some_pairs(protocol: Protocol) -> list[tuple[InstructionSpec, InstructionSpec]]:
-    """Pairs of instructions, spread over all there are; a setting after the stop among them."""
+    """Return some pairs of instructions, spread over all; one is a setting after the stop."""
     acting = [s for s in protocol.instructions if s.effect.assignments and s is not protocol.stop]
     stop = protocol.stop
     first = [(stop, s) for s in setters(protocol)[:1]] + [(s, stop) for s in acting[-1:]]
@@ -206,7 +204,7 @@ def _some_pairs(protocol: Protocol) -> list[tuple[InstructionSpec, InstructionSp
 def _opposite(
     moving: tuple[InstructionSpec, ...],
 ) -> Iterator[tuple[InstructionSpec, InstructionSpec]]:
-    """Movers whose wheels turn the other way round."""
+    """Yield the pairs of motion instructions whose wheels turn in opposite directions."""
     for one in moving:
         for other in moving:
             ways = [WHEELS[s.effect.motion] for s in (one, other) if s.effect.motion]
@@ -232,7 +230,7 @@ def _added(limits: tuple[int, int]) -> Change:
     return added
 
 
-def _no_stop_once_rotated(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _no_stop_once_rotated(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if event.judgement.valid:
         if event.judgement.valid and event.judgement.id == device.protocol.stop.id:
             device.memory.pop("rotated", None)
@@ -243,7 +241,9 @@ def _no_stop_once_rotated(device: Simulator, event: Event, reaction: Reaction) -
     return reaction
 
 
-def _no_stop_next_after_truncation(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _no_stop_next_after_truncation(
+    device: MutatedDevice, event: Event, reaction: Reaction
+) -> Reaction:
     if is_truncated(event):
         device.memory["cut"] = 1
     elif faulty(event) and device.memory.pop("cut", 0):
@@ -252,7 +252,7 @@ def _no_stop_next_after_truncation(device: Simulator, event: Event, reaction: Re
 
 
 def _dead_after(faults: int) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if faulty(event) and event.row + 1 >= faults:
             device.memory["dead"] = 1
         elif event.judgement.valid and event.judgement.id == device.protocol.stop.id:
@@ -263,9 +263,12 @@ def _dead_after(faults: int) -> React:
 
 
 def _restart_when(condition: Condition, settings: int = 0) -> React:
-    """The motion that the last fault ended comes back when the condition holds."""
+    """Return an effect: the motion that the last fault ended resumes if the condition holds.
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    `settings` is the number of valid frames since then at which it resumes; 0 for any.
+    """
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         if faulty(event) and event.before.moving:
             device.memory["motion"] = list(Motion).index(event.before.motion)
             device.memory["settings"] = 0

@@ -1,19 +1,19 @@
-"""Faults in how bytes become frames, and frames become instructions."""
+"""Faults in how a device parses bytes into frames, and frames into instructions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from conformance.mutation.faults.vocabulary import CASES, CUT, EVERYTHING, is_outcome, when
-from spec.codec import bad_data
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction, answers
+from bilprov.conformance.mutation.faults.vocabulary import CASES, CUT, EVERYTHING, is_outcome, when
+from bilprov.spec.codec import bad_data
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 
 def parsing_faults(protocol: Protocol) -> Iterator[Fault]:
-    """How bytes become frames and instructions."""
+    """Yield the faults in how a device parses bytes into frames and instructions."""
     family = "parsing"
     ok = protocol.answers[Outcome.VALID].code
     yield Fault(
@@ -131,8 +131,8 @@ def parsing_faults(protocol: Protocol) -> Iterator[Fault]:
     )
 
 
-def _judge_swapped(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """Acts on the swapped header; what no longer fits a frame is an unknown ID."""
+def _judge_swapped(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: act on the swapped header; one that fits no instruction is an unknown ID."""
     protocol = device.protocol
     swapped = protocol.header_bytes.get((event.judgement.length, event.judgement.id))
     spec = protocol.by_id.get(event.judgement.length)
@@ -144,8 +144,8 @@ def _judge_swapped(device: Simulator, event: Event, reaction: Reaction) -> React
     return replace(answers(reaction, ok), state=spec.effect.apply(event.before, fields))
 
 
-def _code_of_length(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """The kit judges a lone header as cut short; this device knows that it is too long."""
+def _code_of_length(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: answer too many data bytes to a header alone, which the kit judges as truncated."""
     judgement, protocol = event.judgement, device.protocol
     known = judgement.instruction
     if known and len(judgement.frame) == 1 and judgement.length > known.length:

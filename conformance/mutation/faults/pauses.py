@@ -1,12 +1,13 @@
-"""Faults in pauses: frames that are split, frames that are cut short, a line that was idle."""
+"""Faults triggered by pauses: in split frames, truncated frames, and after an idle line."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import MS, Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     CUT,
     SEQUENCE,
     SPLIT,
@@ -15,21 +16,21 @@ from conformance.mutation.faults.vocabulary import (
     every,
     faulty,
     is_truncated,
-    setters,
     split,
     twice,
     valid,
     when,
 )
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.spec.by_effect import setters
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 _FAMILY = "delivery"
 _SLEEP = 150 * MS
 
 
 def pause_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What shows only where the line pauses."""
+    """Yield the faults that only a pause on the line triggers."""
     yield from _split(protocol)
     yield from _time_outs(protocol)
     yield from _cut_short(protocol)
@@ -223,7 +224,7 @@ def _except(header: int, timeout: int, usual: int) -> Callable[[int], int | None
     return lambda byte: timeout if byte == header else usual
 
 
-def _too_many_at_header(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _too_many_at_header(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     known = event.judgement.instruction
     alone = len(event.judgement.frame) == 1
     if event.kind == "instruction" and alone and known and event.judgement.length > known.length:
@@ -232,13 +233,13 @@ def _too_many_at_header(device: Simulator, event: Event, reaction: Reaction) -> 
     return reaction
 
 
-def _asleep(device: Simulator, data: bytes, now: int) -> bytes:
+def _asleep(device: MutatedDevice, data: bytes, now: int) -> bytes:
     before = device.memory.get("byte at")
     device.memory["byte at"] = now
     return b"" if before is not None and now - before > _SLEEP and not device.held else data
 
 
-def _forgetful(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _forgetful(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     idle = event.gap is not None and event.gap > _SLEEP and not event.before.moving
     if not idle:
         return reaction
@@ -246,12 +247,12 @@ def _forgetful(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
     return replace(reaction, state=state)
 
 
-def _put_aside(device: Simulator, frame: bytes) -> bytes:
+def _put_aside(device: MutatedDevice, frame: bytes) -> bytes:
     device.memory["aside"] = int.from_bytes(b"\1" + frame, "big")
     return b""
 
 
-def _put_before(device: Simulator, data: bytes, now: int) -> bytes:
+def _put_before(device: MutatedDevice, data: bytes, now: int) -> bytes:
     aside = device.memory.pop("aside", None)
     if aside is None:
         return data

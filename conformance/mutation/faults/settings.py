@@ -1,12 +1,12 @@
-"""Faults in what is remembered: speed and LED."""
+"""Faults in the state variables that a device remembers: speed and LED."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     FOLLOWED,
     WATCHED_FAULTS,
     drives_on,
@@ -17,12 +17,12 @@ from conformance.mutation.faults.vocabulary import (
     starts_driving,
     when,
 )
-from spec.fields import Outcome
-from spec.protocol import Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 
 def setting_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What is remembered."""
+    """Yield the faults in remembered speed and LED."""
     family = "setting"
     setters = {
         variable: [
@@ -132,7 +132,7 @@ def setting_faults(protocol: Protocol) -> Iterator[Fault]:
 
 
 def _reversed_bits(width: int) -> React:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         turned = int(f"{reaction.state.led:0{width}b}"[::-1], 2)
         return replace(reaction, state=replace(reaction.state, led=turned))
 

@@ -1,13 +1,13 @@
-"""Faults in the safety stop: not, not for long, not in each motion, too late."""
+"""Faults in the safety stop: missing, temporary, missing in one motion, too late, partial."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.simulator import MS, Event, Fault, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     CUT,
     FOLLOWED,
     TIMED,
@@ -20,13 +20,14 @@ from conformance.mutation.faults.vocabulary import (
     slug,
     when,
 )
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import Protocol
+from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 
 def stop_faults(protocol: Protocol) -> Iterator[Fault]:
-    """The safety stop."""
+    """Yield the faults in the safety stop."""
     family = "stop"
     for outcome in Outcome:
         if outcome is Outcome.VALID:
@@ -95,7 +96,7 @@ def stop_faults(protocol: Protocol) -> Iterator[Fault]:
     )
 
 
-def _restart_on_next(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _restart_on_next(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if not event.judgement.valid:
         if event.before.moving:
             device.memory["motion"] = list(Motion).index(event.before.motion)
@@ -107,15 +108,15 @@ def _restart_on_next(device: Simulator, event: Event, reaction: Reaction) -> Rea
     return replace(reaction, state=replace(reaction.state, motion=list(Motion)[motion]))
 
 
-def _left_wheel_only(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """One wheel goes on: to a probe that is a rotation nobody asked for."""
+def _left_wheel_only(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: at a fault only the left wheel stops, which a probe sees as a rotation."""
     turning = event.before.moving and not event.judgement.valid
     if not turning:
         return reaction
     return replace(reaction, state=replace(event.before, motion=Motion.ROTATE_LEFT))
 
 
-def _dead_after_fault(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _dead_after_fault(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if not event.judgement.valid:
         device.memory["dead"] = 1
     elif event.judgement.id == device.protocol.stop.id:

@@ -1,13 +1,13 @@
-"""Faults in time: late, again, by itself."""
+"""Faults in time: late or repeated answers, late stops, and motion that resumes by itself."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from conformance.cases.single_frames import moving_motions
-from conformance.dut.simulator import MS, Event, Fault, React, Reaction, Simulator
-from conformance.mutation.faults.vocabulary import (
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.vocabulary import (
     FOLLOWED,
     SEQUENCE,
     answers_with,
@@ -19,23 +19,23 @@ from conformance.mutation.faults.vocabulary import (
     late,
     moving_in,
     resumes_after,
-    setters,
     slug,
     stops_after,
     valid,
     when,
     words,
 )
-from spec.fields import Outcome
-from spec.motion import Motion
-from spec.protocol import Protocol
+from bilprov.spec.by_effect import moving_motions, setters
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 _FAMILY = "timing"
-_STOPS, _RESUMES = 150 * MS, 200 * MS  # of a watchdog
+_STOPS, _RESUMES = 150 * MS, 200 * MS  # times of the faulty watchdog
 
 
 def timing_faults(protocol: Protocol) -> Iterator[Fault]:
-    """What comes late, twice or by itself."""
+    """Yield the faults in which an answer or a motion comes late, again or by itself."""
     longest, ok = protocol.timing.answer_longest, protocol.answers[Outcome.VALID].code
     motions = moving_motions(protocol)
     for motion in motions[-1:]:
@@ -155,7 +155,7 @@ def _moving(event: Event) -> bool:
     return event.before.moving
 
 
-def _watchdog(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+def _watchdog(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     if not reaction.state.moving:
         return reaction
     stopped = replace(reaction.state, motion=Motion.STOPPED)

@@ -1,28 +1,29 @@
-"""The words that faults are made of: when they show, what they do, and which cases catch them."""
+"""Building blocks of faults: triggers, effects, and globs of the cases that catch them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from conformance.dut.simulator import MS, Event, React, Reaction, Simulator, answers
-from spec.fields import Outcome
-from spec.motion import Motion, State
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, MutatedDevice, React, Reaction, answers
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import InstructionSpec
 
 Condition = Callable[[Event], bool]
 Change = Callable[[Event, State], State]
 
-# The cases that single frames are not: sequences, delivery, history, consistency of readings.
+# Cases other than single frames: sequences, delivery, soak, consistency of readings.
 SEQUENCE = ("sequence/*",)
 PIPELINED = ("pipelined/*",)
 SPLIT = ("split/*",)
-HISTORY = ("history/*",)
+SOAK = ("pipelined/soak/*",)
 READING = ("reading/*",)
 
 EVERYTHING = ("*",)
 
-# The cases of each outcome whose stop and state are watched.
+# The cases of each outcome in which the stop and the state are observed.
 WATCHED = {
     Outcome.UNKNOWN_ID: ("unused-id/*", "recovery/unused-id/*"),
     Outcome.BAD_DATA: ("bad-data/*", "recovery/bad-data/*"),
@@ -30,7 +31,7 @@ WATCHED = {
     Outcome.TOO_FEW: ("wrong-length/*", "recovery/too-few/*"),
 }
 WATCHED_CUT = ("truncated/*", "recovery/truncated/*")
-# Held and followed by valid instructions: what shows only some time after the stop.
+# Cases that hold the stop and send valid instructions after it: for faults that show later.
 FOLLOWED = ("unused-id/*", "bad-data/*", "wrong-length/*", "truncated/*")
 WATCHED_FAULTS = (*FOLLOWED, "recovery/*")
 
@@ -48,138 +49,138 @@ ALL_FAULTY = (*WHOLE_FAULTS, *CUT)
 
 
 def slug(outcome: Outcome) -> str:
-    """The outcome in a fault's name."""
+    """Return an outcome as it is written in a fault's name: `too-few`."""
     return outcome.name.lower().replace("_", "-")
 
 
 def when(matches: Callable[[Event], bool], change: React) -> React:
-    """The change, for the frames that match."""
+    """Return an effect that makes the change for the frames that match."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         return change(device, event, reaction) if matches(event) else reaction
 
     return react
 
 
 def faults_only(change: React) -> React:
-    """The change, for faulty frames alone."""
+    """Return an effect that makes the change for faulty frames only."""
     return when(lambda event: not event.judgement.valid, change)
 
 
 def is_outcome(outcome: Outcome) -> Callable[[Event], bool]:
-    """Whole frames of that outcome."""
+    """Return a trigger: complete frames with that outcome."""
     return lambda event: event.judgement.outcome is outcome and not is_truncated(event)
 
 
 def is_truncated(event: Event) -> bool:
-    """Frames that the time-out cut short."""
+    """Trigger: frames that the time-out truncated."""
     return event.kind == "truncated"
 
 
 def is_named(spec: InstructionSpec) -> Callable[[Event], bool]:
-    """Valid frames of that instruction."""
+    """Return a trigger: valid frames of that instruction."""
     return lambda event: event.judgement.valid and event.judgement.id == spec.id
 
 
 def answers_with(*codes: int, delay: int = 0) -> React:
-    """Other answers, `delay` ns late."""
+    """Return an effect: these codes are answered instead, `delay` ns late."""
     return lambda device, event, reaction: answers(reaction, *codes, delay=delay)
 
 
-def drives_on(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """The state stays as it was."""
+def drives_on(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: the state stays as it was before the frame."""
     return replace(reaction, state=event.before)
 
 
-def starts_driving(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """A stopped robot drives forward."""
+def starts_driving(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: a stopped robot drives forward."""
     if event.before.motion is not Motion.STOPPED:
         return reaction
     return replace(reaction, state=replace(reaction.state, motion=Motion.FORWARD))
 
 
-def stands_still(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """The robot stops."""
+def stands_still(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: the robot stops."""
     return replace(reaction, state=replace(reaction.state, motion=Motion.STOPPED))
 
 
-# -- what frames are: conditions ---------------------------------------------------------------
+# -- triggers: conditions on a frame and its history -------------------------------------------
 
 
 def every(*conditions: Condition) -> Condition:
-    """All of the conditions hold."""
+    """Return a trigger: all of the conditions hold."""
     return lambda event: all(condition(event) for condition in conditions)
 
 
 def faulty(event: Event) -> bool:
-    """Any faulty frame."""
+    """Trigger: any faulty frame."""
     return not event.judgement.valid
 
 
 def valid(event: Event) -> bool:
-    """Any valid frame."""
+    """Trigger: any valid frame."""
     return event.judgement.valid
 
 
 def after(spec: InstructionSpec) -> Condition:
-    """The frame before was that instruction, without fault."""
+    """Return a trigger: the frame before was that instruction, and valid."""
     return lambda event: (
         event.previous is not None and event.previous.valid and event.previous.id == spec.id
     )
 
 
 def after_a_fault(event: Event) -> bool:
-    """The frame before was faulty."""
+    """Trigger: the frame before was faulty."""
     return event.row > 0
 
 
 def moving_in(motion: Motion) -> Condition:
-    """The robot moved in that way when the frame came."""
+    """Return a trigger: the robot was in that motion when the frame came."""
     return lambda event: event.before.moving and event.before.motion is motion
 
 
 def carries(spec: InstructionSpec, *values: int) -> Condition:
-    """A valid frame of that instruction whose first field has one of the values."""
+    """Return a trigger: valid frames of that instruction whose first field has such a value."""
     named = is_named(spec)
     return lambda event: named(event) and event.judgement.fields[0][1] in values
 
 
 def pipelined(event: Event) -> bool:
-    """Sent without waiting for the answer before."""
+    """Trigger: the host did not wait for the answer before."""
     return event.pipelined
 
 
 def split(event: Event) -> bool:
-    """With a pause of more than a millisecond between two of its bytes."""
+    """Trigger: the frame has a pause of more than 1 ms between two of its bytes."""
     return event.pause > MS
 
 
-# -- what they then do: changes ------------------------------------------------------------------
+# -- effects: changes of the reaction to a frame -------------------------------------------------
 
 
 def sets(**variables: object) -> React:
-    """The state afterwards has these values."""
+    """Return an effect: the state afterwards has these values."""
     return lambda device, event, reaction: replace(
         reaction, state=replace(reaction.state, **variables)  # type: ignore[arg-type]
     )  # fmt: skip
 
 
 def becomes(change: Change) -> React:
-    """The state afterwards, out of the event and the state that was right."""
+    """Return an effect: `change` makes the state from the event and the correct state."""
     return lambda device, event, reaction: replace(reaction, state=change(event, reaction.state))
 
 
 def keeps(variable: str) -> React:
-    """The variable stays as it was before the frame."""
+    """Return an effect: the variable stays as it was before the frame."""
     return lambda device, event, reaction: replace(
         reaction, state=replace(reaction.state, **{variable: getattr(event.before, variable)})
     )
 
 
 def then(*changes: React) -> React:
-    """One change after the other."""
+    """Return an effect that makes the changes one after the other."""
 
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         for change in changes:
             reaction = change(device, event, reaction)
         return reaction
@@ -187,68 +188,47 @@ def then(*changes: React) -> React:
     return react
 
 
-def twice(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    """Each answer comes two times."""
+def twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: each answer is sent twice."""
     return replace(reaction, answers=reaction.answers * 2)
 
 
 def late(milliseconds: float) -> React:
-    """The answer comes so much later."""
+    """Return an effect: the answers come `milliseconds` later."""
     return lambda device, event, reaction: answers(
         reaction, *(code for _, code in reaction.answers), delay=int(milliseconds * MS)
     )
 
 
 def stops_after(milliseconds: float) -> React:
-    """What the frame does to the state happens so much later."""
+    """Return an effect: the state changes `milliseconds` later, if no frame comes before."""
     return lambda device, event, reaction: replace(
         reaction, state=event.before, later=((int(milliseconds * MS), reaction.state),)
     )
 
 
 def resumes_after(milliseconds: float) -> React:
-    """The state before comes back after so long."""
+    """Return an effect: the state from before the frame returns `milliseconds` later."""
     return lambda device, event, reaction: replace(
         reaction, later=((int(milliseconds * MS), event.before),)
     )
 
 
-def as_if(device: Simulator, event: Event, reaction: Reaction, frame: bytes) -> Reaction:
-    """The reaction that a conforming device has to another frame."""
+def as_if(device: MutatedDevice, event: Event, reaction: Reaction, frame: bytes) -> Reaction:
+    """Return the reaction of a conforming device to another frame, `frame`."""
     judgement, state = device.step(frame, event.before)
     return replace(answers(reaction, judgement.response.code), state=state)
 
 
-# -- what there is in a protocol -----------------------------------------------------------------
-
-
-def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
-    """The instructions whose data set a variable and that leave the motion alone."""
-    return tuple(
-        s for s in protocol.instructions
-        if s.fields and s.effect.assignments and not s.effect.sets("motion")
-    )  # fmt: skip
-
-
-def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
-    """The instructions without data that set it moving."""
-    return tuple(
-        s for s in protocol.instructions
-        if not s.fields and s.effect.motion not in (None, Motion.STOPPED)
-    )  # fmt: skip
-
-
-def variable_of(spec: InstructionSpec) -> str:
-    """The variable that a setter sets."""
-    return spec.effect.assignments[0][0]
+# -- parts of a fault's name ---------------------------------------------------------------------
 
 
 def words(motion: Motion) -> str:
-    """A kind of motion in a fault's name: `rotate-left`."""
+    """Return a motion as it is written in a fault's name: `rotate-left`."""
     return motion.value.replace("_", "-")
 
 
 def ordinal(number: int) -> str:
-    """`1st`, `2nd`, `13th`."""
+    """Return an ordinal number in digits: `1st`, `2nd`, `13th`."""
     last = "th" if 10 <= number % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
     return f"{number}{last}"

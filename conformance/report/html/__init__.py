@@ -1,1 +1,1 @@
-"""The result of a run in every form."""
+"""Reports of one or several runs as a self-contained HTML page."""

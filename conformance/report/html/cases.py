@@ -1,4 +1,4 @@
-"""The cases of a page: a list that reads without any script, and the data drawn on a click.
+"""The cases of a page: a list that needs no script, and the data that is drawn on a click.
 
 Every string stands once in the data, in one table; the cases refer to it by number.
 """
@@ -8,20 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.html.markup import Safe, joined, tag
-from conformance.report.run_report import AXES, Report, reproduce
-from conformance.report.side_by_side import Row
-from conformance.report.wire_words import WireWords
-from conformance.visible import visible
-from spec.protocol import Protocol
-from spec.readings import READINGS
+from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.html.markup import Safe, joined, tag
+from bilprov.conformance.report.run_report import AXES, Report, reproduce
+from bilprov.conformance.report.side_by_side import Row
+from bilprov.conformance.report.wire_words import WireWords
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import READINGS
 
 _KINDS = {"sent": 0, "received": 1, "look": 2, "clipped": 3}
 
 
 def case_rows(cases: Sequence[Row]) -> Safe:
-    """One row for each case, closed; what is inside is drawn when it is opened."""
+    """One row for each case, closed; its details are drawn when it is opened."""
     return joined(_row(index, row) for index, row in enumerate(cases))
 
 
@@ -47,7 +47,7 @@ def _row(index: int, row: Row) -> Safe:
         summary,
         data_i=index,
         data_id=row.id,
-        data_c=row.any.clause,
+        data_c=row.clause,
         data_g=row.group,
         data_v=" ".join(sorted(marks)),
     )
@@ -60,7 +60,7 @@ class _Strings:
         self._numbers: dict[str, int] = {}
 
     def __call__(self, words: str) -> int:
-        return self._numbers.setdefault(visible(words), len(self._numbers))
+        return self._numbers.setdefault(escape_controls(words), len(self._numbers))
 
     @property
     def all(self) -> list[str]:
@@ -70,7 +70,7 @@ class _Strings:
 def case_data(
     reports: Sequence[Report], told: Sequence[str], cases: Sequence[Row], protocol: Protocol
 ) -> dict[str, Any]:
-    """What the page's script draws: for each row each report's case, null where it has none."""
+    """The data that the page's script draws: for each row each report's case, null for none."""
     strings = _Strings()
     words = [WireWords(protocol, report) for report in reports]
     drawn = [
@@ -94,7 +94,7 @@ def case_data(
         if reading.id in rest_on
     }
     return {
-        "runs": [visible(name) for name in told],
+        "runs": [escape_controls(name) for name in told],
         "known": [told_by.known for told_by in words],
         "readings": readings,
         "cases": drawn,
@@ -102,12 +102,18 @@ def case_data(
     }
 
 
+def _clauses(result: CaseResult) -> str:
+    """The case's own clause, and the one that its failure violates where that is another."""
+    more = f"; what fails: {result.clause}" if result.planned else ""
+    return f"{result.own_clause}{more}"
+
+
 def _case(
     strings: _Strings, report: Report, words: WireWords, result: CaseResult
 ) -> dict[str, Any]:
     return {
         "v": result.verdict.label,
-        "c": strings(result.clause),
+        "c": strings(_clauses(result)),
         "q": strings(result.requirement),
         "r": strings(result.reading),
         "a": [

@@ -1,14 +1,14 @@
-"""What a page says about each run: device, options, profile and coverage, as tables."""
+"""The tables of a page about each run: device, options, profile and coverage."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from conformance.oracle.choices import default_of
-from conformance.report.html.markup import Safe, tag, text
-from conformance.report.run_report import Report
-from spec.readings import READINGS
+from bilprov.conformance.oracle.choices import default_of
+from bilprov.conformance.report.html.markup import Safe, tag, text
+from bilprov.conformance.report.run_report import Report, run_facts
+from bilprov.spec.readings import READINGS
 
 _POINTS = {reading.id: reading for reading in READINGS}
 _DEEPEST = 6  # levels of a value that is shown; a file may hold more
@@ -16,7 +16,7 @@ _UNSAID: tuple[Any, ...] = (None, False, "", (), [], {})
 
 
 def facts(reports: Sequence[Report], told: Sequence[str]) -> Safe:
-    """Device, grammar, line, seed and options of each run."""
+    """A section with device, grammar, line, seed and options of each run."""
     lines: dict[str, list[object]] = {
         "device": [report.device for report in reports],
         "grammar": [_grammar(report) for report in reports],
@@ -27,6 +27,11 @@ def facts(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         "options": [_options(report) for report in reports],
         "bilprov": [report.kit for report in reports],
     }
+    about = [run_facts(report) for report in reports]
+    for name in dict.fromkeys(name for told_of in about for name in told_of):
+        lines[name] = [_plain(told_of.get(name)) for told_of in about]
+    if any(report.versions for report in reports):
+        lines["versions"] = [_plain(report.versions) for report in reports]
     if not any(report.link.get("fault") for report in reports):
         del lines["fault"]
     if len(told) == 1:
@@ -58,7 +63,7 @@ def _plain(value: object) -> object:
 
 
 def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
-    """Every entry of every profile: what was measured on the device, and the readings it showed."""
+    """Tables of every entry of every profile: measured values, and the device's choices."""
     keys = dict.fromkeys(key for report in reports for key in report.profile)
     if not keys:
         return tag("p", "Nothing was measured.", class_="dim")
@@ -76,7 +81,7 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
 
 
 def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
-    """What each device chose where the document is silent."""
+    """A table of each device's choices where the document is silent."""
     shown = [report.profile.get("readings") for report in reports]
     chosen: list[dict[str, Any]] = [value if isinstance(value, dict) else {} for value in shown]
     points = dict.fromkeys(point for values in chosen for point in values)
@@ -101,7 +106,7 @@ def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
 
 
 def coverage(reports: Sequence[Report], told: Sequence[str]) -> Safe:
-    """What was exercised out of what there is, in numbers and as a bar."""
+    """A table of coverage: how much was exercised out of how much, in numbers and as a bar."""
     keys = dict.fromkeys(key for report in reports for key in report.coverage)
     if not keys:
         return tag("p", "Nothing was exercised.", class_="dim")
@@ -145,7 +150,7 @@ def _words(key: object) -> str:
 
 
 def _value(value: object, deep: int = 0) -> Safe:
-    """Any value of a JSON file, shown."""
+    """Any value of a JSON file as HTML."""
     if isinstance(value, Safe):
         return value
     if value is None:

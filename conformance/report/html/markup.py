@@ -1,4 +1,4 @@
-"""Builds HTML from foreign text: whatever goes in as text cannot become markup or script."""
+"""Builds HTML from foreign text, escaped so that it cannot become markup or script."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import html
 import json
 from collections.abc import Iterable
 
-from conformance.visible import visible
+from bilprov.captures.text import escape_controls
 
 
 class Safe(str):
@@ -17,7 +17,7 @@ class Safe(str):
 
 def text(value: object) -> Safe:
     """A value as text, escaped."""
-    return value if isinstance(value, Safe) else Safe(html.escape(visible(str(value))))
+    return value if isinstance(value, Safe) else Safe(html.escape(escape_controls(str(value))))
 
 
 def tag(name: str, *content: object, **attributes: object) -> Safe:

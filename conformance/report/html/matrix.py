@@ -1,12 +1,12 @@
-"""The matrix of a page: clauses and their groups of cases, by verdict or by report."""
+"""The matrix of a page: a table of clauses and their groups of cases, by verdict or by report."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from conformance.oracle.verdicts import CaseResult, Verdict
-from conformance.report.html.markup import Safe, joined, tag
-from conformance.report.side_by_side import Row, tally
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.html.markup import Safe, joined, tag
+from bilprov.conformance.report.side_by_side import Row, tally
 
 _BAR = 160  # units of a bar's width
 
@@ -19,7 +19,7 @@ def matrix(told: Sequence[str], cases: Sequence[Row]) -> Safe:
     """
     clauses: dict[str, dict[str, list[Row]]] = {}
     for row in cases:
-        clauses.setdefault(row.any.clause, {}).setdefault(row.group, []).append(row)
+        clauses.setdefault(row.clause, {}).setdefault(row.group, []).append(row)
     worst_first = list(tally([result for row in cases for result in row.results]))
     columns = list(reversed(worst_first))
     several = len(told) > 1
@@ -101,7 +101,7 @@ def bar(counts: dict[Verdict, int]) -> Safe:
     total = sum(counts.values())
     x, parts = 0.0, []
     for verdict in sorted(counts, key=int):
-        # What is there at all must be seen.
+        # Even a small share must be visible.
         width = max(counts[verdict] / total * _BAR, 3.0)
         parts.append((x, width, verdict.label))
         x += width

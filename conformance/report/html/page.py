@@ -1,4 +1,4 @@
-"""Writes reports as one self-contained HTML page: works from a file, asks no other place.
+"""Writes reports as one self-contained HTML page, which loads nothing from elsewhere.
 
 The page has a Content-Security-Policy that lets only its own script and style run, by their hashes.
 """
@@ -10,25 +10,25 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from conformance.oracle.verdicts import Verdict
-from conformance.report.html.cases import case_data, case_rows
-from conformance.report.html.facts import coverage, facts, profile
-from conformance.report.html.markup import Safe, joined, json_block, tag
-from conformance.report.html.matrix import matrix
-from conformance.report.run_report import Report
-from conformance.report.side_by_side import Row, names, rows, tally
-from conformance.report.summary import conclusion
-from conformance.visible import visible
-from spec.protocol import Protocol
+from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.html.cases import case_data, case_rows
+from bilprov.conformance.report.html.facts import coverage, facts, profile
+from bilprov.conformance.report.html.markup import Safe, joined, json_block, tag
+from bilprov.conformance.report.html.matrix import matrix
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.report.side_by_side import Row, names, rows, tally
+from bilprov.spec.protocol import Protocol
 
-_PAGE = Path(__file__).parents[2] / "page"
+_PAGE = Path(__file__).parent / "assets"
 _EXIT_LOOK = {0: "pass", 1: "fail", 2: "error", 3: "inconclusive"}
 
 
 def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
     """One page about one report, or about several side by side.
 
-    What bytes mean is told by `protocol`, for the reports that were made with this grammar.
+    Bytes are described in the words of `protocol`, in reports that were made with this grammar.
     """
     style = (_PAGE / "report.css").read_text(encoding="utf-8")
     script = (_PAGE / "report.js").read_text(encoding="utf-8")
@@ -109,13 +109,15 @@ def _sections(reports: Sequence[Report], told: list[str], cases: list[Row]) -> I
 
 
 def _columns(told: list[str]) -> Safe:
-    """Which column of the list is which report."""
-    entries = [tag("li", tag("b", index), " ", visible(name)) for index, name in enumerate(told, 1)]
+    """A numbered list that says which column of the list of cases is which report."""
+    entries = [
+        tag("li", tag("b", index), " ", escape_controls(name)) for index, name in enumerate(told, 1)
+    ]
     return tag("ol", *entries, class_="columns")
 
 
 def _filters(reports: Sequence[Report], cases: list[Row]) -> Safe:
-    """Chips for the verdicts and a field for text; they need the script, so it shows them."""
+    """Buttons for the verdicts and a text field; hidden until the script, which they need, runs."""
     counts = tally([result for row in cases for result in row.results])
     per = [
         (verdict.label, verdict.label, sum(verdict in _verdicts(row) for row in cases))

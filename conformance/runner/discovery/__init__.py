@@ -1,1 +1,1 @@
-"""Executes cases over a link."""
+"""Experiments that show what a device chooses where the document is silent."""

@@ -1,20 +1,21 @@
-"""What a probe of a device's choices is, and what it shows."""
+"""An experiment on a device's choice of an open point, and its finding."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from conformance.dut.operations import Script
-from conformance.runner.run import Run
+from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.runner.run import RunState
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """What one probe showed: (point, word) pairs, "" where nothing could be told.
+class Finding:
+    """What one experiment showed: (point, choice) pairs, "" for a choice that could not be told.
 
-    `fault` says what no reading allows, "" for nothing, `coarse` why the line is too slow to tell.
-    What was seen and heard is kept for the report and does not count when two of them are compared.
+    `fault` says what no reading allows, "" for nothing; `coarse` why the link is too slow to tell.
+    `actual` and `heard`, the answers as (time in ns, code), are for the report and do not count
+    when two findings are compared.
     """
 
     words: tuple[tuple[str, str], ...]
@@ -26,17 +27,17 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Probe:
-    """One probe: what it is about, and the script that makes it on a homed line.
+class Experiment:
+    """One experiment: the open points it is about, and the procedure, for a homed line.
 
-    `sees` if it needs looks, `safety` if it is about the stop, `long` if it is not made twice
-    without need, `option` the option of `--allow` without which it is not made.
+    `sees` if it needs looks, `safety` if it is about the stop, `long` if it is repeated only where
+    necessary, `option` the option of `--allow` without which it is not made.
     """
 
     name: str
     points: tuple[str, ...]
     requirement: str
-    make: Callable[[Run], Script[Shown]]
+    make: Callable[[RunState], Procedure[Finding]]
     stimulus: bytes = b""
     sees: bool = False
     safety: bool = False

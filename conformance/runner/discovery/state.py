@@ -1,28 +1,28 @@
-"""Probes of what a robot is like after a frame, where the document is silent."""
+"""Experiments on the robot's state after a frame, where the document is silent."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from captures.schemas import Look
-from conformance.cases.preamble import moves, setting
-from conformance.cases.steps import unused, wrong_length
-from conformance.dut.operations import Script, listen, see, send
-from conformance.oracle.judge import MS, look_words
-from conformance.oracle.state_model import rotates
-from conformance.runner.discovery.experiment import Probe, Shown
-from conformance.runner.homing import set_up, watch
-from conformance.runner.run import Run
-from spec.motion import Motion, State
-from spec.protocol import InstructionSpec, Protocol
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.steps import unused_id_frame, wrong_length_frame
+from bilprov.conformance.dut.operations import Procedure, listen, observe, send
+from bilprov.conformance.oracle.state_model import rotates
+from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
+from bilprov.conformance.runner.homing import set_up, watch
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.by_effect import moves, setting
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
-_LOOK = 50 * MS  # between two looks at a robot that nobody talks to
-_AGAIN = 500 * MS  # how long one that has stopped by itself is watched
+_LOOK = 50 * MS  # between two looks while the line is silent
+_AGAIN = 500 * MS  # how long a robot that stopped by itself is observed
 
 
-def state_probes(protocol: Protocol) -> Iterator[Probe]:
-    """Every probe that needs looks."""
+def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
+    """Every experiment that needs looks."""
     movers = [s for s in protocol.instructions if moves(s) and not s.length]
     straight = [s for s in movers if not rotates(_moving(protocol, s))]
     turning = [s for s in movers if rotates(_moving(protocol, s))]
@@ -47,11 +47,11 @@ def state_probes(protocol: Protocol) -> Iterator[Probe]:
         partial(_after, first=first, frame=stop, points=points),
         stop[0],
     )
-    fill = bytes([protocol.filler])
+    fill = bytes([protocol.pad_byte])
     fault = (
-        unused(protocol, protocol.unused_ids[0], 0, b"")
+        unused_id_frame(protocol, protocol.unused_ids[0], 0, b"")
         if protocol.unused_ids
-        else wrong_length(protocol, protocol.stop, 1, fill)
+        else wrong_length_frame(protocol, protocol.stop, 1, fill)
     ).frame
     points = ("R-fault-state steering", "R-fault-state speed", "R-led-state fault")
     yield _probe(
@@ -77,7 +77,7 @@ def state_probes(protocol: Protocol) -> Iterator[Probe]:
             partial(_steer_rotating, turning=turning[0]),
             protocol.header_bytes[turning[0].id, 0],
         )
-    yield Probe(
+    yield Experiment(
         "watchdog",
         ("R-watchdog",),
         "keeps driving while the line is silent, and sends nothing by itself",
@@ -93,10 +93,10 @@ def _probe(
     name: str,
     points: tuple[str, ...],
     requirement: str,
-    make: Callable[[Run], Script[Shown]],
+    make: Callable[[RunState], Procedure[Finding]],
     header: int,
-) -> Probe:
-    return Probe(name, points, requirement, make, bytes([header]), sees=True, safety=True)
+) -> Experiment:
+    return Experiment(name, points, requirement, make, bytes([header]), sees=True, safety=True)
 
 
 def _known(protocol: Protocol, points: tuple[str, ...]) -> tuple[str, ...]:
@@ -120,15 +120,15 @@ def _motion(spec: InstructionSpec) -> Motion:
     return spec.effect.motion
 
 
-def _send(run: Run, frame: bytes) -> Script[int]:
-    """Send a frame and wait for its answer; returns how many came."""
+def _send(run: RunState, frame: bytes) -> Procedure[int]:
+    """Send a frame and wait for its answer; returns how many answers came."""
     yield from send(frame)
     heard = yield from run.answers(1)
     return len(heard.answers)
 
 
 def _steering(look: Look, full: State) -> str:
-    """The steering that a moving robot shows: kept, reset, "" if it cannot be told."""
+    """The choice that a moving robot's steering shows: kept, reset, "" if it cannot be told."""
     if look.steering is not None:
         known = {full.steering: "kept", 0: "reset"}
         return known.get(look.steering, f"steering is {look.steering}")
@@ -137,42 +137,44 @@ def _steering(look: Look, full: State) -> str:
     return "reset" if look.left == look.right else "kept"
 
 
-def _drive_steering(run: Run, *, first: InstructionSpec, last: InstructionSpec) -> Script[Shown]:
+def _drive_steering(
+    run: RunState, *, first: InstructionSpec, last: InstructionSpec
+) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(first))
     lost = yield from set_up(run, full)
     yield from _send(run, bytes([run.protocol.header_bytes[last.id, 0]]))
-    seen = yield from watch(run, moving=True, patience=run.limits.deadline)
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     word = _steering(seen.look, full)
     word = "straight" if word == "reset" else word
-    return Shown((("R-drive-steering", word),), "steering kept", look_words(seen.look), lost)
+    return Finding((("R-drive-steering", word),), "steering kept", look_words(seen.look), lost)
 
 
 def _after(
-    run: Run, *, first: InstructionSpec, frame: bytes, points: tuple[str, ...]
-) -> Script[Shown]:
-    """What is left of steering, speed and LED after a frame that stops."""
+    run: RunState, *, first: InstructionSpec, frame: bytes, points: tuple[str, ...]
+) -> Procedure[Finding]:
+    """Find out what a frame that stops the robot leaves of steering, speed and LED."""
     protocol = run.protocol
     full = _full(protocol, _motion(first))
     lost = yield from set_up(run, full)
-    yield from watch(run, moving=True, patience=run.limits.deadline)
+    yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from _send(run, frame)
-    seen = yield from watch(run, moving=False, patience=run.limits.deadline)
+    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     look, actual = seen.look, look_words(seen.look)
     fault = lost or ("still moves" if look.moving else "")
     yield from listen(None, run.timeout if run.profile.flushes else 0)
     again = look
     if look.speed is None or look.steering is None:
-        # What is not told shows when it drives again.
+        # What the probe does not tell shows when the robot drives again.
         yield from _send(run, bytes([protocol.header_bytes[first.id, 0]]))
-        again = (yield from watch(run, moving=True, patience=run.limits.deadline)).look
+        again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(again)}"
     speed_again = again
     if again.moving is False and look.steering is None and full.speed:
-        # It has no speed any more; with a new one its steering shows.
+        # Its speed was zeroed; with a new one its steering shows.
         yield from _send(run, setting(protocol, "speed", full.speed))
         yield from _send(run, bytes([protocol.header_bytes[first.id, 0]]))
-        again = (yield from watch(run, moving=True, patience=run.limits.deadline)).look
-    straight = run.profile.choices.is_other("R-drive-steering")
+        again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+    straight = run.profile.choices.differs("R-drive-steering")
     blind = look.steering is None and straight
     steering = "" if blind else _steering(look if look.steering is not None else again, full)
     if look.speed is not None:
@@ -187,31 +189,31 @@ def _after(
     if not run.wire(setting(protocol, "led", full.led)):
         # A device that does not know the LED's instruction has no light to switch off.
         known = tuple(p for p in known if "led" not in p)
-    return Shown(tuple((p, words[p]) for p in known), "stopped", actual, fault)
+    return Finding(tuple((p, words[p]) for p in known), "stopped", actual, fault)
 
 
-def _speed_moving(run: Run, *, first: InstructionSpec) -> Script[Shown]:
+def _speed_moving(run: RunState, *, first: InstructionSpec) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(first))
     lost = yield from set_up(run, full)
     yield from _send(run, setting(run.protocol, "speed", 0))
-    seen = yield from watch(run, moving=False, patience=run.limits.deadline)
+    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     word, fault = "at-once", lost
     if seen.look.moving:
         yield from _send(run, bytes([run.protocol.header_bytes[first.id, 0]]))
-        seen = yield from watch(run, moving=False, patience=run.limits.deadline)
+        seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         word = "next-motion"
         if seen.look.moving:
             fault = "the speed 0 does not stop it, not even at the next motion"
     word = word if seen.look.moving is not None else ""
-    return Shown((("R-speed-moving", word),), "stopped by speed 0", look_words(seen.look), fault)
+    return Finding((("R-speed-moving", word),), "stopped by speed 0", look_words(seen.look), fault)
 
 
-def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Script[Shown]:
+def _steer_rotating(run: RunState, *, turning: InstructionSpec) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(turning))
     lost = yield from set_up(run, State(full.motion, full.speed, 0, full.led))
     yield from _send(run, setting(run.protocol, "steering", full.steering))
-    yield from listen(None, run.limits.silence)
-    look = (yield from see()).look
+    yield from listen(None, run.timers.silence)
+    look = (yield from observe()).look
     words, fault = look_words(look), lost
     opposite = None if look.left is None or look.right is None else look.left * look.right < 0
     if look.moving is False:
@@ -221,28 +223,28 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Script[Shown]:
         word = "curve"
     if opposite is None and look.motion is None:
         word = ""
-    return Shown((("R-steer-rotating", word),), "goes on rotating", words, fault)
+    return Finding((("R-steer-rotating", word),), "goes on rotating", words, fault)
 
 
-def _watchdog(run: Run, *, first: InstructionSpec) -> Script[Shown]:
-    """Drive, and be silent: does it go on, does it say anything, does it start again?"""
+def _watchdog(run: RunState, *, first: InstructionSpec) -> Procedure[Finding]:
+    """Find out whether a driving robot stops, sends or starts again while the line is silent."""
     lost = yield from set_up(run, _full(run.protocol, _motion(first)))
-    begun = yield from watch(run, moving=True, patience=run.limits.deadline)
+    begun = yield from watch(run, moving=True, patience=run.timers.deadline)
     point, expected = "R-watchdog", "keeps driving, says nothing"
     if begun.look.moving is not True:
         fault = lost or "does not move"
-        return Shown(((point, ""),), expected, look_words(begun.look), fault)
+        return Finding(((point, ""),), expected, look_words(begun.look), fault)
     heard = yield from listen(None, 0)
     seen, came, stopped = begun, heard.answers, 0
-    while seen.now - begun.now < (stopped - begun.now + _AGAIN if stopped else run.limits.idle):
+    while seen.now - begun.now < (stopped - begun.now + _AGAIN if stopped else run.timers.idle):
         heard = yield from listen(None, _LOOK)
         came += heard.answers
-        seen = yield from see()
+        seen = yield from observe()
         if not stopped and seen.look.moving is False:
             stopped = seen.now
             run.profile.watchdog = stopped - begun.now
         elif stopped and seen.look.moving:
-            return Shown(((point, ""),), expected, look_words(seen.look), "moved again by itself")
+            return Finding(((point, ""),), expected, look_words(seen.look), "moved again by itself")
     fault = "sends although nothing was asked" if came else ""
     word = "stops" if stopped else "drives-on"
-    return Shown(((point, word),), expected, look_words(seen.look), fault, came)
+    return Finding(((point, word),), expected, look_words(seen.look), fault, came)

@@ -1,1 +1,1 @@
-"""Executes cases over a link."""
+"""Listeners of a run: journal, meter, recorder, wire log."""

@@ -1,36 +1,37 @@
-"""Everything that the runner got as a reply is told to a journal, so that it can be replayed."""
+"""Passes every operation of the runner and its reply to a journal, so that they can be replayed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from conformance.dut.link import Link, Tap, interruption
-from conformance.dut.operations import Ask, Heard, Seen
-from conformance.report.run_report import Report
-from conformance.runner.environment import Circumstances
-from conformance.runner.run import Ended
-from spec.protocol import Protocol as Grammar
+from bilprov.conformance.dut.link import Link, LinkListener, interruption
+from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.environment import Environment
+from bilprov.spec.protocol import Protocol as Grammar
 
 
 @runtime_checkable
-class Journal(Tap, Protocol):
-    """A tap that keeps also what the run rests on, when each ask was done, and the report."""
+class RunJournal(LinkListener, Protocol):
+    """A link listener that is also told the run's environment, each operation, and the report."""
 
-    def begins(self, grammar: Grammar, options: object, circumstances: Circumstances) -> None:
-        """The run begins; nothing was sent yet."""
+    def begins(self, grammar: Grammar, options: object, environment: Environment) -> None:
+        """The run begins; nothing has been sent yet."""
 
-    def asked(self, ask: Ask | None, reply: int | Heard | Seen | Ended) -> None:
-        """An ask was done, or could not be; without one the run is told to end."""
+    def asked(
+        self, operation: Operation | None, reply: int | Received | Observation | Ended
+    ) -> None:
+        """An operation was done or failed; None stands for an interruption of the run."""
 
     def reported(self, report: Report) -> None:
-        """The run is over, and this is what came out."""
+        """The run is over; this is its report."""
 
 
 def journalled(
-    link: Link, interrupted: Callable[[], bool | str], journal: Journal
+    link: Link, interrupted: Callable[[], bool | str], journal: RunJournal
 ) -> tuple[Link, Callable[[], bool | str]]:
-    """The same link and the same question, with a journal that hears of both."""
+    """The link and `interrupted`, both wrapped so that the journal is told of each use."""
 
     def asked() -> bool | str:
         why = interrupted()
@@ -42,16 +43,16 @@ def journalled(
 
 
 class _Journalled:
-    def __init__(self, link: Link, journal: Journal) -> None:
+    def __init__(self, link: Link, journal: RunJournal) -> None:
         self._link = link
         self._journal = journal
 
-    def do(self, ask: Ask) -> int | Heard | Seen:
-        """Do one ask and tell how it went. Raises Ended when it could not be done."""
+    def do(self, operation: Operation) -> int | Received | Observation:
+        """Do one operation and tell the journal. Raises Ended when it could not be done."""
         try:
-            reply = self._link.do(ask)
+            reply = self._link.do(operation)
         except Ended as ended:
-            self._journal.asked(ask, ended)
+            self._journal.asked(operation, ended)
             raise
-        self._journal.asked(ask, reply)
+        self._journal.asked(operation, reply)
         return reply

@@ -1,15 +1,15 @@
-"""Measures where a run's time goes, and holds it against what arithmetic says it must take."""
+"""Measures where a run's time goes and compares it with the time it must take by arithmetic."""
 
 from __future__ import annotations
 
 import statistics
 
-from conformance.dut.link import Link
-from conformance.dut.operations import Ask, Heard, Listen, Seen, Send
+from bilprov.conformance.dut.link import Link
+from bilprov.conformance.dut.operations import Listen, Observation, Operation, Received, Send
 
 
 class Meter:
-    """Counts bytes, silences and looks of a link; all times come from its replies (ns)."""
+    """Counts bytes, silences and looks of a link; `byte_time` and the replies' times are in ns."""
 
     def __init__(self, byte_time: int) -> None:
         self._byte_time = byte_time
@@ -23,30 +23,30 @@ class Meter:
         """The same link, measured."""
         return _Metered(link, self)
 
-    def told(self, ask: Ask, reply: int | Heard | Seen) -> None:
-        """An ask was done."""
+    def told(self, operation: Operation, reply: int | Received | Observation) -> None:
+        """Count one operation, done with this reply."""
         before = self._last
-        if isinstance(reply, Heard):
+        if isinstance(reply, Received):
             self._last = reply.now
             self._received += len(reply.answers)
-            if isinstance(ask, Listen) and ask.count is None:
-                self._silences += ask.patience
-            elif isinstance(ask, Listen) and len(reply.answers) < (ask.count or 0):
+            if isinstance(operation, Listen) and operation.count is None:
+                self._silences += operation.patience
+            elif isinstance(operation, Listen) and len(reply.answers) < (operation.count or 0):
                 self._silences += max(0, reply.now - before)
-        elif isinstance(reply, Seen):
+        elif isinstance(reply, Observation):
             self._last = reply.now
             self._looks.append(reply.now - reply.asked)
         else:
             self._last = reply
-            self._sent += len(ask.data) if isinstance(ask, Send) else 0
+            self._sent += len(operation.data) if isinstance(operation, Send) else 0
         if self._first is None:
             self._first = before or self._last
 
     def report(self, timeouts: int) -> dict[str, float]:
-        """What was counted, in s and ms; `timeouts` (ns) were waited for frames that are cut short.
+        """The counts, with times in s and ms; `timeouts` is the wait (ns) for truncated frames.
 
-        `ratio` is the time that the run took by what it must take: every byte on the wire, the
-        silences it declares, the time-outs it waits for, and its looks at what one usually takes.
+        `ratio` is the time the run took divided by the time it must take: every byte on the wire,
+        the silences it declares, the time-outs it waits for, and its looks, each at their median.
         """
         look = statistics.median(self._looks) if self._looks else 0.0
         wire = (self._sent + self._received) * self._byte_time
@@ -70,8 +70,8 @@ class _Metered:
         self._link = link
         self._meter = meter
 
-    def do(self, ask: Ask) -> int | Heard | Seen:
-        """Do one ask and measure it. Raises Ended when it could not be done."""
-        reply = self._link.do(ask)
-        self._meter.told(ask, reply)
+    def do(self, operation: Operation) -> int | Received | Observation:
+        """Do one operation and measure it. Raises Ended when it could not be done."""
+        reply = self._link.do(operation)
+        self._meter.told(operation, reply)
         return reply

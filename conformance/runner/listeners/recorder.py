@@ -1,51 +1,45 @@
 """Records a run as evidence: all that is needed to judge it again, and the verdict beside it.
 
-Messages: the raw bytes both ways and what they mean, each case's begin and end, each look, each
-thing that the runner asked for. Attached at the start: the grammar's text (`grammar.py`) and what
-the run rests on (`run.json`); at the end: what was measured (`profile.json`) and the report
+Messages: the raw bytes both ways and their decoding, each case's begin and end, each look, each
+operation of the runner. Attached at the start: the grammar's text (`grammar.py`), options and
+environment (`run.json`); at the end: what was measured (`profile.json`) and the report
 (`verdict.json`, as `--json` writes it).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Literal
 
 import msgspec
 
-from analyzer.decode.records import Record
-from analyzer.decode.session import Session
-from analyzer.replay.recorder import Recorder
-from analyzer.version import kit_version
-from captures.closing import Closing
-from captures.errors import CaptureError
-from captures.schemas import Asked, CaseMark, Chunk, Line, Look
-from conformance.dut.operations import Ask, Heard, Listen, PowerCycle, See, Seen, Send
-from conformance.oracle.verdicts import CaseResult
-from conformance.report.run_report import Report, as_json
-from conformance.runner.environment import Circumstances
-from conformance.runner.run import Ended
-from spec.protocol import Protocol
+from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.recorder import Recorder
+from bilprov.analyzer.version import kit_version
+from bilprov.captures.closing import Closing
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
+from bilprov.conformance.dut.operations import (
+    OPERATION_NAMES,
+    Ended,
+    Observation,
+    Operation,
+    Received,
+)
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.report.run_report import Report, as_json
+from bilprov.conformance.runner.environment import Environment
+from bilprov.spec.protocol import Protocol
 
 GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"
-"""The names of what is attached."""
-
-AskName = Literal["send", "listen", "look", "power", "interrupt"]
-NAMES: dict[type, AskName] = {
-    Send: "send",
-    Listen: "listen",
-    See: "look",
-    PowerCycle: "power",
-    type(None): "interrupt",
-}
-"""What each ask is called in a recording."""
+"""The names of the attachments."""
 
 
 class RunRecorder(Closing):
-    """A tap of the link that writes everything into a capture. Times are ns since the start.
+    """A run journal that writes everything into a capture. Times are ns since the start.
 
-    Raises CaptureError where the file cannot be made. What goes wrong later (a full disk) must not
-    keep the run from stopping the robot: it is kept in `broken`, and nothing more is written.
+    Raises CaptureError if the file cannot be made. A later error (a full disk) must not keep the
+    run from stopping the robot: it is kept in `broken`, and nothing more is written.
     """
 
     broken: CaptureError | None = None
@@ -103,28 +97,30 @@ class RunRecorder(Closing):
         """A case is final."""
         self._mark(CaseMark(self._now, result.id, "end", result.verdict.label, result.reason))
 
-    def begins(self, grammar: Protocol, options: object, circumstances: Circumstances) -> None:
-        """The run begins: what it rests on is in the file before anything is sent."""
+    def begins(self, grammar: Protocol, options: object, environment: Environment) -> None:
+        """The run begins: grammar, options and environment are written before anything is sent."""
         about = msgspec.json.encode(
             {
                 "kit": kit_version(),
                 "grammar": {"sha256": grammar.sha256, "file": grammar.origin},
                 "options": options,
-                "circumstances": circumstances,
+                "circumstances": environment,
             }
         )
         self._attach(GRAMMAR, "text/x-python", grammar.source.encode())
         self._attach(RUN, "application/json", about)
 
-    def asked(self, ask: Ask | None, reply: int | Heard | Seen | Ended) -> None:
-        """An ask was done, or could not be: one message after all that it brought."""
-        name = NAMES[type(ask)]
+    def asked(
+        self, operation: Operation | None, reply: int | Received | Observation | Ended
+    ) -> None:
+        """An operation was done or failed: one message, after the bytes and looks it brought."""
+        name = OPERATION_NAMES[type(operation)]
         match reply:
             case Ended():
                 value = Asked(self._now, name, None, str(reply), reply.error, reply.line_works)
-            case Seen():
+            case Observation():
                 value = Asked(reply.now, name, reply.asked)
-            case Heard():
+            case Received():
                 self._now = max(self._now, reply.now)
                 value = Asked(reply.now, name)
             case _:

@@ -1,8 +1,8 @@
-"""Collects what went over the wire in each case: what was asked of the link, and its replies.
+"""Logs the bytes and looks of each case: the operations done over the link, and their replies.
 
-A case's log begins when the case does and ends when it is final, so that set-up and homing are in
-it. A device that floods does not fill the memory: the middle of a long log is left out, and the log
-says how much that was.
+A case's log begins when the case does and ends when it is final, so that preamble and homing are
+in it. A device that floods does not fill the memory: the middle of a long log is left out, and the
+log says how much that was.
 
 Every case keeps its log, those that passed too: they are the evidence. But half of all entries are
 the answers to homing, one byte each, so in a case that passed the answers that came one after
@@ -18,12 +18,12 @@ from itertools import groupby
 
 import msgspec
 
-from captures.schemas import Look
-from conformance.dut.link import Link
-from conformance.dut.operations import Ask, Heard, Seen, Send
-from conformance.oracle.judge import look_words
-from conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
-from spec.codec import spaced
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.link import Link
+from bilprov.conformance.dut.operations import Observation, Operation, Received, Send
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
+from bilprov.conformance.oracle.wording import look_words
+from bilprov.spec.codec import spaced
 
 HEAD = TAIL = 250
 """Entries that are kept from the begin and from the end of a case's log."""
@@ -58,7 +58,7 @@ class _Log:
 
 
 class WireLog:
-    """Keeps each case's log, of what a link is asked to do and what comes of it."""
+    """Keeps the log of each case: the operations done over a link, and their replies."""
 
     def __init__(self) -> None:
         self._open: _Log | None = None
@@ -69,10 +69,10 @@ class WireLog:
         return _Logged(link, self)
 
     def sent(self, data: bytes, t: int) -> None:
-        """Bytes that had gone to the device at `t` (ns)."""
+        """Bytes whose last one was sent at `t` (ns)."""
         self._bytes("sent", data, t)
 
-    def heard(self, heard: Heard) -> None:
+    def heard(self, heard: Received) -> None:
         """Bytes that came from it; those that came together are one entry."""
         for t, entries in groupby(heard.answers, key=lambda entry: entry[0]):
             self._bytes("received", bytes(code for _, code in entries), t)
@@ -90,7 +90,7 @@ class WireLog:
         """The result with its log: the case is final. One that never began has an empty log."""
         log = self._logs.get(result.id, ())
         if isinstance(log, _Log):
-            log = self._logs[result.id] = log.events()  # what comes later is nobody's
+            log = self._logs[result.id] = log.events()  # what comes later belongs to no case
         if result.verdict is Verdict.PASS:
             log = joined(log)
         return msgspec.structs.replace(result, log=log)
@@ -109,20 +109,20 @@ class _Logged:
         self._link = link
         self._log = log
 
-    def do(self, ask: Ask) -> int | Heard | Seen:
-        """Do one ask and log it. Raises Ended when it could not be done."""
-        reply = self._link.do(ask)
-        if isinstance(reply, Heard):
+    def do(self, operation: Operation) -> int | Received | Observation:
+        """Do one operation and log it. Raises Ended when it could not be done."""
+        reply = self._link.do(operation)
+        if isinstance(reply, Received):
             self._log.heard(reply)
-        elif isinstance(reply, Seen):
+        elif isinstance(reply, Observation):
             self._log.looked(reply.look)
-        elif isinstance(ask, Send):
-            self._log.sent(ask.data, reply)
+        elif isinstance(operation, Send):
+            self._log.sent(operation.data, reply)
         return reply
 
 
 def joined(log: tuple[WireEvent, ...]) -> tuple[WireEvent, ...]:
-    """The log with answers that have nothing between them in one entry, at the first one's time."""
+    """The log with answers that follow each other joined to one entry, at the first one's time."""
     events: list[WireEvent] = []
     for is_answer, run in groupby(log, key=lambda event: event.kind == "received"):
         if is_answer:

@@ -1,0 +1,400 @@
+"""Do a room's own tests notice when one thing in its code is changed? Seeded mutants, one by one.
+
+`python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--jobs N] [--json FILE]`: small
+changes (`<` to `<=`, a statement left out) are drawn from the code of five rooms, as many of each.
+Each is made in a copy of the tree, where the room's tests then run, the cheapest file first; tests
+that alone take longer than `--slow` seconds (more of them on a busy machine) are left out. Prints
+per room how many mutants were killed (a test failed), timed out and survived, and the survivors. A
+survivor is either a missing assertion or a change that no one can see. It is a measurement and ends
+with 0, or with 2 where the tests fail on the code as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = {  # the code, and the tests that are its own
+    "spec": ("spec", ["tests/spec"]),
+    "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
+    "decode": (
+        "analyzer/decode",
+        [
+            *("tests/analyzer/test_session.py", "tests/analyzer/test_pairing.py"),
+            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_filter.py"),
+            "tests/analyzer/test_decode_command.py",
+        ],
+    ),
+    "captures": ("captures", ["tests/captures"]),
+    "runner": ("conformance/runner", ["tests/conformance/runner"]),
+}
+OPERATORS: dict[type[ast.AST], tuple[str, str]] = {  # as written, and what takes its place
+    ast.Lt: ("<", "<="),
+    ast.LtE: ("<=", "<"),
+    ast.Gt: (">", ">="),
+    ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+    ast.In: ("in", "not in"),
+    ast.NotIn: ("not in", "in"),
+    ast.Is: ("is", "is not"),
+    ast.IsNot: ("is not", "is"),
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "//"),
+    ast.FloorDiv: ("//", "*"),
+    ast.LShift: ("<<", ">>"),
+    ast.RShift: (">>", "<<"),
+    ast.BitAnd: ("&", "|"),
+    ast.And: ("and", "or"),
+    ast.Or: ("or", "and"),
+}
+NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
+SKIPPED_FIELDS = {"annotation", "returns", "decorator_list", "type_params"}
+MEMORY = 4 << 30  # bytes of address space: a mutant may loop for ever and hold on to everything
+FOREIGN = 70  # exit code of a run that did not import the copy
+QUIETLY = ["-q", "-pno:randomly", "-pno:cacheprovider", "--tb=no", "-rfE", "--hypothesis-seed=0"]
+PYTEST = f"""\
+import json, pathlib, resource, sys
+resource.setrlimit(resource.RLIMIT_AS, ({MEMORY}, {MEMORY}))
+import pytest
+left_out = json.loads(sys.argv[1])
+class Selection:
+    def pytest_collection_modifyitems(self, items):
+        items[:] = [item for item in items if item.nodeid not in left_out]
+code = pytest.main(sys.argv[2:], [Selection()])
+imported = sys.modules.get("bilprov")
+if imported and not imported.__file__.startswith(str(pathlib.Path("src").absolute())):
+    sys.exit({FOREIGN})
+sys.exit(code)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Mutation:
+    """One change of one file: the bytes from `start` to `end` give way to others."""
+
+    file: str  # from the root of the tree
+    operator: str
+    start: int
+    end: int
+    replacement: bytes
+
+    def applied(self, source: bytes) -> bytes:
+        """The file's bytes with the change made."""
+        return source[: self.start] + self.replacement + source[self.end :]
+
+    def told(self, source: bytes) -> str:
+        """`file:line: operator: before -> after`, the line on which the change begins."""
+        number = source.count(b"\n", 0, self.start)
+        lines = [text.split(b"\n")[number] for text in (source, self.applied(source))]
+        before, after = (line.decode().strip() for line in lines)
+        return f"{self.file}:{number + 1}: {self.operator}: {before} -> {after}"
+
+
+def mutations(file: str, source: bytes) -> Iterator[Mutation]:
+    """Every change that the operators can make to this file, in the order of its parse tree."""
+    starts = [0]
+    for row in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(row))
+
+    def span(node: ast.expr | ast.stmt) -> tuple[int, int]:
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        begin = starts[node.lineno - 1] + node.col_offset
+        return begin, starts[node.end_lineno - 1] + node.end_col_offset
+
+    def whole(kind: str, node: ast.expr | ast.stmt, text: str) -> Mutation:
+        begin, end = span(node)
+        kept_lines = b"\n" * (source.count(b"\n", begin, end) - text.count("\n"))
+        return Mutation(file, kind, begin, end, text.encode() + kept_lines)
+
+    def between(kind: str, left: int, right: ast.expr, old: str, new: str) -> Iterator[Mutation]:
+        """The operator `old`, which stands after `left` and before an expression."""
+        pattern = re.escape(old).replace(r"\ ", r"\s+").encode()
+        gap = source[left : span(right)[0]]
+        found = re.search(pattern, gap)
+        if found and b"#" not in gap:
+            yield Mutation(file, kind, left + found.start(), left + found.end(), new.encode())
+
+    def swapped(
+        kind: str, left: ast.expr, op: ast.AST, right: ast.expr, suffix: str = ""
+    ) -> Iterator[Mutation]:
+        if type(op) in OPERATORS:
+            old, new = OPERATORS[type(op)]
+            yield from between(kind, span(left)[1], right, old + suffix, new + suffix)
+
+    for node in _code(ast.parse(source)):
+        match node:
+            case ast.Compare():
+                operands = [node.left, *node.comparators]
+                for left, op, right in zip(operands, node.ops, node.comparators, strict=False):
+                    yield from swapped("comparison", left, op, right)
+            case ast.BinOp():
+                yield from swapped("arithmetic", node.left, node.op, node.right)
+            case ast.BoolOp():
+                for left, right in zip(node.values, node.values[1:], strict=False):
+                    yield from swapped("and/or", left, node.op, right)
+            case ast.UnaryOp(op=ast.Not()):
+                yield from between("not removed", span(node)[0], node.operand, "not", "")
+            case ast.Constant(value=bool()):
+                yield whole("True/False", node, str(not node.value))
+            case ast.Constant(value=int(number)):
+                for other in (number + 1, number - 1):
+                    yield whole("integer", node, str(other))
+            case ast.Call(func=ast.Name(id=name)) if name in NAMES:
+                yield whole("function", node.func, NAMES[name])
+            case ast.Return(value=ast.expr() as value) if ast.unparse(value) != "None":
+                yield whole("return value", value, "None")
+            case ast.Expr() | ast.Assign() | ast.AugAssign():
+                yield whole("statement deleted", node, "pass")
+        if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.expr):
+            yield from swapped("arithmetic", node.target, node.op, node.value, "=")
+        conditions = [node.test] if isinstance(node, ast.If | ast.IfExp) else []
+        conditions += node.ifs if isinstance(node, ast.comprehension) else []
+        for test in conditions:
+            if not (isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not)):
+                begin, end = span(test)
+                yield whole("condition negated", test, f"not ({source[begin:end].decode()})")
+
+
+def _code(node: ast.AST) -> Iterator[ast.AST]:
+    """This node and what stands in it, without what runs nowhere or says nothing."""
+    match node:
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.JoinedStr():
+            return
+        case ast.Expr(value=ast.Constant()):  # a docstring, or the dots of a protocol class
+            return
+        case ast.Assign(targets=[ast.Name(id="__all__")]):
+            return
+    yield node
+    for name, value in ast.iter_fields(node):
+        heading = isinstance(node, ast.ClassDef) and name != "body"
+        if name not in SKIPPED_FIELDS and not heading:
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from _code(child)
+
+
+def draw(root: Path, room: str, count: int, seed: int) -> list[Mutation]:
+    """So many different changes of a room's code; the same seed draws the same."""
+    files = sorted((root / ROOMS[room][0]).rglob("*.py"))
+    sources = {path.relative_to(root).as_posix(): path.read_bytes() for path in files}
+    candidates = [m for file, source in sources.items() for m in mutations(file, source)]
+    random.Random(f"{seed} {room}").shuffle(candidates)
+    drawn: list[Mutation] = []
+    for mutation in candidates:
+        if len(drawn) == count:
+            break
+        if changes_the_tree(mutation, sources[mutation.file]):
+            drawn.append(mutation)
+    return drawn
+
+
+def changes_the_tree(mutation: Mutation, source: bytes) -> bool:
+    """Whether the changed file is Python, and other Python than before."""
+    try:
+        return ast.dump(ast.parse(mutation.applied(source))) != ast.dump(ast.parse(source))
+    except SyntaxError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a room's tests run: pytest's arguments, the seconds allowed, the tests left out."""
+
+    arguments: list[str]
+    allowance: float | None = None
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one mutant: killed, timed out or survived."""
+
+    room: str
+    told: str
+    outcome: str
+    seconds: float
+    by: str  # the test that failed
+
+
+def run_tests(tree: Path, plan: Plan) -> tuple[int | None, str]:
+    """Run pytest on a copy; its exit code, None where the time was up, and what it wrote."""
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
+    environment.pop("PYTEST_ADDOPTS", None)
+    if plan.allowance:  # what the first run compiled holds; a mutant's compiled form is never kept
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    with subprocess.Popen(
+        [sys.executable, "-c", PYTEST, json.dumps(plan.left_out), *QUIETLY, *plan.arguments],
+        cwd=tree,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            told, _ = process.communicate(timeout=plan.allowance)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            return None, ""
+        except BaseException:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise
+    if process.returncode == FOREIGN:
+        raise RuntimeError("the tests did not import the copy of the tree")
+    return process.returncode, told
+
+
+def planned(tree: Path, room: str, options: argparse.Namespace) -> Plan:
+    """Run a room's tests on the code as it is: which to keep, in which order, and for how long.
+
+    Raises:
+        RuntimeError: They fail.
+    """
+    select = ["-m", options.select] if options.select else []
+    begin = time.monotonic()
+    code, told = run_tests(tree, Plan([*select, "--durations=0", *ROOMS[room][1]]))
+    if code:
+        raise RuntimeError(f"{room}: its tests fail on the code as it is\n{told[-2000:]}")
+    elapsed = time.monotonic() - begin
+    took: defaultdict[str, float] = defaultdict(float)
+    for seconds, test in re.findall(r"^([\d.]+)s (?:call|setup|teardown) +(.+)$", told, re.M):
+        took[test] += float(seconds)
+    slow = [test for test, seconds in took.items() if seconds > options.slow]
+    kept = elapsed - sum(took[test] for test in slow)
+    cost = {path.relative_to(tree).as_posix(): 0.0 for path in _test_files(tree, room)}
+    for test, seconds in took.items():
+        if test not in slow:
+            cost[test.partition("::")[0]] += seconds
+    files = sorted(cost, key=lambda file: cost[file])
+    each = 10 * options.slow  # one test that hangs: later than this it is not slow but stuck
+    _tell(f"{room}: tests take {elapsed:.0f} s; {len(slow)} slow ones left out, {kept:.0f} s stay")
+    arguments = [*select, "-x", f"--timeout={each}", *files]
+    return Plan(arguments, options.timeout or 30 + 4 * kept, tuple(slow))
+
+
+def _test_files(tree: Path, room: str) -> Iterator[Path]:
+    for name in ROOMS[room][1]:
+        path = tree / name
+        yield from sorted(path.rglob("test_*.py")) if path.is_dir() else [path]
+
+
+def tried(tree: Path, room: str, mutation: Mutation, plan: Plan) -> Outcome:
+    """Make the change in the copy, run the room's tests, and take the change back."""
+    path = tree / mutation.file
+    source, status = path.read_bytes(), path.stat()
+    begin = time.monotonic()
+    path.write_bytes(mutation.applied(source))
+    try:
+        code, told = run_tests(tree, plan)
+    finally:
+        path.write_bytes(source)
+        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))  # its compiled form holds again
+        shutil.rmtree(tree / ".hypothesis", ignore_errors=True)  # no mutant helps to kill the next
+    outcome = "survived" if code == 0 else "killed"
+    if code is None or "from pytest-timeout" in told:
+        outcome = "timed out"
+    by = re.search(r"^(?:FAILED|ERROR) (\S+)", told, re.M)
+    seconds = time.monotonic() - begin
+    return Outcome(room, mutation.told(source), outcome, round(seconds, 1), by[1] if by else "")
+
+
+def _tell(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    add = parser.add_argument
+    add("--seed", type=int, default=1, metavar="N", help="draws the mutants (1)")
+    add("--count", type=int, default=100, metavar="N", help="mutants in all (100)")
+    add("--room", action="append", choices=ROOMS, help="only this room; may be repeated")
+    add("--jobs", type=int, default=1, metavar="N", help="mutants at a time (1)")
+    add("--timeout", type=float, metavar="S", help="for each mutant (4 times the tests, and 30 s)")
+    add("--slow", type=float, default=5, metavar="S", help="leave out tests that take longer (5)")
+    add("--select", metavar="EXPR", help="only tests of this marker expression, as pytest's -m")
+    add("--json", type=Path, metavar="FILE", help="write the outcomes there as well")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Draw, try and count; returns 2 if a room's tests fail on the code as it is."""
+    options, begin = _options(), time.monotonic()
+    rooms = options.room or list(ROOMS)
+    with tempfile.TemporaryDirectory() as folder:
+        first = Path(folder).resolve() / "0"
+        unneeded = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "__pycache__")
+        shutil.copytree(ROOT, first, symlinks=True, ignore=unneeded)
+        try:
+            plans = {room: planned(first, room, options) for room in rooms}
+        except RuntimeError as error:
+            _tell(str(error))
+            return 2
+        trees: SimpleQueue[Path] = SimpleQueue()
+        trees.put(first)
+        for number in range(1, options.jobs):  # with what the first run compiled
+            trees.put(shutil.copytree(first, first.with_name(str(number)), symlinks=True))
+        outcomes: list[Outcome] = []
+
+        def one(room: str, mutation: Mutation) -> None:
+            tree = trees.get()
+            outcome = tried(tree, room, mutation, plans[room])
+            trees.put(tree)
+            outcomes.append(outcome)
+            count = f"{len(outcomes)}/{sum(map(len, drawn.values()))}"
+            _tell(f"{count} {outcome.outcome} in {outcome.seconds:.0f} s: {outcome.told}")
+
+        share, rest = divmod(options.count, len(rooms))
+        drawn = {
+            room: draw(first, room, share + (number < rest), options.seed)
+            for number, room in enumerate(rooms)
+        }
+        with ThreadPoolExecutor(options.jobs) as pool:
+            pairs = [(room, mutation) for room in rooms for mutation in drawn[room]]
+            list(pool.map(lambda pair: one(*pair), pairs))
+    _summarise(rooms, outcomes, time.monotonic() - begin)
+    if options.json:
+        told = {"seed": options.seed, "mutants": [asdict(outcome) for outcome in outcomes]}
+        options.json.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def _summarise(rooms: list[str], outcomes: list[Outcome], seconds: float) -> None:
+    count = Counter((outcome.room, outcome.outcome) for outcome in outcomes)
+    for room in rooms:
+        _tell(
+            f"{room}: {count[room, 'killed']} killed, {count[room, 'timed out']} timed out, "
+            f"{count[room, 'survived']} survived"
+        )
+    caught = sum(outcome.outcome != "survived" for outcome in outcomes)
+    _tell(f"{caught} of {len(outcomes)} mutants caught in {seconds / 60:.0f} min; survivors:")
+    for outcome in outcomes:
+        if outcome.outcome == "survived":
+            _tell(outcome.told)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

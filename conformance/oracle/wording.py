@@ -1,0 +1,42 @@
+"""Words for response codes, answers, states and looks, as judgements use them."""
+
+from __future__ import annotations
+
+from bilprov.captures.schemas import Look
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import Protocol
+
+
+def code_words(protocol: Protocol, code: int) -> str:
+    """A response code in hex and in words: `01 BAD_HEADER`."""
+    known = protocol.codes.get(code)
+    return f"{code:02x} {known.name if known else 'unused'}"
+
+
+def answer_words(protocol: Protocol, codes: tuple[int, ...]) -> str:
+    """A list of answers in hex and in words, long ones clipped."""
+    if not codes:
+        return "no answer"
+    shown = ", ".join(code_words(protocol, code) for code in codes[:4])
+    return f"{shown} and {len(codes) - 4} more" if len(codes) > 4 else shown
+
+
+def state_words(state: State) -> str:
+    """A motion state in words."""
+    return (
+        f"{'moving ' if state.moving else ''}{state.visible_motion.value}, speed {state.speed}, "
+        f"steering {state.steering}, led {state.led}"
+    )
+
+
+def look_words(look: Look) -> str:
+    """A look in words; facets that the probe does not report are left out."""
+    moving = {True: "moving", False: "stopped", None: "moving unknown"}[look.moving]
+    facets = [moving] if look.motion in (None, "stopped") else [f"{moving} {look.motion}"]
+    for name in ("speed", "steering", "led"):
+        value = getattr(look, name)
+        if value is not None:
+            facets.append(f"{name} {value}")
+    if look.left is not None and look.right is not None:
+        facets.append(f"wheels {look.left}/{look.right}")
+    return ", ".join(facets)

@@ -1,0 +1,121 @@
+"""Draws the README's pictures: the live view of a drive, a faulty robot's summary and its page.
+
+The page is taken by Chromium (apt-get install chromium); the same browser and fonts give the same
+picture again.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from urllib.parse import quote
+
+from rich.console import Console, RenderableType
+
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.live_view import View, live_view
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.summary import show
+from bilprov.spec.protocol import Protocol
+from examples.demo import examples
+
+_LATENCY = int(0.4 * MS)
+_STEP = 12 * MS
+_WIDTH, _HEIGHT = 1120, 900  # pixels of the page's picture
+_PATIENCE = 120  # s for the browser
+
+
+def drive_picture(protocol: Protocol) -> RenderableType:
+    """The live view after the document's examples were driven on the simulator."""
+    device = Simulator(protocol, latency=_LATENCY)
+    session = Session(protocol, skew=0)
+    line = protocol.line
+    settings = LineSettings(line.baud, line.parity, line.stopbits)
+    statistics = Statistics(protocol, settings.byte_time)
+    now = 0
+    # As printed first and as meant last, so that the picture ends with the robot under way.
+    for _, frames in reversed(examples(protocol)[:-1]):
+        for frame in frames:
+            events = [Chunk(now, "host", frame)]
+            device.receive(frame, now)
+            while (due := device.deadline()) is not None:
+                now = due
+                data = device.advance(now)
+                if data:
+                    events.append(Chunk(now, "device", data))
+            for event in events:
+                statistics.event(event)
+                for record in session.feed(event):
+                    statistics.record(record)
+            now += _STEP
+    captured = "drive.mcap"
+    return live_view(
+        View(protocol, statistics.snapshot(now), "/dev/ttyUSB0, /dev/ttyUSB1", captured)
+    )
+
+
+def draw(folder: Path) -> None:
+    """Write the pictures as SVG files into the folder."""
+    protocol = load_protocol()
+    console = Console(record=True, width=104, height=30, file=io.StringIO(), force_terminal=True)
+    console.print(drive_picture(protocol))
+    console.save_svg(str(folder / "live.svg"), title="bilprov sniff", unique_id="live")
+    console = Console(
+        record=True, width=104, file=io.StringIO(), force_terminal=True, highlight=False
+    )
+    fault = fault_bank(protocol)["restarts-by-itself"]
+    options = Options(only=("bad-data/*", "unused-id/9/*"))
+    report = conform(Simulator(protocol, fault), options=options, fault=fault.name)
+    show(report, console)
+    console.save_svg(str(folder / "conform.svg"), title="bilprov conform", unique_id="conform")
+    failed = next(result.id for result in report.results if result.verdict is Verdict.FAIL)
+    take(as_html([report], protocol), failed, folder / "report.png")
+
+
+def take(page: str, case: str, picture: Path) -> None:
+    """Take a picture of a report's page with one case open. Raises OSError without Chromium."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise FileNotFoundError("no Chromium to take the page's picture: apt-get install chromium")
+    with tempfile.TemporaryDirectory() as place:
+        (Path(place) / "report.html").write_text(page, encoding="utf-8")
+        # The browser takes its picture from the top: what scrolls must be a frame in the page.
+        frame = Path(place) / "frame.html"
+        frame.write_text(
+            "<!doctype html><body style='margin: 0'><iframe style='border: 0; display: block' "
+            f"width={_WIDTH} height={_HEIGHT} src='report.html#case={quote(case, safe='')}'>",
+            encoding="utf-8",
+        )
+        subprocess.run(
+            [
+                *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
+                *("--no-first-run", "--disable-background-networking", "--disable-sync"),
+                *("--disable-component-update", "--disable-quic", "--disable-dev-shm-usage"),
+                "--force-prefers-reduced-motion",  # else it is taken while the page still scrolls
+                f"--user-data-dir={place}/profile",
+                f"--window-size={_WIDTH},{_HEIGHT}",
+                f"--screenshot={picture.resolve()}",
+                frame.as_uri(),
+            ],
+            check=True,
+            timeout=_PATIENCE,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))

@@ -1,0 +1,64 @@
+"""Finds the instructions of a protocol by their effect: which motion or variable they set."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from bilprov.spec.codec import build
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import InstructionSpec, Protocol
+
+
+def moves(spec: InstructionSpec) -> bool:
+    """Return whether the instruction sets the robot moving."""
+    return spec.effect.motion not in (None, Motion.STOPPED)
+
+
+def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
+    """Return the instruction without data that sets this kind of motion, None if there is none."""
+    return next(
+        (s for s in protocol.instructions if s.effect.motion is motion and not s.fields), None
+    )
+
+
+@lru_cache(maxsize=1 << 12)
+def setting(protocol: Protocol, variable: str, value: int) -> bytes:
+    """Return a frame that sets a variable and leaves the motion alone, b"" if there is none."""
+    for spec in protocol.instructions:
+        if spec.effect.sets("motion"):
+            continue
+        for name, source in spec.effect.assignments:
+            if name != variable or not isinstance(source, tuple):
+                continue
+            field, factor = source
+            part = next(f for f in spec.fields if f.name == field)
+            wanted = value // factor
+            if wanted * factor == value and part.low <= wanted <= part.high:
+                values = {f.name: f.low for f in spec.fields} | {field: wanted}
+                return build(protocol, spec.name, values)
+    return b""
+
+
+def moving_motions(protocol: Protocol) -> tuple[Motion, ...]:
+    """Return the kinds of motion, except stopped, that an instruction without data sets."""
+    found = {spec.effect.motion for spec in protocol.instructions if not spec.fields}
+    return tuple(m for m in Motion if m in found and m is not Motion.STOPPED)
+
+
+def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
+    """Return the instructions whose data set a variable and that leave the motion alone."""
+    return tuple(
+        s
+        for s in protocol.instructions
+        if s.fields and s.effect.assignments and not s.effect.sets("motion")
+    )
+
+
+def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
+    """Return the instructions without data that set the robot moving."""
+    return tuple(s for s in protocol.instructions if not s.fields and moves(s))
+
+
+def variable_of(spec: InstructionSpec) -> str:
+    """Return the (first) variable that an instruction sets."""
+    return spec.effect.assignments[0][0]

@@ -1,0 +1,198 @@
+"""The command: `bilprov` or `python -m bilprov`. Each subcommand is imported when it is called."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NamedTuple
+
+import rich_click as click
+from click import exceptions
+
+
+class Row(NamedTuple):
+    """One subcommand: where it stands in the help, where it lives, what it is for."""
+
+    panel: str
+    module: str
+    attribute: str
+    help: str
+
+
+COMMANDS = {
+    "sniff": Row(
+        "Analyze", "bilprov.analyzer.cli.sniff", "sniff", "Listen to a line, decode and log it."
+    ),
+    "replay": Row("Analyze", "bilprov.analyzer.cli.replay", "replay", "Play a capture again."),
+    "decode": Row(
+        "Analyze", "bilprov.analyzer.cli.decode", "decode", "Decode bytes from hex or a file."
+    ),
+    "info": Row(
+        "Analyze", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
+    ),
+    "send": Row(
+        "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
+    ),
+    "ports": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.text_commands",
+        "ports",
+        "List the serial ports of this machine.",
+    ),
+    "conform": Row(
+        "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
+    ),
+    "report": Row(
+        "Conform", "bilprov.conformance.cli.report", "report", "Compare and show past runs."
+    ),
+    "simulate": Row(
+        "Conform", "bilprov.conformance.cli.simulate", "simulate", "Serve the reference device."
+    ),
+    "emulate": Row(
+        "Conform", "bilprov.conformance.cli.emulate", "emulate", "Serve a board's firmware."
+    ),
+    "line": Row("Conform", "bilprov.analyzer.cli.line", "line", "Join two ends by a bad line."),
+    "score": Row(
+        "Conform",
+        "bilprov.conformance.cli.score",
+        "command",
+        "Score the suite against faulty devices.",
+    ),
+    "recheck": Row(
+        "Conform", "bilprov.conformance.cli.recheck", "recheck", "Judge a recorded run again."
+    ),
+    "merge": Row(
+        "Conform", "bilprov.conformance.cli.merge", "merge_reports", "Put shards together."
+    ),
+    "explain": Row(
+        "Protocol",
+        "bilprov.analyzer.cli.text_commands",
+        "explain",
+        "Explain every bit of some bytes.",
+    ),
+    "encode": Row(
+        "Protocol",
+        "bilprov.analyzer.cli.text_commands",
+        "encode",
+        "Build the bytes of an instruction.",
+    ),
+    "spec": Row(
+        "Protocol", "bilprov.analyzer.cli.spec", "spec", "Show protocol, readings and errata."
+    ),
+    "completion": Row(
+        "Protocol", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
+    ),
+}
+
+
+class FrontDoor(click.RichGroup):
+    """Lists the subcommands without importing them, and imports the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Every subcommand's name, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Only the subcommand's line in the list: its name and one sentence."""
+        row = COMMANDS.get(cmd_name)
+        return click.RichCommand(name=cmd_name, help=row.help) if row else None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The subcommand itself, imported now. Raises UsageError where there is none."""
+        try:
+            name, listed, rest = super().resolve_command(ctx, args)
+        except exceptions.NoSuchCommand as error:
+            raise exceptions.NoSuchCommand(
+                error.command_name, possibilities=COMMANDS, ctx=ctx
+            ) from None
+        if name is None or listed is None:  # completion asks for what does not exist
+            return name, listed, rest
+        row = COMMANDS[name]
+        return name, getattr(import_module(row.module), row.attribute), rest
+
+
+def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
+        from bilprov.analyzer.version import kit_version
+
+        click.echo(f"bilprov {kit_version()}")
+        ctx.exit()
+
+
+PANELS = [
+    click.RichCommandPanel(panel, commands=[n for n, row in COMMANDS.items() if row.panel == panel])
+    for panel in dict.fromkeys(row.panel for row in COMMANDS.values())
+]
+
+
+HELP_STYLE = {
+    "theme": "nu",
+    "commands_before_options": True,
+    "text_paragraph_linebreaks": "\n\n",
+    "options_table_column_types": ["opt_short", "opt_long_metavar", "help"],
+    "options_table_help_sections": ["required", "help", "default", "range"],
+    # Left alone, rich-click puts colours into any pipe on GitHub's runners.
+    "force_terminal": None,
+}
+
+
+@click.command(cls=FrontDoor, panels=PANELS, context_settings={"rich_help_config": HELP_STYLE})
+@click.option(
+    "--grammar",
+    metavar="FILE.py",
+    help="Another grammar of the same family: a changed copy of spec/grammar.py.",
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
+@click.pass_context
+def front_door(ctx: click.Context, grammar: str | None) -> None:
+    """Protocol analyzer and conformance kit for the robot-car serial protocol.
+
+    Exit codes: 0 fine, 1 the device does not conform, 2 wrong use or nothing to work with,
+    3 nothing failed but something could not be judged.
+    """
+    ctx.obj = grammar
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command with `arguments` (the process's own by default) and end the process."""
+    from bilprov.analyzer.cli.failures import report
+    from bilprov.analyzer.cli.streams import standard_streams
+
+    with standard_streams() as streams:
+        try:
+            status = streams.settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
+        except BaseException as error:
+            status = streams.settled(report(error))
+    sys.exit(status)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
+    asked = os.environ.get("_BILPROV_COMPLETE")
+    if asked:
+        from click.shell_completion import shell_complete
+
+        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
+    try:
+        with front_door.make_context("bilprov", arguments) as context:
+            result = front_door.invoke(context)
+    except exceptions.Exit as stop:
+        return stop.exit_code
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 2 if stop.code else 0
+    return result if type(result) is int else 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,507 @@
+"""Impaired lines: faults are seeded, keep order and time, and the command applies the same ones."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import termios
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.analyzer.taps.ends import ListeningEnd
+from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults
+from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.relay import join
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.streams import parse_address
+from tests.support.commands import command, process
+from tests.support.robots import sentence, simulate
+from tests.support.wires import PATIENCE, Running, running
+
+pytestmark = pytest.mark.waits
+
+ALL = bytes(range(256))
+MS = 1_000_000
+NEVER = 1 << 62
+
+rates = st.floats(0, 1 / 3)
+noises = st.builds(Noise, rates, rates, rates)
+chunked = st.lists(st.binary(max_size=20), max_size=20)
+
+
+def passed(direction: ImpairedDirection, pieces: Iterable[bytes]) -> bytes:
+    for piece in pieces:
+        direction.put(piece, 0)
+    return direction.take(NEVER)
+
+
+# what happens to a byte
+
+
+@given(noises, st.integers(), chunked)
+def test_the_same_seed_and_bytes_give_the_same_faults_in_whatever_pieces_they_come(
+    noise: Noise, seed: int, pieces: list[bytes]
+) -> None:
+    faults = LineFaults(noise, delay=5 * MS, jitter=3 * MS, late=0.5)
+    whole, split = (
+        ImpairedDirection(faults, seed, "A to B"),
+        ImpairedDirection(faults, seed, "A to B"),
+    )
+
+    assert passed(whole, [b"".join(pieces)]) == passed(split, pieces)
+    assert whole.account() == split.account()
+
+
+@given(noises, st.integers(), st.binary(max_size=300), st.integers(0, 50 * MS), st.floats(0, 1))
+def test_times_do_not_change_which_bytes_are_hit(
+    noise: Noise, seed: int, data: bytes, delay: int, late: float
+) -> None:
+    slow = LineFaults(noise, delay, delay, late)
+
+    assert passed(ImpairedDirection(slow, seed, "x"), [data]) == passed(
+        ImpairedDirection(LineFaults(noise), seed, "x"), [data]
+    )
+
+
+@given(noises, st.integers(), st.binary(max_size=300))
+def test_the_account_holds(noise: Noise, seed: int, data: bytes) -> None:
+    direction = ImpairedDirection(LineFaults(noise), seed, "A to B")
+    arrived = passed(direction, [data])
+
+    assert direction.came == len(data)
+    assert len(arrived) == direction.came - direction.dropped + direction.doubled
+    assert direction.account().startswith(
+        f"A to B: {len(data)} bytes, {direction.dropped} dropped, "
+    )
+    if not direction.dropped and not direction.doubled:
+        bits = [(a ^ b).bit_count() for a, b in zip(data, arrived, strict=True)]
+        assert set(bits) <= {0, 1}
+        assert sum(bits) == direction.flipped
+
+
+@given(noises, st.integers(), st.binary(max_size=300))
+def test_the_line_and_the_noisy_device_have_one_model(noise: Noise, seed: int, data: bytes) -> None:
+    arrived = passed(ImpairedDirection(LineFaults(noise), seed, "A to B"), [data])
+
+    assert arrived == noise.over(data, Random(f"{seed} harm A to B"))
+
+
+def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
+    faults = LineFaults(Noise(0.1, 0.1, 0.1))
+    directions = [
+        ImpairedDirection(faults, seed, way) for seed in (1, 2) for way in ("A to B", "B to A")
+    ]
+
+    assert len({passed(direction, [ALL]) for direction in directions}) == 4
+
+
+def test_faults_come_as_often_as_told() -> None:
+    direction = ImpairedDirection(
+        LineFaults(Noise(0.02, 0.05, 0.1), delay=1, late=0.3), 1, "A to B"
+    )
+    passed(direction, [ALL * 80])
+
+    told = {"flipped": 0.02, "dropped": 0.05, "doubled": 0.1, "delayed": 0.3 * 0.95}
+    for harm, rate in told.items():
+        assert getattr(direction, harm) / direction.came == pytest.approx(rate, rel=0.15), harm
+
+
+def test_a_line_without_faults_passes_everything_at_once() -> None:
+    direction = ImpairedDirection(LineFaults(), 1, "A to B")
+    direction.put(ALL, 7)
+
+    assert direction.deadline == 7
+    assert direction.take(7) == ALL
+    assert direction.deadline is None
+    assert direction.account() == "A to B: 256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
+
+
+# when it arrives
+
+
+@given(
+    st.integers(),
+    st.lists(st.tuples(st.integers(0, 20 * MS), st.binary(min_size=1, max_size=5)), max_size=30),
+    st.integers(0, 9 * MS),
+    st.integers(0, 9 * MS),
+    st.sampled_from([0.0, 0.3, 1.0]),
+)
+def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
+    seed: int, pieces: list[tuple[int, bytes]], delay: int, jitter: int, late: float
+) -> None:
+    direction = ImpairedDirection(LineFaults(Noise(), delay, jitter, late), seed, "A to B")
+    now, came, arrived = 0, list[int](), list[int]()
+    sent = b"".join(data for _, data in pieces)
+    got = bytearray()
+
+    def advance(until: int) -> None:
+        while direction.deadline is not None and direction.deadline <= until:
+            at = direction.deadline
+            assert direction.take(at - 1) == b""
+            data = direction.take(at)
+            assert data
+            got.extend(data)
+            arrived.extend([at] * len(data))
+
+    for pause, data in pieces:
+        now += pause
+        advance(now)
+        direction.put(data, now)
+        came.extend([now] * len(data))
+    advance(NEVER)
+
+    assert got == sent
+    least = delay if late == 1.0 else 0
+    for before, after in zip(came, arrived, strict=True):
+        assert least <= after - before <= delay + jitter
+    if late == 0.0 or (late == 1.0 and delay):
+        assert direction.delayed == (len(sent) if late else 0)
+
+
+@pytest.mark.parametrize(
+    ("times", "part"),
+    [
+        ({"late": 1.5}, "the chance to be late is 1.5"),
+        ({"late": float("nan")}, "the chance to be late is nan"),
+        ({"delay": -1}, "delay and jitter are"),
+        ({"delay": LONGEST, "jitter": 1}, "together at most 60 s"),
+    ],
+)
+def test_what_is_no_fault_of_a_line_is_refused(times: dict[str, float], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        LineFaults(Noise(), **times)  # type: ignore[arg-type]
+
+
+def test_a_chance_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="each is 0 to 1"):
+        Noise(dropped=float("nan"))
+
+
+# the ends
+
+
+def connected(name: str) -> socket.socket:
+    peer = socket.create_connection(parse_address(name.removeprefix("socket://")))
+    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return peer
+
+
+def test_a_served_end_sends_small_writes_at_once_and_to_nobody_gone() -> None:
+    end = ListeningEnd("127.0.0.1:0")
+    try:
+        assert end.write_some(b"lost") == 4
+        with connected(end.served) as peer:
+            select.select(end.descriptors(), [], [], PATIENCE)
+            assert end.read() == b""
+            _, client = end.descriptors()
+            with socket.socket(fileno=os.dup(client)) as accepted:
+                assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            assert end.write_some(b"heard") == 5
+            assert peer.recv(99) == b"heard"
+    finally:
+        end.close()
+
+
+# the command
+
+
+class Wire:
+    """Our side of an end: a descriptor to write and to read until enough has come."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+
+    def say(self, data: bytes) -> None:
+        while data:
+            select.select([], [self.descriptor], [], PATIENCE)
+            data = data[os.write(self.descriptor, data) :]
+
+    def hear(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            assert select.select([self.descriptor], [], [], PATIENCE)[0], f"only {data!r} came"
+            more = os.read(self.descriptor, 1 << 16)
+            assert more, f"only {data!r} came"
+            data += more
+        return data
+
+
+def served_by(line: Running, count: int = 1) -> list[str]:
+    names = [line.stdout.readline().decode().strip() for _ in range(count)]
+    assert all(names), line.stderr.read().decode()
+    return names
+
+
+def both_ways(a: Wire, b: Wire) -> None:
+    a.say(ALL)
+    assert b.hear(256) == ALL
+    b.say(ALL[::-1])
+    assert a.hear(256) == ALL[::-1]
+
+
+@contextmanager
+def opened_as_it_is(path: str) -> Iterator[int]:
+    """The pty as a program finds it that sets nothing: a cooked one would eat 0x03 and 0x11."""
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("delay", [[], ["--delay", "2ms", "--jitter", "1"]])
+def test_every_byte_passes_between_a_pty_and_a_tcp_client(
+    how: signal.Signals, delay: Sequence[str]
+) -> None:
+    with running("line", *delay, "pty", "listen:127.0.0.1:0") as line:
+        path, address = served_by(line, 2)
+        assert address.startswith("socket://127.0.0.1:")
+        with opened_as_it_is(path) as port, connected(address) as peer:
+            both_ways(Wire(port), Wire(peer.fileno()))
+            code, out, err = line.end(how)
+    told = CLEAN.replace("0 delayed", "256 delayed") if delay else CLEAN
+    assert (code, out) == (0, b"")
+    assert err.decode() == f"A to B: {told}; B to A: {told}\n"
+
+
+def test_every_byte_passes_between_two_devices_that_were_cooked() -> None:
+    descriptors = [*os.openpty(), *os.openpty()]
+    (near, a, far, b), names = descriptors, [os.ttyname(fd) for fd in descriptors[1::2]]
+    try:
+        assert all(termios.tcgetattr(fd)[3] & termios.ICANON for fd in (a, b))
+        with running("line", *names, "--seed", "2") as line:
+            assert line.stderr.readline().decode() == f"{names[0]} and {names[1]} are joined\n"
+            both_ways(Wire(near), Wire(far))
+            code, out, err = line.end()
+    finally:
+        for descriptor in descriptors:
+            os.close(descriptor)
+    assert (code, out) == (0, b"")
+    assert err.decode() == f"A to B: {CLEAN}; B to A: {CLEAN}\n"
+
+
+def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
+    noise = ["--drop", ".1", "--flip", ".05", "--double", "2e-1", "--delay", "0.003s"]
+    faults = LineFaults(Noise(0.05, 0.1, 0.2), delay=3 * MS, late=0.25)
+    there, back = ImpairedDirection(faults, 7, "A to B"), ImpairedDirection(faults, 7, "B to A")
+    expected = passed(there, [ALL * 4]), passed(back, [ALL * 4])
+    for piece in (1024, 7):
+        ends = "pty", "listen:127.0.0.1:0"
+        with running("line", *noise, "--late", ".25", "--seed", "7", *ends) as line:
+            path, address = served_by(line, 2)
+            with open_port(path) as port, connected(address) as peer:
+                a, b = Wire(port.fileno() or -1), Wire(peer.fileno())
+                for at in range(0, 1024, piece):
+                    a.say((ALL * 4)[at : at + piece])
+                    b.say((ALL * 4)[at : at + piece])
+                heard = b.hear(len(expected[0])), a.hear(len(expected[1]))
+                assert heard == expected
+                _, _, err = line.end()
+        assert err.decode() == f"{there.account()}; {back.account()}\n"
+
+
+def test_one_client_at_a_time_and_the_next_takes_over() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port:
+            far = Wire(port.fileno() or -1)
+            with connected(address) as first:
+                both_ways(Wire(first.fileno()), far)
+                with connected(address) as second:
+                    assert second.recv(1) == b""
+                first.sendall(b"1")
+                assert far.hear(1) == b"1"
+            with connected(address) as third:
+                both_ways(Wire(third.fileno()), far)
+
+
+def test_a_client_that_only_ended_its_sending_still_hears() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty", "--delay", "20") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port, connected(address) as client:
+            client.sendall(b"asked")
+            client.shutdown(socket.SHUT_WR)
+            assert Wire(port.fileno() or -1).hear(5) == b"asked"
+            port.write(b"answered")
+            assert Wire(client.fileno()).hear(8) == b"answered"
+
+
+def test_who_does_not_read_holds_up_nobody() -> None:
+    with running("line", "listen:127.0.0.1:0", "pty") as line:
+        address, path = served_by(line, 2)
+        with open_port(path) as port, connected(address) as client:
+            Wire(client.fileno()).say(bytes(200_000))
+            port.write(b"still here")
+            assert Wire(client.fileno()).hear(10) == b"still here"
+            assert select.select([line.stderr], [], [], PATIENCE)[0]
+            assert b"nobody reads what goes from A to B" in line.stderr.readline()
+            assert line.end()[0] == 0
+
+
+@pytest.mark.parametrize("lost", ["A", "B"])
+def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        name = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        served = "listen:127.0.0.1:0"
+        ends = [name, served] if lost == "A" else [served, name]
+        with running("line", *ends, "--delay", "50ms") as line:
+            (address,) = served_by(line)
+            device, _ = server.accept()
+            with connected(address) as client:
+                both_ways(Wire(client.fileno()), Wire(device.fileno()))
+                device.sendall(b"last words")
+                device.close()
+                assert Wire(client.fileno()).hear(10) == b"last words"
+                code, out, err = line.result()
+    account, why = err.decode().splitlines()
+    assert (code, out) == (2, b"")
+    assert f"{lost} to {'B' if lost == 'A' else 'A'}: 266 bytes, 0 dropped" in account
+    assert "266 delayed" in account
+    assert why == (
+        f"bilprov: {name} was closed by the other side; is the program that serves it running?"
+    )
+
+
+def test_an_unplugged_device_is_two() -> None:
+    pair = open_pty()
+    with running("line", pair.name, "pty") as line:
+        (path,) = served_by(line)
+        with open_port(path) as port:
+            both_ways(Wire(pair.master), Wire(port.fileno() or -1))
+            pair.close()
+            code, _, err = line.result()
+    assert code == 2
+    assert err.decode().splitlines()[-1] == (
+        f"bilprov: {pair.name} disappeared while it was in use; plug it in again and start anew"
+    )
+
+
+class Deaf(ListeningEnd):
+    """An end that fails when it is written to, while its last words are still to be read."""
+
+    def __init__(self) -> None:
+        super().__init__("127.0.0.1:0")
+        self.left = [b"last words"]
+        self.failed = False
+
+    def read(self) -> bytes:
+        return self.left.pop() if self.failed and self.left else b""
+
+    def write_some(self, data: bytes) -> int:
+        self.failed = True
+        raise LinkError("it takes nothing any more")
+
+
+def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None:
+    deaf, end = Deaf(), ListeningEnd("127.0.0.1:0")
+    directions = (
+        ImpairedDirection(LineFaults(), 1, "A to B"),
+        ImpairedDirection(LineFaults(), 1, "B to A"),
+    )
+    try:
+        with Stopper() as stopper, connected(end.served) as client:
+            client.sendall(b"asked")
+            with pytest.raises(LinkError, match="it takes nothing any more"):
+                join((deaf, end), directions, stop=stopper, note=pytest.fail)
+            assert Wire(client.fileno()).hear(10) == b"last words"
+    finally:
+        deaf.close()
+        end.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
+        ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
+        ("--double often pty pty", "'--double': 'often' is not a valid float"),
+        ("--drop nan pty pty", "each is 0 to 1"),
+        ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
+        ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
+        ("--delay 5parsecs pty pty", "'5parsecs' is no such time; write 5ms, 0.2s or a number"),
+        ("--delay -5 pty pty", "'-5' is no such time"),
+        ("--delay 61s pty pty", "from 0 to 60s"),
+        ("--jitter 9e99 pty pty", "'9e99' is no such time"),
+        ("--jitter nan pty pty", "'nan' is no such time"),
+        ("--delay 40s --jitter 40s pty pty", "together at most 60 s"),
+        ("pty", "missing argument 'B'"),
+        ("pty pty pty", "got unexpected extra argument (pty)"),
+        ("listen:nowhere pty", "the address is 'nowhere', allowed is HOST:PORT"),
+        ("pty listen:", "the address is '', allowed is HOST:PORT"),
+        ("/dev/null /dev/../dev/null", "both ends are /dev/../dev/null; a line joins two"),
+        ("socket://h:1 socket://h:1", "both ends are socket://h:1"),
+        ("/dev/no-such-port pty", "there is no /dev/no-such-port"),
+        ("pty socket://127.0.0.1", "is not a usable address"),
+    ],
+)
+def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
+    result = command("line", *arguments.split())
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert len(result.stderr.splitlines()) == 1
+    assert part in sentence(result)
+
+
+def test_the_help_is_enough_to_use_it() -> None:
+    told = " ".join(command("line", "--help").stdout.decode().split())
+    for part in ("pty", "listen:HOST:PORT", "5ms, 0.2s", "bilprov conform", "SIGTERM"):
+        assert part in told
+    assert "line" in command("--help").stdout.decode()
+
+
+# the suite over the line
+
+
+def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[int, str, str]:
+    """Run the suite over a line with these faults; gives its exit code, its words, the account."""
+    with simulate(*robot) as served, running("line", *faults, served.port, "pty") as line:
+        (path,) = served_by(line)
+        globs = [word for glob in only for word in ("--only", glob)]
+        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
+        result = process("conform", path, *probe, *globs)
+        _, _, account = line.end()
+    told = (result.stdout + result.stderr).decode()
+    return result.returncode, told, account.decode()
+
+
+def test_the_reference_conforms_over_a_clean_line() -> None:
+    code, told, account = conform_over([], [], "valid/*", "bad-data/*")
+    assert code == 0, told
+    assert account.count("0 dropped, 0 flipped, 0 doubled, 0 delayed") == 2
+
+
+def test_the_reference_conforms_over_a_slow_line() -> None:
+    code, told, _ = conform_over([], ["--delay", "5ms"], "valid/*", "bad-data/*")
+    assert code == 0, told
+
+
+def test_a_line_with_strong_drops_never_fails_the_reference() -> None:
+    code, told, account = conform_over([], ["--drop", "5e-3"], "valid/LED/*")
+    assert code in (2, 3), told
+    assert "0 dropped, 0 flipped, 0 doubled, 0 delayed; B to A" not in account
+
+
+def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
+    code, told, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
+    assert code == 2, told
+    assert "nobody answered" in told
+
+
+@pytest.mark.parametrize("fault", ["no-stop-on-bad-data", "ok-to-bad-data"])
+def test_a_bad_line_never_lets_a_faulty_robot_pass(fault: str) -> None:
+    faults = ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"]
+    code, told, _ = conform_over(["--fault", fault], faults, "bad-data/LED/8")
+    assert code in (1, 3), told

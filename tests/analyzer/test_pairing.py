@@ -1,0 +1,189 @@
+"""Pairing of answers with instructions, and the anomalies that are reported."""
+
+from __future__ import annotations
+
+from bilprov.analyzer.decode.records import Severity, faults_of
+from bilprov.analyzer.decode.session import Session
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
+
+
+def test_an_answer_belongs_to_the_oldest_instruction_that_waits(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x20\x81\x09\x00"),
+        Chunk(MS, "device", b"\x00"),
+        Chunk(2 * MS, "device", b"\x02\x00"),
+    ]
+
+    records = devices(decoded(Session(protocol), events))
+
+    assert [(r.value.instruction, r.value.agrees) for r in records] == [
+        (0, True),
+        (1, True),
+        (2, True),
+    ]
+
+
+def test_latency_counts_from_the_last_byte_of_the_instruction(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x11"),
+        Chunk(10 * MS, "host", b"\x05"),
+        Chunk(13 * MS, "device", b"\x00"),
+    ]
+
+    (record,) = devices(decoded(Session(protocol), events))
+
+    assert record.value.latency == 3 * MS
+
+
+def test_an_instruction_without_an_answer_is_reported_once(protocol: Protocol) -> None:
+    events: list[Event] = [Chunk(0, "host", b"\x20"), Line(5000 * MS, "close")]
+
+    records = decoded(Session(protocol), events)
+
+    (fault,) = [fault for record in records for fault in faults_of(record)]
+    assert (fault.kind, fault.severity, fault.instruction) == ("unanswered", Severity.ERROR, 0)
+    assert fault.t == 1000 * MS
+    assert "Forward" in fault.reason
+
+
+def test_after_silence_counting_begins_anew(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x20"),
+        Chunk(2000 * MS, "host", b"\x00"),
+        Chunk(2001 * MS, "device", b"\x00"),
+    ]
+
+    (record,) = devices(decoded(Session(protocol), events))
+
+    assert record.value.instruction == 1
+
+
+def test_an_answer_that_nothing_waits_for_is_unsolicited(protocol: Protocol) -> None:
+    events = [*conversation([(b"\x20", b"\0\0")]), Line(500 * MS, "close")]
+
+    records = decoded(Session(protocol), events)
+
+    assert kinds(records) == ["unsolicited"]
+    assert devices(records)[1].faults[0].severity is Severity.ERROR
+
+
+def test_a_banner_before_the_first_instruction_is_only_noted(protocol: Protocol) -> None:
+    records = decoded(Session(protocol), [Chunk(0, "device", b"\0"), Line(500 * MS, "close")])
+
+    assert devices(records)[0].faults[0].severity is Severity.INFO
+
+
+def test_ok_to_bad_data_disagrees_and_says_how(protocol: Protocol) -> None:
+    records = decoded(Session(protocol), conversation([(b"\x81\x09", b"\0")]))
+
+    (fault,) = devices(records)[0].faults
+    assert (fault.kind, fault.severity) == ("disagreeing", Severity.ERROR)
+    for word in ("OK", "BAD_DATA", "LED rgb=9", "0 to 7"):
+        assert word in fault.reason
+
+
+def test_another_code_for_a_fault_names_the_reading(protocol: Protocol) -> None:
+    records = decoded(Session(protocol), conversation([(b"\x91\x00", b"\3")]))
+
+    (fault,) = devices(records)[0].faults
+    assert fault.severity is Severity.WARNING
+    assert "R-unused-length" in fault.reason
+
+
+def test_an_unused_code_is_an_error(protocol: Protocol) -> None:
+    records = decoded(Session(protocol), conversation([(b"\x20", b"\x07")]))
+
+    (record,) = devices(records)
+    assert (record.value.name, record.value.agrees) == (None, False)
+    assert kinds(records) == ["unused code"]
+
+
+def test_an_answer_after_the_deadline_is_slow(protocol: Protocol) -> None:
+    records = decoded(Session(protocol), conversation([(b"\x20", b"\0")], latency=101 * MS))
+
+    assert kinds(records) == ["slow"]
+
+
+def test_two_taps_may_stamp_an_answer_before_its_instruction(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "device", b"\x00"),
+        Chunk(16 * MS, "host", b"\x20"),
+        Chunk(17 * MS, "device", b"\x02"),
+        Chunk(33 * MS, "host", b"\x81"),
+        Chunk(34 * MS, "host", b"\x09"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == [
+        (0, True),
+        (1, True),
+    ]
+    assert [r.value.latency for r in devices(records)] == [-16 * MS, -17 * MS]
+    assert all(f.severity is Severity.INFO for r in devices(records) for f in faults_of(r))
+
+
+def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
+    events = [Chunk(0, "device", b"\x00"), Chunk(5 * MS, "host", b"\x20")]
+
+    first, second = decoded(Session(protocol), events)
+
+    assert ([first], [second]) == (hosts([first]), devices([second]))
+
+
+def test_where_one_clock_hears_both_an_early_answer_is_the_devices_own(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x81"),
+        Chunk(1 * MS, "device", b"\x00"),
+        Chunk(2 * MS, "host", b"\x05"),
+    ]
+
+    records = decoded(Session(protocol, skew=0), events)
+
+    (fault,) = devices(records)[0].faults
+    assert (fault.kind, fault.severity) == ("early", Severity.WARNING)
+
+
+def test_a_frame_cut_short_may_go_unanswered_without_shifting_the_rest(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x11"),
+        Chunk(100 * MS, "host", b"\x20"),
+        Chunk(101 * MS, "device", b"\x00"),
+        Chunk(110 * MS, "host", b"\x90"),
+        Chunk(111 * MS, "device", b"\x01"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == [
+        (1, True),
+        (2, True),
+    ]
+    assert "unanswered" in kinds(records)
+
+
+def test_one_lost_answer_is_found_where_codes_tell(protocol: Protocol) -> None:
+    events = [
+        Chunk(0, "host", b"\x20"),  # its answer is lost
+        Chunk(200 * MS, "host", b"\x90"),
+        Chunk(201 * MS, "device", b"\x01"),
+    ]
+
+    (record,) = devices(decoded(Session(protocol), events))
+
+    assert (record.value.instruction, record.value.agrees) == (1, True)
+
+
+def test_answers_around_lost_bytes_are_not_held_against_the_device(protocol: Protocol) -> None:
+    events: list[Event] = [
+        Chunk(0, "host", b"\x20"),
+        Line(MS, "gap"),
+        Chunk(2 * MS, "device", b"\x00"),
+        Line(500 * MS, "close"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert devices(records)[0].faults[0].severity is Severity.INFO

@@ -1,0 +1,436 @@
+"""Ports: real ptys and sockets, every byte value, and one sentence for each kind of failure."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import socket
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+import serial.rfc2217
+
+from bilprov.analyzer.transport.errors import LinkError, link_lost, opening_failed
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import list_ports, open_port, wait_readable
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from tests.support import ROOT
+from tests.vectors import LINE
+
+pytestmark = pytest.mark.waits
+
+ALL = bytes(range(256))
+NAMED = {
+    "NUL, which is Stop and OK": 0x00,
+    "Ctrl-C": 0x03,
+    "Ctrl-D": 0x04,
+    "XON": 0x11,
+    "XOFF": 0x13,
+    "Ctrl-Z": 0x1A,
+    "delete": 0x7F,
+    "telnet's escape": 0xFF,
+}
+# A child that may not open what its owner root may.
+AS_NOBODY = """
+import os, sys
+from bilprov.analyzer.transport.ports import LineSettings, LinkError, open_port
+if os.geteuid() == 0:
+    os.setgroups([]); os.setegid(65534); os.seteuid(65534)
+try:
+    open_port(sys.argv[1], LineSettings(9600, "N", 1))
+except LinkError as error:
+    print(error)
+"""
+
+
+@pytest.fixture
+def pty() -> Iterator[PtyPair]:
+    with open_pty() as pair:
+        yield pair
+
+
+@pytest.fixture
+def port(pty: PtyPair) -> Iterator[Port]:
+    with open_port(pty.name) as opened:
+        yield opened
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as made:
+        yield made
+
+
+def url(listener: socket.socket, scheme: str = "socket") -> str:
+    return f"{scheme}://127.0.0.1:{listener.getsockname()[1]}"
+
+
+def read_from(port: Port, count: int) -> bytes:
+    """Read `count` bytes; the test's own time limit ends a wait for bytes that never come."""
+    data = b""
+    while len(data) < count:
+        wait_readable([port], None)
+        data += port.read()
+    return data
+
+
+def master_gives(pty: PtyPair, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        select.select([pty.master], [], [])
+        data += pty.read()
+    return data
+
+
+def refusal(name: str, settings: LineSettings | None = None) -> str:
+    with pytest.raises(LinkError) as caught:
+        open_port(name, settings)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# Line settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "text", "byte_time"),
+    [
+        (LineSettings(115200, "N", 1), "115200 8N1", 86_806),
+        (LineSettings(9600, "E", 1), "9600 8E1", 1_145_833),
+        (LineSettings(9600, "N", 1.5), "9600 8N1.5", 1_093_750),
+        (LineSettings(1_000_000, "O", 2), "1000000 8O2", 12_000),
+    ],
+)
+def test_line_settings_say_themselves_and_their_byte_time(
+    settings: LineSettings, text: str, byte_time: int
+) -> None:
+    assert str(settings) == text
+    assert settings.byte_time == byte_time
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"baud": 0}, "baud is 0, allowed are numbers from 1"),
+        ({"parity": "X"}, "parity is 'X', allowed are N, E, O, M and S"),
+        ({"parity": ""}, "parity is '', allowed are N, E, O, M and S"),
+        ({"stopbits": 3}, "stopbits is 3, allowed are 1, 1.5 and 2"),
+    ],
+)
+def test_line_settings_that_no_line_has_are_refused(wrong: dict[str, int], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
+        LineSettings(**({"baud": 9600, "parity": "N", "stopbits": 1} | wrong))  # type: ignore[arg-type]
+
+
+def test_a_port_without_settings_is_set_as_the_grammar_says() -> None:
+    with open_pty() as pair, open_port(pair.name) as port:
+        assert str(port.settings) == f"{LINE['baud']} 8{LINE['parity']}{LINE['stopbits']}"
+
+
+# Bytes
+
+
+def test_every_byte_passes_a_pty_unchanged_both_ways(pty: PtyPair, port: Port) -> None:
+    port.write(ALL)
+    assert master_gives(pty, 256) == ALL
+    assert pty.write_some(ALL) == 256
+    assert read_from(port, 256) == ALL
+
+
+@pytest.mark.parametrize("byte", NAMED.values(), ids=NAMED)
+def test_bytes_that_terminals_act_on_pass_alone(pty: PtyPair, port: Port, byte: int) -> None:
+    port.write(bytes([byte]))
+    assert master_gives(pty, 1) == bytes([byte])
+    pty.write_some(bytes([byte]))
+    assert read_from(port, 1) == bytes([byte])
+
+
+def test_a_pty_is_raw_before_anybody_opens_it(pty: PtyPair) -> None:
+    slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
+    try:
+        assert pty.write_some(ALL) == 256
+        got = b""
+        while len(got) < 256:
+            got += os.read(slave, 256)
+        assert got == ALL
+        assert pty.read() == b""  # no echo
+    finally:
+        os.close(slave)
+    assert pty.read() == b""  # the last close is no error
+
+
+def test_every_byte_passes_a_socket_unchanged_both_ways(listener: socket.socket) -> None:
+    with open_port(url(listener)) as port, listener.accept()[0] as peer:
+        port.write(ALL)
+        assert peer.recv(256, socket.MSG_WAITALL) == ALL
+        peer.sendall(ALL)
+        assert read_from(port, 256) == ALL
+
+
+def test_sockets_send_without_delay(listener: socket.socket) -> None:
+    with (
+        open_port(url(listener)) as port,
+        listener.accept()[0],
+        socket.socket(fileno=os.dup(port.fileno() or -1)) as same,
+    ):
+        assert same.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_every_byte_passes_a_loop_which_has_no_descriptor() -> None:
+    with open_port("loop://") as port:
+        assert port.fileno() is None
+        assert wait_readable([port], 0) == ([], [])
+        port.write(ALL)
+        assert read_from(port, 256) == ALL
+        assert port.read() == b""
+
+
+def test_every_byte_passes_a_spied_pty(pty: PtyPair, tmp_path: Path) -> None:
+    with open_port(f"spy://{pty.name}?file={tmp_path / 'spied'}") as port:
+        port.write(ALL)
+        assert master_gives(pty, 256) == ALL
+        pty.write_some(ALL)
+        assert read_from(port, 256) == ALL
+        port._handle.formatter.output.close()
+    assert "41 42 43" in (tmp_path / "spied").read_text()
+
+
+class Redirector:
+    """A small rfc2217 server: what comes out of the telnet layer goes back in."""
+
+    def __init__(self, peer: socket.socket) -> None:
+        self.peer = peer
+
+    def write(self, data: bytes) -> None:
+        self.peer.sendall(data)
+
+    def run(self) -> None:
+        with serial.serial_for_url("loop://", timeout=0) as line, self.peer:
+            manager = serial.rfc2217.PortManager(line, self)  # type: ignore[arg-type]
+            seen = 0
+            while seen < 256 and (data := self.peer.recv(4096)):
+                for byte in manager.filter(data):
+                    seen += 1
+                    self.write(b"".join(manager.escape(byte)))
+
+
+def test_every_byte_passes_rfc2217_and_none_is_lost_when_the_peer_goes(
+    listener: socket.socket,
+) -> None:
+    def answer() -> None:
+        Redirector(listener.accept()[0]).run()
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    with open_port(url(listener, "rfc2217")) as port:
+        assert port.fileno() is None
+        port.write(ALL)
+        thread.join()
+        assert read_from(port, 256) == ALL
+        with pytest.raises(LinkError, match="closed by the other side"):
+            read_from(port, 1)
+
+
+def test_reading_never_waits_and_drains_until_dry(pty: PtyPair, port: Port) -> None:
+    assert port.read() == b""
+    pty.write_some(ALL)
+    wait_readable([port], None)
+    port.drain_input()
+    assert port.read() == b""
+
+
+def test_a_pty_counts_no_line_errors_and_neither_does_a_loop(port: Port) -> None:
+    assert port.error_counts() is None
+    with open_port("loop://") as loop:
+        assert loop.error_counts() is None
+
+
+def test_a_break_does_not_throw_away_pending_bytes(pty: PtyPair) -> None:
+    slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
+    try:
+        attributes = termios.tcgetattr(slave)
+        attributes[0] |= termios.BRKINT | termios.IXON
+        termios.tcsetattr(slave, termios.TCSANOW, attributes)
+        with open_port(pty.name):
+            assert not termios.tcgetattr(slave)[0] & (termios.BRKINT | termios.IXON)
+    finally:
+        os.close(slave)
+
+
+# Waiting
+
+
+def test_waiting_names_the_ports_and_descriptors_that_are_readable(
+    pty: PtyPair, port: Port
+) -> None:
+    reader, writer = os.pipe()
+    try:
+        with open_port("loop://") as loop:
+            assert wait_readable([loop, port], 0, [reader]) == ([], [])
+            os.write(writer, b"x")
+            assert wait_readable([loop, port], None, [reader]) == ([], [reader])
+            loop.write(b"x")
+            assert wait_readable([loop, port], None, [reader]) == ([loop], [reader])
+            pty.write_some(b"x")
+            wait_readable([port], None)
+            assert wait_readable([port, loop], 5, [reader]) == ([port, loop], [reader])
+    finally:
+        os.close(reader)
+        os.close(writer)
+
+
+# The end of a line
+
+
+def test_an_unplugged_port_gives_its_last_bytes_and_then_says_so() -> None:
+    pty = open_pty()
+    with open_port(pty.name) as port:
+        pty.close()
+        assert wait_readable([port], None)[0] == [port]
+        with pytest.raises(LinkError, match=f"^{pty.name} disappeared while it was in use"):
+            port.read()
+        with pytest.raises(LinkError, match="disappeared"):
+            port.write(b"x")
+
+
+def test_a_peer_that_closes_gives_its_last_bytes_and_then_the_end(
+    listener: socket.socket,
+) -> None:
+    with open_port(url(listener)) as port:
+        peer = listener.accept()[0]
+        peer.sendall(ALL)
+        peer.close()
+        assert read_from(port, 256) == ALL
+        with pytest.raises(LinkError):
+            read_from(port, 1)
+
+
+def test_a_device_that_does_not_read_ends_a_write(port: Port) -> None:
+    with pytest.raises(LinkError, match="took no byte for 1 s; does anything read"):
+        port.write(bytes(1 << 20))
+
+
+def test_a_loop_that_is_full_ends_a_write() -> None:
+    with open_port("loop://") as port, pytest.raises(LinkError, match="took no byte"):
+        port.write(bytes(8192))
+
+
+def test_a_write_that_fits_exactly_is_no_timeout(pty: PtyPair) -> None:
+    # pyserial's own write fails here: it waits for room that it does not need.
+    with open_port(pty.name) as port:
+        room = 0
+        while count := port.write_some(bytes(4096)):
+            room += count
+    with open_pty() as other, open_port(other.name) as port:
+        port.write(bytes(room))
+        assert master_gives(other, room) == bytes(room)
+
+
+def test_closing_twice_is_as_good_as_once_and_a_closed_port_says_so(pty: PtyPair) -> None:
+    port = open_port(pty.name)
+    port.close()
+    port.close()
+    for use in (port.read, port.fileno, lambda: port.write(b"x"), port.error_counts):
+        with pytest.raises(LinkError, match=f"^{pty.name} is closed$"):
+            use()
+    with open_port(pty.name):  # the lock is gone
+        pass
+
+
+def test_closing_never_raises_even_when_the_peer_went_first(listener: socket.socket) -> None:
+    port = open_port(url(listener))
+    listener.accept()[0].close()
+    wait_readable([port], None)
+    port.close()
+    port.close()
+
+
+# What cannot be opened
+
+
+def test_a_port_that_is_not_there() -> None:
+    sentence = refusal("/dev/ttyNOPE0")
+    assert sentence.startswith("there is no /dev/ttyNOPE0; ports here: ")
+    assert sentence.endswith("; see `bilprov ports`")
+    for found in list_ports():
+        assert found.path in sentence
+
+
+def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
+    assert refusal(pty.name) == f"{pty.name} is in use by another program; close it"
+    assert "is in use" in refusal(f"spy://{pty.name}")
+
+
+def test_a_port_without_permission(pty: PtyPair) -> None:
+    Path(pty.name).chmod(0)
+    child = subprocess.run(
+        [sys.executable, "-c", AS_NOBODY, pty.name],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
+    assert child.stdout == (
+        f"permission to open {pty.name} is denied; add yourself to the dialout group: "
+        "sudo usermod -aG dialout $USER, then log in again\n"
+    )
+
+
+def test_what_is_no_serial_port(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("no port")
+    assert refusal(str(tmp_path)).startswith(f"{tmp_path} is a folder, not a serial port")
+    assert refusal(str(file)).startswith(f"{file} is not a serial port")
+    assert refusal("/dev/null").startswith("/dev/null is not a serial port")
+    assert refusal(f"{file}/x").startswith(f"there is no {file}/x")
+    assert file.read_text() == "no port"
+
+
+def test_an_address_where_nobody_listens(listener: socket.socket) -> None:
+    name = url(listener)
+    listener.close()
+    address = name.removeprefix("socket://")
+    assert refusal(name) == (
+        f"nobody listens at {address} ({name}); is the program that serves it running?"
+    )
+    assert refusal(f"rfc2217://{address}").startswith(f"nobody listens at {address}")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("foo://x", "protocol 'foo' not known"),
+        ("loop://?speed=1", "unknown option: 'speed'"),
+        ("socket://127.0.0.1", "write it like socket://127.0.0.1:5000"),
+        ("socket://127.0.0.1:x", "write it like socket://127.0.0.1:5000"),
+        ("socket://:5000", "write it like socket://127.0.0.1:5000"),
+        ("rfc2217://127.0.0.1:99999", "write it like rfc2217://127.0.0.1:5000"),
+        ("alt:///dev/x?class=Nope", "unknown class: 'Nope'"),
+        ("hwgrep://no such thing", "no ports found matching"),
+        ("", "there is no port ''"),
+        ("socket", "there is no socket"),
+    ],
+)
+def test_a_name_that_is_no_port_is_said_with_its_reason(name: str, reason: str) -> None:
+    assert reason in refusal(name)
+
+
+@pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV, errno.EIO])
+def test_numbers_of_a_device_that_is_not_there_mean_one_thing(number: int) -> None:
+    error = OSError(number, "x")
+    assert "no device behind it" in str(opening_failed("/dev/ttyUSB0", error, "", []))
+    assert "/dev/ttyUSB0 disappeared" in str(link_lost("/dev/ttyUSB0", error))
+
+
+def test_ports_are_listed_in_order() -> None:
+    found = list_ports()
+    assert found == sorted(found)
+    assert all(Path(port.path).exists() for port in found)

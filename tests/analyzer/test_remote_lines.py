@@ -1,0 +1,191 @@
+"""Robots on remote lines: a pty behind ser2net (raw TCP, RFC 2217) and socat."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.transport.ports import open_port, wait_readable
+from tests.support.commands import process
+from tests.support.firmware import AVR, built
+from tests.support.robots import PATIENCE, emulate, simulate, unwell
+from tests.support.wires import running
+
+pytestmark = pytest.mark.waits
+
+INSTALL = "apt-get install ser2net socat"
+ALL = bytes(range(256))
+
+
+def tool(name: str) -> str:
+    """The tool's path; where it is missing the test is skipped."""
+    # ser2net lives where only root looks.
+    found = shutil.which(name, path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
+    if found is None:
+        pytest.skip(INSTALL)
+    return found
+
+
+@contextmanager
+def tool_running(*words: str, ready: Callable[[], bool]) -> Iterator[None]:
+    """Run a tool until the block ends; begin once it is ready."""
+    with subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        try:
+            give_up = time.monotonic() + PATIENCE
+            while not ready():
+                assert process.poll() is None, process.stdout and process.stdout.read()
+                assert time.monotonic() < give_up, f"{words[0]} is never ready"
+                time.sleep(0.01)
+            yield
+        finally:
+            process.kill()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
+def listens(port: int) -> bool:
+    """Whether somebody listens; asking by connecting would take the only place."""
+    table = Path("/proc/net/tcp").read_text(encoding="ascii")
+    return f":{port:04X} 00000000:0000 0A " in table
+
+
+SER2NET = """\
+%YAML 1.1
+---
+connection: &robot
+  accepter: {accepter},127.0.0.1,{port}
+  connector: serialdev,{device},115200n81,local
+  options:
+    chardelay: false
+"""
+RAW = "tcp(nodelay)"
+RFC2217 = "telnet(rfc2217,mode=server),tcp(nodelay)"
+
+
+@contextmanager
+def behind_ser2net(device: str, folder: Path, accepter: str) -> Iterator[str]:
+    """The device behind ser2net; gives the URL to open."""
+    program, port, file = tool("ser2net"), free_port(), folder / "ser2net.yaml"
+    file.write_text(SER2NET.format(accepter=accepter, port=port, device=device), encoding="utf-8")
+    raw, remote = f"socket://127.0.0.1:{port}", f"rfc2217://127.0.0.1:{port}?ign_set_control"
+    # In the foreground, without a lock file.
+    with tool_running(program, "-n", "-u", "-c", str(file), ready=lambda: listens(port)):
+        yield raw if accepter == RAW else remote
+
+
+@contextmanager
+def behind_raw_tcp(device: str, folder: Path) -> Iterator[str]:
+    with behind_ser2net(device, folder, RAW) as url:
+        yield url
+
+
+@contextmanager
+def behind_rfc2217(device: str, folder: Path) -> Iterator[str]:
+    with behind_ser2net(device, folder, RFC2217) as url:
+        yield url
+
+
+@contextmanager
+def behind_socat(device: str, folder: Path) -> Iterator[str]:
+    """The device behind a second pty, joined to its own by socat."""
+    path = folder / "robot"
+    ends = f"PTY,rawer,link={path}", f"OPEN:{device},rawer"
+    with tool_running(tool("socat"), *ends, ready=path.exists):
+        yield str(path)
+
+
+@contextmanager
+def behind_a_pty_pair(device: str, folder: Path) -> Iterator[str]:
+    """The device joined by `bilprov line` to one pty of a pair that socat made."""
+    near, far = folder / "near", folder / "far"
+    ends = f"PTY,rawer,link={near}", f"PTY,rawer,link={far}"
+    both = tool_running(tool("socat"), *ends, ready=lambda: near.exists() and far.exists())
+    with both, running("line", device, str(far), "--delay", "1ms") as line:
+        assert b"are joined" in line.stderr.readline()
+        yield str(near)
+        assert line.process.poll() is None
+
+
+Behind = Callable[[str, Path], AbstractContextManager[str]]
+LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat, behind_a_pty_pair]
+lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
+
+
+@lines
+def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
+    with simulate(pty=True) as served, behind(served.port, tmp_path) as url:
+        # 0xFF, Speed 255, is the byte that telnet escapes.
+        only = ["--only", "valid/Speed/25*", "--only", "bad-data/LED/8"]
+        result = process("conform", url, "--probe", served.probe, "--yes", *only)
+    assert result.returncode == 0, (result.stdout + result.stderr).decode()
+
+
+@AVR
+@lines
+def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
+    with emulate(built()) as served, behind(served.port, tmp_path) as url:
+        smoke = ["--level", "smoke", "--json", "-"]
+        result = process("conform", url, "--probe", served.probe, "--yes", *smoke)
+    assert unwell(result) == {"power-on/Forward": "skipped"}  # nobody can switch its power
+
+
+@AVR
+@lines
+def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path: Path) -> None:
+    firmware = built("-DBUG_STOP_KEEPS_PWM")
+    with emulate(firmware) as served, behind(served.port, tmp_path) as url:
+        smoke = ["--level", "smoke", "--fail-fast"]
+        result = process("conform", url, "--probe", served.probe, "--yes", *smoke)
+    assert result.returncode == 1, (result.stdout + result.stderr).decode()
+
+
+@AVR
+@pytest.mark.parametrize(("bug", "codes"), [("", (0, 3)), ("-DBUG_STOP_KEEPS_PWM", (1, 3))])
+@pytest.mark.timeout(200)
+def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
+    bug: str, codes: tuple[int, ...]
+) -> None:
+    faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "3"]
+    with emulate(built(bug)) as served, running("line", *faults, served.port, "pty") as line:
+        path = line.stdout.readline().decode().strip()
+        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
+        result = process("conform", path, *probe, timeout=150)  # what is lost is tried again
+    assert result.returncode in codes, (result.stdout + result.stderr).decode()
+
+
+@lines
+def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> None:
+    faulty = simulate("--fault", "ok-to-bad-data", pty=True)
+    with faulty as served, behind(served.port, tmp_path) as url:
+        only = ["--only", "bad-data/LED/8", "--fail-fast", "--level", "smoke"]
+        result = process("conform", url, "--probe", served.probe, "--yes", *only)
+    assert result.returncode == 1, (result.stdout + result.stderr).decode()
+
+
+@lines
+def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
+    """Between two programs of ours: one on the device's pty, one behind the line."""
+    with running("line", "pty", "listen:127.0.0.1:0") as line:
+        device, address = (line.stdout.readline().decode().strip() for _ in range(2))
+        with behind(device, tmp_path) as url, open_port(url) as near, open_port(address) as far:
+            for here, there in ((near, far), (far, near)):
+                here.write(ALL)
+                heard = b""
+                while len(heard) < len(ALL):
+                    ready, _ = wait_readable([there], PATIENCE)
+                    assert ready, f"only {heard!r} came"
+                    heard += there.read()
+                assert heard == ALL

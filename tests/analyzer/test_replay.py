@@ -1,0 +1,335 @@
+"""`bilprov replay`: a capture is shown again, or sent to a device again."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.replay.playback import played
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT, commands
+from tests.support.decoding import MS, Event, conversation
+from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
+
+pytestmark = pytest.mark.waits
+
+TALK = [
+    (b"\x11\x7f", b"\0"),
+    (b"\x20", b"\0"),
+    (b"\x81\x05", b"\0"),
+    (b"\x90", b"\1"),
+    (b"\x00", b"\0"),
+]
+START = 1_700_000_000_000_000_000
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Write:
+    def write(events: Iterable[Event], metadata: dict[str, str] | None = None) -> Path:
+        path = tmp_path / "given.mcap"
+        with CaptureWriter(path, start_wall=START, metadata=metadata or {}, version="0") as writer:
+            for event in events:
+                if isinstance(event, Chunk):
+                    writer.chunk(event)
+                else:
+                    writer.write(event, event.t)
+        return path
+
+    return write
+
+
+def _shown(path: Path, *more: str) -> list[dict[str, object]]:
+    run = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl", *more)
+    assert run.returncode == 0, run.stderr
+    return json_lines(run.stdout)
+
+
+def test_raw_bytes_alone_are_a_complete_capture(capture: Write) -> None:
+    lines = _shown(capture(conversation(TALK)))
+
+    assert [line["hex"] for line in lines if line["direction"] == "host"] == [
+        "11 7f",
+        "20",
+        "81 05",
+        "90",
+        "00",
+    ]
+    assert [line["answers"] for line in lines if line["direction"] == "device"] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("metadata", "kinds"),
+    [
+        ({}, ["garbage", "instruction", "instruction", "instruction"]),
+        ({"attached": "yes"}, ["garbage", "instruction", "instruction", "instruction"]),
+        ({"attached": "no"}, ["instruction"]),
+    ],
+)
+def test_a_capture_that_may_begin_in_mid_frame_is_decoded_so(
+    capture: Write, metadata: dict[str, str], kinds: list[str]
+) -> None:
+    # The last byte of a Speed, and three frames; or one frame whose header lies.
+    path = capture([Chunk(0, "host", bytes.fromhex("76 81 05 11 07 41 ff"))], metadata)
+
+    assert [line["kind"] for line in _shown(path)] == kinds
+
+
+def test_a_window_shows_what_lies_inside_with_the_state_from_before(capture: Write) -> None:
+    path = capture(conversation(TALK))
+
+    lines = _shown(path, "--start", "0.03", "--end", "0.05")
+
+    assert [line["hex"] for line in lines] == ["20", "00"]
+    assert lines[0]["state"]["speed"] == 0x7F  # type: ignore[index]
+
+
+def test_what_begins_in_a_window_is_decided_by_what_comes_after_it(capture: Write) -> None:
+    path = capture([Chunk(0, "host", b"\x11"), Chunk(20 * MS, "host", b"\x05")])
+
+    lines = _shown(path, "--end", "0.01")
+
+    assert [line["hex"] for line in lines] == ["11 05"]
+
+
+def test_the_recorded_time_out_is_used_unless_another_is_given(capture: Write) -> None:
+    events = [Chunk(0, "host", b"\x11"), Chunk(80 * MS, "host", b"\x05")]
+    path = capture(events, {"truncation_timeout_ms": "100"})
+
+    assert [line["kind"] for line in _shown(path)] == ["instruction"]
+    assert _shown(path, "--truncation-timeout", "60")[0]["kind"] == "truncated"
+
+
+@pytest.mark.parametrize("text", ["", "nan", "-5", "1e99", "\x1b[2J"])
+def test_a_file_that_tells_nonsense_is_decoded_with_the_usual_settings(
+    capture: Write, text: str
+) -> None:
+    metadata = dict.fromkeys(("truncation_timeout_ms", "skew_ms", "heard", "line"), text)
+
+    assert len(_shown(capture(conversation(TALK), metadata))) == 10
+
+
+def test_hostile_text_in_a_capture_reaches_no_terminal(capture: Write) -> None:
+    hostile = "\x1b]0;owned\x07\x9b31m\u202e[/red][bold]" + "x" * 5000
+    events = [Line(0, hostile, "", hostile), Line(MS, "break", "host", hostile)]
+    path = capture([*events, *conversation(TALK)], {"grammar_sha256": "x", "grammar_name": hostile})
+
+    for style in ("lines", "jsonl"):
+        run = commands.command("replay", str(path), "--rate", "0", "--format", style)
+
+        assert run.returncode == 0
+        for line in (run.stdout + run.stderr).decode().splitlines():
+            assert line.isprintable()
+            assert len(line) < 1200
+
+
+def test_another_grammar_than_the_recorded_one_is_said(capture: Write) -> None:
+    path = capture(conversation(TALK), {"grammar_sha256": "0" * 64, "grammar_name": "tractor"})
+
+    run = commands.command("replay", str(path), "--rate", "0")
+
+    assert b"another grammar (tractor" in run.stderr
+
+
+def test_ctrl_c_ends_a_slow_replay_with_0(capture: Write) -> None:
+    path = capture([Chunk(0, "host", b"\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
+
+    with running("replay", str(path), "--format", "jsonl") as command:
+        assert json_lines(command.stdout.readline())[0]["hex"] == "20"
+        code, _, err = command.end()
+
+    assert (code, err) == (0, b"")
+
+
+def test_a_frame_that_is_decided_by_silence_is_shown_while_the_replay_waits(capture: Write) -> None:
+    path = capture([Chunk(0, "host", b"\x11"), Chunk(3600_000 * MS, "host", b"\x00")])
+
+    with running("replay", str(path), "--format", "jsonl") as command:
+        assert json_lines(command.stdout.readline())[0]["kind"] == "truncated"
+        command.end()
+
+
+def test_events_inside_the_window_wait_for_their_time_and_no_others() -> None:
+    events = [Chunk(t * MS, "host", b"\0") for t in (0, 10, 20, 30, 9000)]
+    slept: list[float] = []
+
+    given = list(played(events, 1e-3, sleep=slept.append, start=10 * MS, end=30 * MS))
+
+    assert [event.t // MS for event in given] == [0, 10, 20, 30]
+    assert len(slept) == 1  # 10 ms is the window's beginning, 20 ms is waited for
+
+
+@pytest.mark.parametrize("rate", ["0", "1"])
+def test_a_device_that_answers_as_recorded_is_fine(
+    capture: Write, protocol: Protocol, rate: str
+) -> None:
+    robot = PtyRobot(protocol)
+    path = capture(conversation(TALK))
+
+    with served(robot) as port:
+        run = commands.command("replay", str(path), "--rate", rate, "--to", port, "--yes")
+
+    assert run.returncode == 0, run.stderr
+    homing = [bytes([protocol.pad_byte])] * protocol.longest_frame
+    assert robot.frames == [*homing, *(said for said, _ in TALK), *homing]
+
+
+def test_each_answer_that_differs_is_reported(capture: Write, protocol: Protocol) -> None:
+    robot = PtyRobot(protocol, wrong={b"\x81\x05": 2, b"\x90": 0})
+    path = capture(conversation(TALK))
+
+    with served(robot) as port:
+        run = commands.command(
+            *("replay", str(path), "--rate", "0", "--to", port, "--yes", "--format", "jsonl")
+        )
+
+    assert run.returncode == 1
+    found = [line for line in json_lines(run.stdout) if line["name"] == "difference"]
+    assert [line["sequence"] for line in found] == [2, 3]
+    assert "recorded OK (00), now BAD_DATA (02)" in found[0]["reason"]
+
+
+def test_a_frame_cut_short_is_sent_cut_short(capture: Write, protocol: Protocol) -> None:
+    robot = PtyRobot(protocol)
+    events = [
+        Chunk(0, "host", b"\x11"),
+        Chunk(51 * MS, "device", b"\x04"),
+        Chunk(100 * MS, "host", b"\x20"),
+        Chunk(101 * MS, "device", b"\x00"),
+    ]
+
+    with served(robot) as port:
+        run = commands.command("replay", str(capture(events)), "--rate", "0", "--to", port, "--yes")
+
+    assert run.returncode == 0, run.stdout
+    assert robot.frames[16:-16] == [b"\x11", b"\x20"]
+
+
+def test_a_recording_without_answers_cannot_be_compared_with(
+    capture: Write, protocol: Protocol
+) -> None:
+    with served(PtyRobot(protocol)) as port:
+        path = capture([Chunk(0, "host", b"\x20")])
+        run = commands.command("replay", str(path), "--rate", "0", "--to", port, "--yes")
+
+    assert run.returncode == 3
+
+
+def test_ctrl_c_leaves_the_device_stopped(capture: Write, protocol: Protocol) -> None:
+    robot = PtyRobot(protocol)
+    path = capture([Chunk(0, "host", b"\x11\xff\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
+
+    with (
+        served(robot) as port,
+        running("replay", str(path), "--to", port, "--yes", "--format", "jsonl") as command,
+    ):
+        give_up = time.monotonic() + 20
+        while b"\x20" not in robot.frames and time.monotonic() < give_up:
+            time.sleep(0.01)
+        code, _, _ = command.end()
+
+    assert code == 0
+    assert robot.frames[-16:] == [bytes([protocol.pad_byte])] * 16
+
+
+def test_without_a_terminal_a_device_moves_only_with_yes(
+    capture: Write, protocol: Protocol
+) -> None:
+    robot = PtyRobot(protocol)
+
+    with served(robot) as port:
+        run = commands.command("replay", str(capture(conversation(TALK))), "--to", port)
+
+    assert run.returncode == 2
+    assert b"--yes" in run.stderr
+    assert robot.frames == []
+
+
+@pytest.mark.parametrize(("said", "code"), [(b"n\n", 2), (b"y\n", 0)])
+def test_on_a_terminal_the_user_is_asked_once(
+    capture: Write, protocol: Protocol, said: bytes, code: int
+) -> None:
+    robot = PtyRobot(protocol)
+    path = capture(conversation(TALK))
+    with served(robot) as port, open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "bilprov", "replay", str(path), "--rate", "0"),
+                *("--to", port),
+            ],
+            stdin=slave,
+            stdout=subprocess.DEVNULL,
+            stderr=slave,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        asked = b""
+        give_up = time.monotonic() + PATIENCE
+        while b"may it move" not in asked and time.monotonic() < give_up:
+            asked += terminal.read()
+        os.write(terminal.master, said)
+        status = process.wait(PATIENCE)
+
+    assert status == code
+    assert port.encode() in asked
+    assert bool(robot.frames) == (code == 0)
+
+
+def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
+    with open_pty() as silent:
+        run = commands.command(
+            "replay", str(capture(conversation(TALK))), "--to", silent.name, "--yes"
+        )
+
+    assert run.returncode == 2
+    assert b"nobody answers" in run.stderr
+
+
+@pytest.mark.parametrize(
+    "more", [["--start", "2", "--end", "1"], ["--rate", "-1"], ["--filter", "x"]]
+)
+def test_wrong_use_is_one_sentence(capture: Write, more: list[str]) -> None:
+    run = commands.command("replay", str(capture(conversation(TALK))), *more)
+
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_file_that_is_no_capture_is_one_sentence(tmp_path: Path) -> None:
+    for name, data in (("empty.mcap", b""), ("text.mcap", b"hello"), ("missing.mcap", None)):
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        run = commands.command("replay", os.fspath(tmp_path / name))
+
+        assert run.returncode == 2
+        assert len(run.stderr.splitlines()) == 1
+
+
+def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffic(
+    tmp_path: Path,
+) -> None:
+    whole = tmp_path / "whole.mcap"
+    run = commands.command("conform", "sim", "--only", "valid/Stop", "--record", str(whole))
+    assert run.returncode == 0
+    data = whole.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: data.index(b"bilprov", 60)])
+
+    result = commands.command("replay", str(cut), "--rate", "0")
+
+    assert result.returncode == 0
+    told = result.stderr.decode()
+    assert "was never finished" in told
+    assert "holds no traffic: not a byte of host or device is in it" in told
+    assert "no traffic" not in commands.command("replay", str(whole), "--rate", "0").stderr.decode()

@@ -1,0 +1,533 @@
+"""`from bilprov import Robot`: what it sends to a served robot, raises, and leaves behind."""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.client.errors import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.robot import Robot
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import CONFORMING, Fault
+from bilprov.conformance.dut.operations import Ended, Operation
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.pytest_plugin.robot_client import Client
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.python_names import RESERVED
+from tests.support import ROOT
+from tests.support.robots import PATIENCE, served_here, simulate
+from tests.support.signals import ignoring
+
+pytestmark = pytest.mark.waits
+
+STOP, FORWARD = b"\x00", b"\x20"
+
+
+class Scripted(Simulator):
+    """A conforming robot that notes what it hears, and says what the test makes of its answers."""
+
+    def __init__(self, protocol: Protocol, fault: Fault | None = None) -> None:
+        super().__init__(protocol, fault)
+        self.heard = b""
+        self.hearing: Callable[[bytes], object] = lambda data: None
+        self.saying: Callable[[bytes], bytes] = lambda data: data
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.heard += data
+        super().receive(data, now)
+        self.hearing(data)
+
+    def advance(self, now: int) -> bytes:
+        return self.saying(super().advance(now))
+
+
+@contextmanager
+def driven(
+    protocol: Protocol, fault: str = "", **options: Any
+) -> Iterator[tuple[Robot, Scripted, str]]:
+    """A robot that is served here and opened, with what it really is and its port."""
+    device = Scripted(protocol, fault_bank(protocol)[fault] if fault else None)
+    with (
+        served_here(device) as (port, _),
+        Robot(port, grammar=protocol, timeout=options.pop("timeout", None), **options) as robot,
+    ):
+        device.heard = b""
+        yield robot, device, port
+
+
+# -- instructions ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pty", [False, True])
+def test_it_drives_and_is_left_at_rest(pty: bool) -> None:
+    with simulate(pty=pty) as served:
+        with Robot(served.port) as robot:
+            assert served.state()["moving"] is False
+            answer = robot.speed(127)
+            robot.led(rgb=5)
+            robot.rotate_left()
+            driving = served.state()
+        left = served.state()
+
+    assert (answer.code, answer.name) == (0, "OK")
+    assert answer.latency >= 0
+    assert (driving["motion"], driving["speed"], driving["led"]) == ("rotate_left", 127, 5)
+    assert left["moving"] is False
+
+
+METHODS = [
+    ("stop", (), b"\x00"),
+    ("speed", (127,), b"\x11\x7f"),
+    ("forward", (), b"\x20"),
+    ("backward", (), b"\x30"),
+    ("right", (1,), b"\x41\x01"),
+    ("left", (255,), b"\x51\xff"),
+    ("rotate_right", (), b"\x60"),
+    ("rotate_left", (), b"\x70"),
+    ("led", (7,), b"\x81\x07"),
+]
+
+
+def test_every_instruction_is_a_method_and_sends_its_one_frame(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, device, _):
+        for name, values, _ in METHODS:
+            getattr(robot, name)(*values)
+        sent = device.heard
+
+    assert sent == b"".join(frame for _, _, frame in METHODS)
+    assert len(METHODS) == len(protocol.instructions)
+
+
+def test_opening_it_sends_stops_and_nothing_else(protocol: Protocol) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _):
+        robot = Robot(port)
+        sent = device.heard
+        robot.close()
+
+    assert set(sent) == set(STOP)
+
+
+def test_a_robot_that_was_in_the_middle_of_a_frame_is_understood_at_once(
+    protocol: Protocol,
+) -> None:
+    device = Scripted(protocol, replace(CONFORMING, timeout=3600 * 1000 * MS))
+    device.receive(b"\x1f\x01", time.monotonic_ns())  # it waits for the rest as long as it takes
+    with served_here(device) as (port, _), Robot(port) as robot:
+        robot.speed(5)
+        assert device.state.speed == 5
+
+
+class Slow(Scripted):
+    """A robot that answers one instruction after the other, each in its time."""
+
+    pace = 120 * MS
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__(protocol)
+        self.owed = bytearray()
+        self.next = 0
+
+    def advance(self, now: int) -> bytes:
+        answers = super().advance(now)
+        if answers and not self.owed:
+            self.next = now + self.pace
+        self.owed += answers
+        if not self.owed or now < self.next:
+            return b""
+        self.next = now + self.pace
+        return bytes([self.owed.pop(0)])
+
+    def deadline(self) -> int | None:
+        return self.next if self.owed else super().deadline()
+
+
+def test_a_robot_that_takes_its_time_is_driven_all_the_same(protocol: Protocol) -> None:
+    with served_here(Slow(protocol)) as (port, _), Robot(port) as robot:
+        assert robot.speed(5).latency >= Slow.pace / MS
+        assert robot.led(3).name == "OK"
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "sentence"),
+    [
+        (lambda r: r.speed(256), ValueError, "Speed.speed is 256, allowed are 0 to 255"),
+        (lambda r: r.speed(-1), ValueError, "Speed.speed is -1, allowed are 0 to 255"),
+        (lambda r: r.led(rgb=8), ValueError, "LED.rgb is 8, allowed are 0 to 7"),
+        (lambda r: r.led("5"), ValueError, "'5', allowed are whole numbers from 0 to 7"),
+        (lambda r: r.led(1.5), ValueError, "1.5, allowed are whole numbers from 0 to 7"),
+        (lambda r: r.led(), TypeError, r"led\(rgb: int\).*: missing .*argument: 'rgb'"),
+        (lambda r: r.stop(1), TypeError, r"stop\(\).*: too many positional arguments"),
+        (lambda r: r.speed(sped=1), TypeError, r"speed\(speed: int\)"),
+        (lambda r: r.send("Hoot"), ValueError, "there is no instruction 'Hoot'"),
+    ],
+)
+def test_what_is_wrong_is_said_and_not_sent(
+    protocol: Protocol, call: Callable[[Any], object], kind: type[Exception], sentence: str
+) -> None:
+    with driven(protocol) as (robot, device, _):
+        with pytest.raises(kind, match=sentence):
+            call(robot)
+        sent = device.heard
+        robot.stop()
+
+    assert sent == b""
+
+
+def test_a_method_that_is_none_is_told_with_those_that_are(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, _, _):
+        unknown: Any = robot
+        with pytest.raises(AttributeError, match="no instruction 'horn'; there are stop, speed, "):
+            unknown.horn(2)
+        assert not hasattr(robot, "_horn")
+        assert {name for name, _, _ in METHODS} <= set(dir(robot))
+
+
+def test_a_method_tells_its_parameters_and_its_prose(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, _, _):
+        assert list(inspect.signature(robot.led).parameters) == ["rgb"]
+        assert robot.led.__name__ == "led"
+        assert robot.led.__doc__ == protocol.by_name["LED"].prose
+
+
+# -- what a robot does wrong ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "answer", "meaning"),
+    [
+        ("always-1", 1, "BAD_HEADER", "wrong header received"),
+        ("unused-code-for-valid", 5, "0x05", "robot-car has no such response"),
+    ],
+)
+def test_a_refusal_carries_its_code_and_the_frame(
+    protocol: Protocol, fault: str, code: int, answer: str, meaning: str
+) -> None:
+    with driven(protocol, fault) as (robot, _, _), pytest.raises(Refused) as raised:
+        robot.speed(80)
+
+    error = raised.value
+    assert (error.code, error.answer) == (code, answer)
+    assert (error.frame, error.instruction) == (b"\x11\x50", "Speed")
+    assert str(error) == f"Speed speed=80 (11 50) was answered {answer} ({code}): {meaning}"
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.code, again.frame) == (str(error), code, error.frame)
+
+
+def test_send_gives_a_refusal_back_instead_of_raising_it(protocol: Protocol) -> None:
+    with driven(protocol, "always-1") as (robot, _, _):
+        assert robot.send("Speed", speed=80).name == "BAD_HEADER"
+        assert robot.send_bytes(b"\x93\x00\x00\x00")[0].code == 1
+
+
+def test_no_answer_in_time_is_told_and_the_robot_is_homed_before_the_next(
+    protocol: Protocol,
+) -> None:
+    late: list[bytes] = []
+
+    def swallow(data: bytes) -> bytes:
+        late.append(data)
+        return b""
+
+    with driven(protocol, timeout=1000) as (robot, device, _):
+        robot.speed(80)
+        device.saying = swallow
+        with pytest.raises(
+            NoAnswer, match=r"^Forward \(20\): 1 answer is due in 1000 ms, but "
+        ) as e:
+            robot.forward()
+        assert device.state.moving
+        assert e.value.frame == FORWARD
+        device.heard = b""
+        device.saying = lambda data: data
+        assert robot.led(3).name == "OK"
+
+    assert b"".join(late) == b"\x00"
+    homed = protocol.longest_frame * STOP
+    assert device.heard == homed + b"\x81\x03" + homed
+
+
+def test_a_late_answer_is_never_taken_for_the_answer_to_another_instruction(
+    protocol: Protocol,
+) -> None:
+    held = bytearray()
+
+    def hold(data: bytes) -> bytes:
+        held.extend(data)
+        return b""
+
+    def say_all(data: bytes) -> bytes:
+        if not data:
+            return b""
+        owed = bytes(held)
+        held.clear()
+        return owed + data
+
+    with driven(protocol, "always-1", timeout=1000) as (robot, device, _):
+        device.saying = hold
+        with pytest.raises(NoAnswer):
+            robot.forward()
+        # From now on it answers rightly, after what it owes.
+        device.fault = CONFORMING
+        device.saying = say_all
+        assert robot.speed(9).name == "OK"
+
+
+def test_an_answer_too_many_is_an_error(protocol: Protocol) -> None:
+    def told() -> None:
+        robot.forward()
+        robot.wait(100)
+
+    with driven(protocol, "double-answer") as (robot, _, _), pytest.raises(RobotError) as raised:
+        told()
+
+    assert type(raised.value) is RobotError
+    assert "OK" in str(raised.value)
+
+
+def test_what_a_robot_says_unasked_is_an_error_and_it_is_homed_before_the_next(
+    protocol: Protocol,
+) -> None:
+    with driven(protocol, "late-second-answer") as (robot, device, _):
+        robot.send_bytes(b"\x90")
+        with pytest.raises(RobotError, match=r"^\w+ came without an instruction$"):
+            robot.wait(500)
+        assert robot.led(3).name == "OK"
+        assert device.heard == b"\x90" + protocol.longest_frame * STOP + b"\x81\x03"
+
+
+def test_a_robot_that_never_answers_is_not_opened_and_its_port_is_free_again() -> None:
+    with simulate("--fault", "dead", pty=True) as served:
+        with pytest.raises(NoAnswer) as raised:
+            Robot(served.port)
+        open_port(served.port).close()  # a path is locked while it is open
+
+    assert str(raised.value).startswith(f"nobody answers at {served.port}; is the robot on")
+
+
+@pytest.mark.parametrize("pty", [False, True])
+def test_a_line_that_is_lost_is_a_link_error_and_a_note_tells_it_was_not_stopped(
+    pty: bool,
+) -> None:
+    def unplugged() -> None:
+        with Robot(served.port) as robot:
+            robot.forward()
+            served.process.kill()
+            served.process.wait(PATIENCE)
+            robot.stop()
+
+    with simulate(pty=pty) as served, pytest.raises(LinkError) as raised:
+        unplugged()
+
+    (note,) = raised.value.__notes__
+    assert note.startswith(f"the robot was not brought to a stop at the end: {served.port} ")
+
+
+def test_a_line_that_is_lost_unnoticed_is_told_on_leaving() -> None:
+    with simulate() as served:
+        robot = Robot(served.port).__enter__()
+        served.process.kill()
+        served.process.wait(PATIENCE)
+        with pytest.raises(LinkError):
+            robot.__exit__(None, None, None)
+
+
+def test_a_robot_that_fell_silent_is_told_on_leaving(protocol: Protocol) -> None:
+    with pytest.raises(NoAnswer, match="nobody answers at"), driven(protocol) as (_, device, _):
+        device.saying = lambda data: b""
+
+
+def test_a_port_that_cannot_be_opened_and_wrong_settings_are_one_sentence() -> None:
+    with pytest.raises(LinkError, match="there is no /dev/no-such-port"):
+        Robot("/dev/no-such-port")
+    with pytest.raises(ValueError, match="baud is 0"):
+        Robot("/dev/no-such-port", baud=0)
+    for timeout in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="allowed are milliseconds above 0"):
+            Robot("/dev/no-such-port", timeout=timeout)
+
+
+class GoneLink:
+    """A link whose port has gone."""
+
+    def do(self, ask: Operation) -> int:
+        raise Ended("the port disappeared", error=True, line_works=False)
+
+
+def test_the_fixtures_robot_tells_of_a_lost_line_in_the_links_own_words(
+    protocol: Protocol,
+) -> None:
+    with pytest.raises(RobotError, match=r"^the port disappeared$"):
+        Client(protocol, GoneLink(), sees=False).home()
+
+
+# -- leaving --------------------------------------------------------------------------------------
+
+
+class Own(Exception):
+    """Somebody's own error."""
+
+
+@pytest.mark.parametrize("error", [Own, KeyboardInterrupt, SystemExit, GeneratorExit])
+def test_every_way_out_homes(protocol: Protocol, error: type[BaseException]) -> None:
+    moving: list[bool] = []
+
+    def left() -> None:
+        with Robot(port) as robot:
+            robot.speed(80)
+            robot.forward()
+            moving.append(device.state.moving)
+            raise error
+
+    device = Scripted(protocol)
+    with served_here(device) as (port, _):
+        with pytest.raises(error) as raised:
+            left()
+        moving.append(device.state.moving)
+
+    assert moving == [True, False]
+    assert not hasattr(raised.value, "__notes__")
+
+
+def test_closing_homes_too_and_then_nothing_is_sent_any_more(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, device, port):
+        robot.speed(80)
+        robot.forward()
+        robot.close()
+        robot.close()
+        assert not device.state.moving
+        with pytest.raises(LinkError, match=f"{port} is closed"):
+            robot.forward()
+
+
+DRIVING = """\
+import sys, time
+from bilprov import Robot
+
+with Robot(sys.argv[1]) as robot:
+    robot.speed(100)
+    robot.forward()
+    print("driving", flush=True)
+    time.sleep(60)
+"""
+
+ENDED = {signal.SIGINT: -signal.SIGINT, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.mark.parametrize("number", ENDED)
+def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
+    protocol: Protocol, number: signal.Signals
+) -> None:
+    device = Scripted(protocol)
+    alive: list[bool] = []
+
+    def ended_again(data: bytes) -> None:
+        if device.heard.count(FORWARD) and data[-1:] == STOP and not alive:
+            process.send_signal(number)
+            try:
+                process.wait(0.5)  # it has one second for the first answer to its stops
+                alive.append(False)
+            except subprocess.TimeoutExpired:
+                alive.append(True)
+
+    device.hearing = ended_again
+    with (
+        served_here(device) as (port, _),
+        ignoring(),
+        subprocess.Popen(
+            [sys.executable, "-c", DRIVING, port],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        ) as process,
+    ):
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"driving\n"
+        assert device.state.moving
+        process.send_signal(number)
+        process.wait(PATIENCE)
+
+    assert not device.state.moving
+    assert alive == [True]
+    assert process.returncode == ENDED[number]
+
+
+def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
+    heard: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))
+    try:
+        with ending_in_order():
+            signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+    assert heard == [signal.SIGTERM]
+
+
+def test_the_signals_are_given_back() -> None:
+    before = [signal.getsignal(n) for n in ENDED]
+    with ending_in_order(), undisturbed(again=True):
+        assert [signal.getsignal(n) for n in ENDED] != before
+
+    assert [signal.getsignal(n) for n in ENDED] == before
+
+
+# -- other grammars -------------------------------------------------------------------------------
+
+
+def test_another_grammar_has_other_methods(horn_text: str, tmp_path: Path) -> None:
+    grammar = tmp_path / "horn.py"
+    grammar.write_text(horn_text, encoding="utf-8")
+    with simulate(grammar=str(grammar)) as served:
+        with Robot(served.port, grammar=grammar) as robot:
+            other: Any = robot
+            assert other.horn(2).name == "OK"
+            with pytest.raises(ValueError, match=r"Horn\.sound is 4, allowed are 0 to 3"):
+                other.horn(4)
+        with Robot(served.port) as robot:
+            other = robot
+            with pytest.raises(AttributeError, match="there are stop, "):
+                other.horn(2)
+
+
+def test_an_instruction_that_a_robot_of_another_grammar_lacks_is_refused(horn: Protocol) -> None:
+    with simulate() as served, Robot(served.port, grammar=horn) as robot:
+        other: Any = robot
+        with pytest.raises(Refused) as raised:
+            other.horn(sound=2)
+
+    assert (raised.value.answer, raised.value.instruction) == ("BAD_HEADER", "Horn")
+
+
+def test_an_instruction_whose_name_a_robot_needs_itself_gets_an_underscore(
+    horn_text: str,
+) -> None:
+    protocol = load(horn_text.replace('9: "Horn"', '9: "Close"').replace('"sound"', '"from"'))
+    with driven(protocol) as (robot, device, _):
+        other: Any = robot
+        other.close_(from_=2)
+        assert device.heard == b"\x91\x02"
+        robot.stop()
+
+
+def test_what_a_robot_has_besides_is_reserved(protocol: Protocol) -> None:
+    own = {name for kind in (Robot, Client) for name in dir(kind) if not name.startswith("_")}
+    with driven(protocol) as (robot, _, _):
+        own |= {name for name in vars(robot) if not name.startswith("_")}
+
+    assert own | {"sees"} == RESERVED

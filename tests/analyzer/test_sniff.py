@@ -1,0 +1,335 @@
+"""`bilprov sniff` on real ptys: it shows and records exactly the bytes that were sent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.protocol import Protocol
+from tests.support import commands
+from tests.support.signals import ignoring
+from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
+
+pytestmark = pytest.mark.waits
+
+TROUBLESOME = bytes([0x00, 0x03, 0x04, 0x11, 0x13, 0x1A, 0x7F, 0xFF])
+
+
+def _kept(path: Path, direction: str) -> bytes:
+    return b"".join(
+        event.data
+        for event in open_capture(path)
+        if isinstance(event, Chunk) and event.direction == direction
+    )
+
+
+def _write(pair: PtyPair, data: bytes) -> None:
+    """What another program says on the line: the sniffer hears it on the pty's path."""
+    while data:
+        try:
+            data = data[os.write(pair.master, data) :]
+        except BlockingIOError:
+            time.sleep(0.001)
+
+
+def _read(command: Running, count: int) -> list[bytes]:
+    """The next lines of standard output, as they come."""
+    lines = [command.stdout.readline() for _ in range(count)]
+    assert all(lines), command.stderr.read()
+    return lines
+
+
+def _taps(tmp_path: Path, host: PtyPair, device: PtyPair, *more: str) -> tuple[list[str], Path]:
+    path = tmp_path / "run.mcap"
+    return ["sniff", host.name, device.name, "-w", str(path), "--format", "jsonl", *more], path
+
+
+def test_bytes_sniffed_equal_bytes_sent_and_a_replay_says_the_same(tmp_path: Path) -> None:
+    said = TROUBLESOME * 4 + bytes(range(256)) + bytes(16)
+    answered = TROUBLESOME + bytes(range(256))
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device)
+        with running(*arguments) as command:
+            command.wait_for(path)
+            for at in range(0, len(said), 7):
+                _write(host, said[at : at + 7])
+                _write(device, answered[at : at + 7])
+            shown: list[bytes] = []
+            heard = 0
+            while heard < len(answered):  # a response's line is the last thing that its byte does
+                shown += _read(command, 1)
+                heard += b'"response"' in shown[-1]
+            code, rest, err = command.end()
+    output = b"".join(shown) + rest
+
+    assert code == 0, err
+    assert _kept(path, "host") == said
+    assert _kept(path, "device") == answered
+    lines = json_lines(output)
+    host_hex = " ".join(line["hex"] for line in lines if line["direction"] == "host")
+    device_hex = " ".join(line["hex"] for line in lines if line["direction"] == "device")
+    assert bytes.fromhex(host_hex) == said
+    assert bytes.fromhex(device_hex) == answered
+
+    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
+
+    assert replayed.stdout == output
+    assert replayed.returncode == 0
+
+
+def test_unanswered_instructions_are_reported_live_as_on_replay(tmp_path: Path) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device)
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x20\x11")
+            lines = _read(command, 3)  # Forward, Speed cut short, no answer to the first
+            code, rest, _ = command.end(signal.SIGTERM)
+
+    assert code == 0
+    assert json_lines(lines[2])[0]["faults"] == ["unanswered"]
+    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
+    assert replayed.stdout == b"".join(lines) + rest
+
+
+def test_the_capture_holds_what_was_decoded_too(tmp_path: Path) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device, "--count", "2")
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x81\x09")
+            _read(command, 1)
+            _write(device, b"\x00")
+            code, _, _ = command.result()
+
+    assert code == 0
+    capture = open_capture(path)
+    topics: dict[str, list[Any]] = {}
+    for message in capture.messages():
+        topics.setdefault(message.topic, []).append(message.value)
+    assert topics["/host/instructions"][0]["name"] == "LED"
+    assert topics["/device/responses"][0]["agrees"] is False
+    assert topics["/state"][0]["motion"] == "stopped"
+    assert {fault["name"] for fault in topics["/faults"]} == {"faulty instruction", "disagreeing"}
+    assert {line["event"] for line in topics["/line"]} == {"open", "close"}
+    for key in ("grammar_name", "grammar_sha256", "port_host", "line", "truncation_timeout_ms"):
+        assert capture.metadata[key]
+    assert capture.metadata["attached"] == "yes"
+    assert not capture.unfinished
+
+
+def test_count_counts_the_frames_that_a_filter_lets_pass(tmp_path: Path) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device, "--count", "2", "--filter", "speed > 0")
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x20\x11\x01\x00\x11\x02\x11\x03")
+            code, out, _ = command.result()
+
+    assert code == 0
+    assert [line["hex"] for line in json_lines(out)] == ["11 01", "11 02"]
+
+
+def test_duration_ends_it(tmp_path: Path) -> None:
+    with open_pty() as host:
+        run = commands.command("sniff", host.name, "--duration", "0.1", "--format", "lines")
+
+    assert run.returncode == 0
+
+
+def test_the_host_alone_can_be_tapped_and_is_not_said_to_go_unanswered(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        open_pty() as host,
+        running(
+            "sniff", host.name, "-w", str(path), "--format", "jsonl", "--duration", "2"
+        ) as command,
+    ):
+        command.wait_for(path)
+        _write(host, b"\x20")
+        code, out, _ = command.result()
+
+    assert code == 0
+    assert [line["faults"] for line in json_lines(out)] == [[]]
+
+
+def test_an_unplugged_tap_ends_it_in_one_sentence_and_what_was_captured_is_kept(
+    tmp_path: Path,
+) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device)
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x20")
+            _read(command, 1)
+            host.close()
+            code, _, err = command.result()
+
+    assert code == 2
+    sentence = err.decode().splitlines()[-1]
+    assert sentence.startswith("bilprov: ")
+    assert str(path) in sentence
+    assert "Traceback" not in err.decode()
+    assert _kept(path, "host") == b"\x20"
+    assert not open_capture(path).unfinished
+
+
+def test_a_reader_that_goes_ends_it_quietly(tmp_path: Path) -> None:
+    with open_pty() as host:
+        path = tmp_path / "run.mcap"
+        with running("sniff", host.name, "-w", str(path), "--format", "jsonl") as command:
+            command.wait_for(path)
+            _write(host, b"\x20")
+            _read(command, 1)
+            command.stdout.close()
+            _write(host, b"\x00\x00")
+            command.process.wait(PATIENCE)
+            err = command.stderr.read()
+
+    assert command.process.returncode == 0
+    assert b"Traceback" not in err
+    assert b"Exception" not in err
+    assert not open_capture(path).unfinished
+
+
+def test_a_kill_loses_nothing_that_is_older_than_a_moment(tmp_path: Path) -> None:
+    with open_pty() as host:
+        path = tmp_path / "run.mcap"
+        with running("sniff", host.name, "-w", str(path), "--format", "jsonl") as command:
+            command.wait_for(path)
+            before = path.stat().st_size
+            _write(host, b"\x20\x00")
+            give_up = time.monotonic() + PATIENCE
+            while path.stat().st_size == before and time.monotonic() < give_up:
+                time.sleep(0.01)
+            while not _kept(path, "host") and time.monotonic() < give_up:
+                time.sleep(0.05)
+            command.process.kill()
+            command.process.wait()
+
+    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
+    assert replayed.returncode == 0
+    assert [line["hex"] for line in json_lines(replayed.stdout)] == ["20", "00"]
+    assert len(replayed.stderr.splitlines()) == 1
+    assert b"never finished" in replayed.stderr
+
+
+def test_a_bridge_passes_every_byte_and_names_its_pty(tmp_path: Path, protocol: Protocol) -> None:
+    path = tmp_path / "run.mcap"
+    robot = PtyRobot(protocol)
+    with (
+        served(robot) as port,
+        running(
+            "sniff", "--bridge", port, "--yes", "-w", str(path), "--format", "jsonl"
+        ) as command,
+    ):
+        name = command.stderr.readline().decode().strip()
+        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        try:
+            os.write(descriptor, b"\x11\xff\x20\x81\x09")
+            lines = json_lines(b"".join(_read(command, 6)))
+            answers = os.read(descriptor, 100)
+        finally:
+            os.close(descriptor)
+        code, _, _ = command.end()
+
+    assert code == 0
+    assert robot.frames == [b"\x11\xff", b"\x20", b"\x81\x09"]
+    assert answers == b"\x00\x00\x02"
+    assert [line["kind"] for line in lines] == ["instruction"] * 3 + ["response"] * 3
+    assert [line["agrees"] for line in lines[3:]] == [True] * 3
+    assert open_capture(path).metadata["attached"] == "no"
+
+
+def test_the_live_view_draws_on_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with open_pty() as host, open_pty() as screen:
+        slave = os.open(screen.name, os.O_RDWR | os.O_NOCTTY)
+        with ignoring():
+            process = subprocess.Popen(
+                [sys.executable, "-m", "bilprov", "sniff", host.name, "-w", str(path)],
+                stdin=subprocess.DEVNULL,
+                stdout=slave,
+                stderr=subprocess.PIPE,
+                env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
+            )
+        os.close(slave)
+        drawn = b""
+        give_up = time.monotonic() + PATIENCE
+        try:
+            while b"Forward" not in drawn and time.monotonic() < give_up:
+                if b"predicted" in drawn:
+                    _write(host, b"\x20")
+                    time.sleep(0.05)
+                drawn += screen.read()
+        finally:
+            process.send_signal(signal.SIGINT)
+            while process.poll() is None and time.monotonic() < give_up:
+                drawn += screen.read()
+            _, err = process.communicate(timeout=PATIENCE)
+            drawn += screen.read()
+
+    assert process.returncode == 0
+    assert b"Forward" in drawn
+    assert drawn.count(b"\x1b[?1049h") == drawn.count(b"\x1b[?1049l") == 1
+    assert b"instructions" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["HOST", "--bridge"]),
+        (["a", "--bridge", "b"], ["not both"]),
+        (["/no/such/port"], ["/no/such/port"]),
+        (["/dev/null"], ["/dev/null"]),
+        (["--bridge", "/no/such/port"], ["/no/such/port"]),
+        (["x", "x"], ["both tapped"]),
+        (["x", "--filter", "1 +"], ["column"]),
+        (["x", "--baud", "0"], ["--baud"]),
+        (["x", "--truncation-timeout", "0"], ["--truncation-timeout"]),
+    ],
+)
+def test_wrong_use_is_one_sentence(arguments: list[str], words: list[str]) -> None:
+    run = commands.command("sniff", *arguments)
+
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert all(word in run.stderr.decode() for word in words), run.stderr
+
+
+def test_a_capture_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"precious")
+    with open_pty() as host:
+        run = commands.command("sniff", host.name, "-w", str(path))
+
+    assert run.returncode == 2
+    assert path.read_bytes() == b"precious"
+
+
+def test_another_grammar_is_followed(tmp_path: Path, horn_text: str) -> None:
+    grammar, path = tmp_path / "horn.py", tmp_path / "run.mcap"
+    grammar.write_text(horn_text, encoding="utf-8")
+    with (
+        open_pty() as host,
+        running(
+            *("--grammar", str(grammar), "sniff", host.name, "-w", str(path)),
+            *("--format", "jsonl", "--filter", "sound < 4", "--count", "1"),
+        ) as command,
+    ):
+        command.wait_for(path)
+        _write(host, b"\x91\x07\x91\x03")
+        code, out, _ = command.result()
+
+    assert code == 0
+    assert [line["hex"] for line in json_lines(out)] == ["91 03"]

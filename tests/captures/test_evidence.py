@@ -1,0 +1,227 @@
+"""Recorded runs: any changed byte is detected, and other tools can read the file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import zlib
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.evidence import open_evidence
+from bilprov.captures.reader import open_capture
+from bilprov.captures.storage.limits import ATTACHMENT_BYTES
+from bilprov.captures.storage.seal import SEAL_NAME
+from bilprov.captures.writer import CaptureWriter
+from bilprov.conformance.recheck import recheck
+from bilprov.conformance.report.run_report import as_json
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.recordings import WALL, attachments_of, recorded
+from tests.support.robots import sentence
+
+TELLS = re.compile(r"hash \(sha256\)|checksum")
+SHARDS = 2
+ENDS, STRIDE = 2048, 97
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> Path:
+    """A recording of a few cases."""
+    path = tmp_path_factory.mktemp("small") / "run.mcap"
+    recorded(path, protocol, "unused-id/9/0")
+    return path
+
+
+def places(size: int) -> list[int]:
+    """Every place near the ends, where the file's own records lie, and many between."""
+    ends = {*range(min(size, ENDS)), *range(max(0, size - ENDS), size)}
+    return sorted(ends | {*range(0, size, STRIDE)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shard", range(SHARDS))
+def test_any_flipped_bit_is_told_by_a_hash_or_a_checksum(
+    small: Path, tmp_path: Path, shard: int
+) -> None:
+    content = small.read_bytes()
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(content)
+    assert recheck(str(path)).exit == 0
+    unnoticed, untold = [], []
+    with path.open("r+b", buffering=0) as file:
+        for at in places(len(content))[shard::SHARDS]:
+            os.pwrite(file.fileno(), bytes([content[at] ^ 1 << at % 8]), at)
+            try:
+                unnoticed.append((at, recheck(str(path)).exit))
+            except CaptureError as error:
+                if not TELLS.search(str(error)) or "\n" in str(error):
+                    untold.append((at, str(error)))
+            os.pwrite(file.fileno(), content[at : at + 1], at)
+
+    assert (unnoticed, untold) == ([], [])
+
+
+@pytest.mark.parametrize("where", [0, 1000, -60, -1])
+def test_the_command_says_so_in_one_sentence(small: Path, tmp_path: Path, where: int) -> None:
+    content = bytearray(small.read_bytes())
+    content[where] ^= 0xFF
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(content)
+
+    result = command("recheck", str(path))
+
+    assert result.returncode == 2
+    assert result.stdout == b""
+    assert TELLS.search(sentence(result))
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tail", [b"\0", b"x" * 100, b"\x89MCAP0\r\n"])
+def test_bytes_behind_the_end_are_told(small: Path, tmp_path: Path, tail: bytes) -> None:
+    path = tmp_path / "longer.mcap"
+    path.write_bytes(small.read_bytes() + tail)
+
+    with pytest.raises(CaptureError, match=TELLS):
+        recheck(str(path))
+
+
+@pytest.mark.slow
+def test_a_byte_left_out_or_put_in_is_told(small: Path, tmp_path: Path) -> None:
+    content = small.read_bytes()
+    path = tmp_path / "changed.mcap"
+    for at in range(0, len(content), 499):
+        for changed in (content[:at] + content[at + 1 :], content[:at] + b"\0" + content[at:]):
+            path.write_bytes(changed)
+            with pytest.raises(CaptureError, match=TELLS):
+                recheck(str(path))
+
+
+def test_the_official_reader_reads_messages_attachments_and_metadata(
+    small: Path, protocol: Protocol, tmp_path: Path
+) -> None:
+    with small.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        count = sum(1 for _ in reader.iter_messages())
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        summary = reader.get_summary()
+    attached = attachments_of(small)
+
+    assert summary is not None
+    assert summary.statistics is not None
+    assert count == summary.statistics.message_count > 100
+    assert list(attached) == ["grammar.py", "run.json", "profile.json", "verdict.json"]
+    assert attached["grammar.py"].decode() == protocol.source
+    assert metadata["bilprov"]["grammar_sha256"] == protocol.sha256
+    assert json.loads(attached["run.json"])["options"]["only"] == ["unused-id/9/0"]
+    assert json.loads(attached["profile.json"]) == json.loads(attached["verdict.json"])["profile"]
+    again = recorded(tmp_path / "again.mcap", protocol, "unused-id/9/0")
+    assert attached["verdict.json"] == as_json(again)
+
+
+def test_the_seal_holds_the_hash_of_all_before_it(small: Path) -> None:
+    content = small.read_bytes()
+    with small.open("rb") as file:
+        (seal,) = (r for r in make_reader(file).iter_metadata() if r.name == SEAL_NAME)
+    before = int(seal.metadata["bytes"])
+
+    assert seal.metadata["sha256"] == hashlib.sha256(content[:before]).hexdigest()
+    assert len(content) - before < 20_000
+
+
+def test_what_the_run_rests_on_stands_before_its_first_byte(small: Path) -> None:
+    with small.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    attached = {index.name: index.offset for index in summary.attachment_indexes}
+    with_host_bytes = [
+        index.chunk_start_offset
+        for index in summary.chunk_indexes
+        if topics.TOPICS[0].channel in index.message_index_offsets
+    ]
+
+    assert max(attached["grammar.py"], attached["run.json"]) < min(with_host_bytes)
+    assert max(with_host_bytes) < attached["verdict.json"]
+
+
+def test_sniffed_captures_are_sealed_too(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with CaptureWriter(path, start_wall=WALL, metadata={}, version="0.1.0") as writer:
+        writer.attach("note.txt", "text/plain", b"hello", 5)
+
+    evidence = open_evidence(path, ("note.txt", "none.txt"))
+
+    assert evidence.sealed
+    assert evidence.attachments == {"note.txt": b"hello"}
+
+
+def test_an_attachment_over_the_limit_is_left_out_and_that_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with CaptureWriter(path, start_wall=WALL, metadata={}, version="0.1.0") as writer:
+        writer.attach("big", "", bytes(ATTACHMENT_BYTES + 1), 5)
+
+    (message,) = open_capture(path).messages()
+    assert message.topic == "/faults"
+    assert f"big: {ATTACHMENT_BYTES + 1} bytes" in str(message.value)
+    assert attachments_of(path) == {}
+
+
+def test_an_attachment_with_a_wrong_checksum_is_damage_also_where_there_is_no_seal(
+    small: Path, tmp_path: Path
+) -> None:
+    content = bytearray(small.read_bytes())
+    content[content.index(b"Stops the robot")] ^= 1
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(content[: content.index(b"verdict.json")])  # never finished
+
+    assert "checksum (CRC) of an attachment" in str(open_capture(path).damage)
+    with pytest.raises(CaptureError, match="checksum"):
+        recheck(str(path))
+
+
+def test_attachment_checksums_are_those_of_the_format(small: Path) -> None:
+    content = small.read_bytes()
+    start = content.index(b"\x0a\0\0\0grammar.py") - 16
+    length = int.from_bytes(content[start - 8 : start], "little")
+    record = content[start : start + length]
+
+    assert int.from_bytes(record[-4:], "little") == zlib.crc32(record[:-4])
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is empty"),
+        (b"hello", "is not MCAP"),
+        (b"\x89MCAP0\r\n", "no topics"),
+        (b"\x89MCAP0\r\n\x89MCAP0\r\n", "has no seal"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+
+    with pytest.raises(CaptureError, match=said):
+        open_evidence(path, ())
+
+
+def test_an_older_capture_without_a_seal_is_refused_with_the_reason() -> None:
+    result = command("recheck", str(ROOT / "captures" / "samples" / "examples.mcap"))
+
+    assert result.returncode == 2
+    assert "has no seal" in sentence(result)
+
+
+def test_a_file_that_is_not_there_or_a_folder(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.mcap", tmp_path):
+        result = command("recheck", str(path))
+        assert result.returncode == 2
+        assert "name an MCAP file" in sentence(result)

@@ -1,0 +1,69 @@
+"""Replay timing, on a clock that the test controls."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from bilprov.captures.player import paced
+from bilprov.captures.schemas import Chunk
+
+SECOND = 1_000_000_000
+EVENTS = [Chunk(t * SECOND, "host", bytes([t])) for t in (0, 1, 1, 4)]
+
+
+class Clock:
+    """A clock that only sleeping moves."""
+
+    def __init__(self) -> None:
+        self.now = 128.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.now += seconds
+
+
+def played(
+    rate: float, *, slow: float = 0.0, start: int | None = None, end: int | None = None
+) -> list[tuple[float, int]]:
+    clock = Clock()
+    seen = []
+    for event in paced(EVENTS, rate, clock=clock, sleep=clock.sleep, start=start, end=end):
+        seen.append((clock.now - 128, event.data[0]))
+        clock.now += slow
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("rate", "times"),
+    [(1, [0, 1, 1, 4]), (2, [0, 0.5, 0.5, 2]), (0.5, [0, 2, 2, 8]), (0, [0, 0, 0, 0])],
+)
+def test_each_event_comes_at_its_time_divided_by_the_rate(rate: float, times: list[float]) -> None:
+    assert played(rate) == list(zip(times, [0, 1, 1, 4], strict=True))
+
+
+def test_a_slow_consumer_does_not_shift_what_comes_later() -> None:
+    assert played(1, slow=0.75) == [(0, 0), (1, 1), (1.75, 1), (4, 4)]
+
+
+def test_start_and_end_cut_the_range_and_playing_begins_at_start() -> None:
+    assert played(1, start=SECOND, end=4 * SECOND) == [(0, 1), (0, 1)]
+    assert played(1, start=3 * SECOND) == [(1, 4)]
+
+
+def test_playing_stops_at_the_end_without_reading_on() -> None:
+    source = iter(EVENTS)
+    clock = Clock()
+    assert len(list(paced(source, 0, clock=clock, sleep=clock.sleep, end=SECOND))) == 1
+    assert len(list(source)) == 2
+
+
+@pytest.mark.parametrize("rate", [-1, -0.001, math.nan, -math.inf])
+def test_a_rate_below_zero_or_nan_is_wrong_use_at_once(rate: float) -> None:
+    clock = Clock()
+    with pytest.raises(ValueError, match=r"rate is .*, allowed are 0"):
+        paced(EVENTS, rate, clock=clock, sleep=clock.sleep)

@@ -1,0 +1,483 @@
+"""Capture reader: damage loses data but never changes any, and foreign writers are understood."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+import zlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zstandard
+from mcap.writer import CompressionType, Writer
+
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.schemas import Chunk, Line, Log, State, Time
+from bilprov.captures.storage import limits
+from bilprov.captures.storage.recovery import RecordFile
+from bilprov.captures.text import printable
+from bilprov.captures.topics import TOPICS
+from bilprov.captures.writer import CaptureWriter
+
+START = 1_790_000_000_000_000_000
+FLUSH_EVERY = 4
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A finished capture of 24 messages in 6 chunks, on four topics."""
+    path = tmp_path / "small.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={"grammar": "g"}, version="1") as capture:
+        for t in range(24):
+            if t % 6 == 4:
+                capture.write(Line(t, "modem", "host", f"cts {t}"), t)
+            elif t % 6 == 5:
+                capture.write(State("forward", t, 0, 0, True), t)
+            else:
+                data = b"%d " % t * (t % 3 + 1)
+                capture.chunk(Chunk(t, "device" if t % 2 else "host", data))
+            if t % FLUSH_EVERY == FLUSH_EVERY - 1:
+                capture.flush()
+    return path
+
+
+def with_bytes(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def all_of(path: Path) -> list[Message]:
+    return list(open_capture(path).messages())
+
+
+@pytest.mark.slow
+def test_a_file_cut_anywhere_gives_a_prefix(small: Path) -> None:
+    messages = all_of(small)
+    chunks = chunk_offsets(small.read_bytes())
+    size = small.stat().st_size
+    # Each byte of the data; the schemas before and behind are long and all alike.
+    cuts = {*range(0, size, 13), *range(300), *range(chunks[0], chunks[-1] + 900), size - 1}
+    lengths = []
+    for cut in sorted(cuts & set(range(size)), reverse=True):
+        os.truncate(small, cut)
+        try:
+            capture = open_capture(small)
+        except CaptureError:
+            lengths.append(0)
+            continue
+        read = list(capture.messages())
+        assert read == messages[: len(read)], cut
+        assert capture.unfinished
+        assert capture.damage == ()
+        lengths.append(len(read))
+    assert lengths == sorted(lengths, reverse=True)
+    assert set(lengths) == set(range(0, 25, FLUSH_EVERY))
+
+
+@pytest.mark.slow
+def test_a_flipped_bit_never_gives_wrong_messages(small: Path, tmp_path: Path) -> None:
+    whole = small.read_bytes()
+    messages = all_of(small)
+    choose = random.Random(7)
+    refused = 0
+    kept = []
+    for at in range(0, len(whole), 11):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << choose.randrange(8)
+        try:
+            capture = open_capture(with_bytes(tmp_path / "flip.mcap", bytes(damaged)))
+        except CaptureError:
+            refused += 1
+            continue
+        read = list(capture.messages())
+        assert all(message in messages for message in read), at
+        assert [m.sequence for m in read] == sorted(m.sequence for m in read)
+        assert len(read) == 24 or capture.damage, at
+        kept.append(len(read))
+        list(capture.events())
+    assert refused <= 3  # the magic
+    assert min(kept) >= 24 - 2 * FLUSH_EVERY
+
+
+@pytest.mark.parametrize("way", ["zeroed", "inserted", "removed"])
+def test_what_is_whole_after_a_damaged_stretch_is_read(
+    small: Path, tmp_path: Path, way: str
+) -> None:
+    whole = small.read_bytes()
+    messages = all_of(small)
+    for at in range(8, len(whole) - 8, 97):
+        rest = whole[at + 64 :] if way in {"zeroed", "removed"} else whole[at:]
+        middle = {"zeroed": bytes(64), "inserted": b"\x06" * 33, "removed": b""}[way]
+        path = with_bytes(tmp_path / "d.mcap", whole[:at] + middle + rest)
+        read = all_of(path)
+        assert all(message in messages for message in read), at
+        assert len(read) >= 24 - 3 * FLUSH_EVERY, at
+
+
+def chunk_offsets(data: bytes) -> list[int]:
+    offsets = []
+    at = 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == 6:
+            offsets.append(at)
+        at += 9 + length
+    return offsets
+
+
+@pytest.mark.parametrize("lost", range(6))
+def test_a_lost_chunk_is_said_and_stands_as_a_gap(small: Path, tmp_path: Path, lost: int) -> None:
+    whole = bytearray(small.read_bytes())
+    whole[chunk_offsets(bytes(whole))[lost] + 60] ^= 0xFF
+    capture = open_capture(with_bytes(tmp_path / "lost.mcap", bytes(whole)))
+    assert [m.sequence for m in capture.messages()] == [
+        n for n in range(24) if n // FLUSH_EVERY != lost
+    ]
+    assert len(capture.damage) == 1
+    assert "damaged and left out" in capture.damage[0]
+    assert capture.start == START
+    assert not capture.unfinished
+    gaps = [event for event in capture if isinstance(event, Line) and event.event == "gap"]
+    if lost < 5:
+        after = (lost + 1) * FLUSH_EVERY
+        assert gaps == [Line(after, "gap", "", "4 messages are lost here, the file is damaged")]
+
+
+def test_the_channel_table_may_be_lost(small: Path, tmp_path: Path) -> None:
+    whole = small.read_bytes()
+    second = chunk_offsets(whole)[1]
+    header = 8 + 9 + struct.unpack_from("<Q", whole, 9)[0]
+    data = whole[:header] + bytes(second - header) + whole[second:-600]
+    read = all_of(with_bytes(tmp_path / "t.mcap", data))
+    assert {m.topic for m in read} == {"/host/raw", "/device/raw", "/line", "/state"}
+
+
+def test_our_own_file_that_ends_behind_its_header_has_all_topics_and_no_messages(
+    small: Path, tmp_path: Path
+) -> None:
+    whole = small.read_bytes()
+    header = 8 + 9 + struct.unpack_from("<Q", whole, 9)[0]
+    capture = open_capture(with_bytes(tmp_path / "h.mcap", whole[:header]))
+    assert list(capture.messages()) == []
+    assert capture.contents.channels == {
+        topic.channel: (topic.name, topic.encoding) for topic in TOPICS
+    }
+
+
+def test_the_start_survives_the_loss_of_all_that_stands_before_the_second_chunk(
+    small: Path, tmp_path: Path
+) -> None:
+    whole = small.read_bytes()
+    second = chunk_offsets(whole)[1]
+    messages = all_of(small)
+    capture = open_capture(with_bytes(tmp_path / "t.mcap", whole[:8] + whole[second:]))
+    assert capture.start == START
+    assert list(capture.messages()) == messages[FLUSH_EVERY:]
+
+
+def test_a_flipped_start_in_the_metadata_does_not_shift_the_times(
+    small: Path, tmp_path: Path
+) -> None:
+    whole = small.read_bytes().replace(str(START).encode(), b"1690000000000000000", 1)
+    capture = open_capture(with_bytes(tmp_path / "s.mcap", whole))
+    assert capture.metadata["start"] == "1690000000000000000"
+    assert capture.start == START
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "is empty"),
+        (b"PK\x03\x04 and more of it", r"is not MCAP \(first bytes 50 4b 03 04"),
+        (b"\x89MCA", r"is not MCAP \(first bytes 89 4d 43 41,"),
+        (b"\x89MCAP0\r\n", "holds no topics; bilprov needs /host/raw or /device/raw"),
+    ],
+)
+def test_what_is_no_capture_is_refused_in_a_sentence(
+    tmp_path: Path, data: bytes, sentence: str
+) -> None:
+    with pytest.raises(CaptureError, match=sentence):
+        open_capture(with_bytes(tmp_path / "a.mcap", data))
+
+
+def test_a_folder_and_a_missing_file_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="is a folder"):
+        open_capture(tmp_path)
+    with pytest.raises(CaptureError, match="does not exist"):
+        open_capture(tmp_path / "none.mcap")
+    with pytest.raises(CaptureError, match="not a regular file"):
+        open_capture("/dev/null")
+    with pytest.raises(CaptureError, match="cannot be read"):
+        open_capture("a\0b")
+
+
+Fill = Callable[[Writer], Any]
+
+
+def foreign(path: Path, fill: Fill, **options: Any) -> Path:
+    with path.open("wb") as file:
+        writer: Any = Writer(file, **options)
+        writer.start("", "someone else 2.0")
+        fill(writer)
+        writer.finish()
+    return path
+
+
+def raw_topics(writer: Writer) -> tuple[int, int]:
+    writer.register_channel("/camera", "cdr", 0)  # so that the ids differ from ours
+    device = writer.register_channel("/device/raw", "application/octet-stream", 0)
+    return writer.register_channel("/host/raw", "", 0), device
+
+
+def two_taps(writer: Writer) -> None:
+    host, device = raw_topics(writer)
+    line = writer.register_channel("/line", "json", 0)
+    for n in range(50):
+        writer.add_message(host, 1000 + 10 * n, b"h%d" % n, 0)
+    for n in range(50):
+        writer.add_message(device, 1005 + 10 * n, b"d%d" % n, 0)
+    writer.add_message(line, 1001, b'{"t":77,"event":"break","more":1}', 0)
+    for bad in (b"{", b"[" * 5000, b'{"t":1}', b'{"t":1,"event":"\xff\xff"}', b"", b"1e999"):
+        writer.add_message(line, 1002, bad, 0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False},
+        {"compression": CompressionType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"compression": CompressionType.ZSTD, "enable_crcs": False},
+        {"compression": CompressionType.LZ4, "chunk_size": 300, "enable_data_crcs": True},
+    ],
+    ids=str,
+)
+def test_foreign_writers_are_read_by_time(tmp_path: Path, options: dict[str, Any]) -> None:
+    capture = open_capture(foreign(tmp_path / "f.mcap", two_taps, **options))
+    events = list(capture)
+    assert capture.start == 1000
+    assert not capture.unfinished
+    assert capture.damage == ("6 messages on /line cannot be decoded and are left out",)
+    assert events.pop(1) == Line(1, "break")
+    assert events == [
+        Chunk(
+            10 * (n // 2) + 5 * (n % 2), ("host", "device")[n % 2], b"%c%d" % (b"hd"[n % 2], n // 2)
+        )
+        for n in range(100)
+    ]
+    assert len(list(capture.messages())) == 107
+
+
+def test_a_foreign_file_cut_anywhere_never_surprises(tmp_path: Path) -> None:
+    for options in ({"use_chunking": False}, {"compression": CompressionType.LZ4}):
+        whole = foreign(tmp_path / "f.mcap", two_taps, **options).read_bytes()
+        for cut in range(0, len(whole), 23):
+            try:
+                capture = open_capture(with_bytes(tmp_path / "cut.mcap", whole[:cut]))
+            except CaptureError:
+                continue
+            assert capture.unfinished
+            assert len(list(capture.events())) <= 101
+
+
+def test_random_damage_never_raises_anything_else(small: Path, tmp_path: Path) -> None:
+    choose = random.Random(11)
+    sources = [
+        small.read_bytes(),
+        foreign(tmp_path / "a.mcap", two_taps, use_chunking=False).read_bytes(),
+        foreign(tmp_path / "b.mcap", two_taps, chunk_size=200).read_bytes(),
+    ]
+    for n in range(240):
+        data = bytearray(sources[n % 3])
+        for _ in range(choose.randrange(1, 12)):
+            data[choose.randrange(8, len(data))] = choose.choice([0, 1, 6, 255, 4, 5])
+        try:
+            capture = open_capture(with_bytes(tmp_path / "r.mcap", bytes(data)))
+        except CaptureError:
+            continue
+        list(capture.messages())
+        list(capture.events())
+
+
+def test_the_metadata_start_counts_in_a_foreign_file(tmp_path: Path) -> None:
+    def fill(writer: Writer, start: str) -> None:
+        writer.add_metadata("bilprov", {"start": start})
+        writer.add_message(raw_topics(writer)[0], 1000, b"x", 0)
+
+    for start, t in (("900", 100), ("nine", 0), ("-5", 0), ("٣", 0), ("9" * 5000, 0)):
+        path = foreign(tmp_path / "f.mcap", partial(fill, start=start))
+        assert list(open_capture(path)) == [Chunk(t, "host", b"x")]
+
+
+def test_other_topics_alone_are_refused_and_shown_harmless(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        writer.register_channel("/b\x1b[31m\u202e", "json", 0)
+        writer.add_message(writer.register_channel("/a" * 300, "json", 0), 1, b"{}", 0)
+
+    with pytest.raises(CaptureError) as refused:
+        open_capture(foreign(tmp_path / "f.mcap", fill))
+    sentence = str(refused.value)
+    assert "bilprov needs /host/raw or /device/raw" in sentence
+    assert sentence.isprintable()
+    assert len(sentence) < 500
+
+
+def test_channels_without_messages_are_a_capture(tmp_path: Path) -> None:
+    capture = open_capture(foreign(tmp_path / "f.mcap", raw_topics, use_chunking=False))
+    assert (list(capture), capture.damage, capture.start) == ([], (), 0)
+    assert capture.contents.last == 0
+
+
+def bomb(packed: bytes, declared: int, crc: int = 1) -> bytes:
+    front = struct.pack("<QQQI", 0, 0, declared, crc) + b"\x04\0\0\0zstd"
+    body = front + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+@pytest.mark.parametrize("declared", [100, limits.CHUNK_BYTES, limits.CHUNK_BYTES + 1, 1 << 60])
+def test_a_zstd_bomb_is_left_out_without_being_unpacked(
+    small: Path, tmp_path: Path, declared: int
+) -> None:
+    packer = zstandard.ZstdCompressor(level=3).compressobj()
+    packed = b"".join([packer.compress(bytes(1 << 20)) for _ in range(200)] + [packer.flush()])
+    whole = small.read_bytes()
+    last = chunk_offsets(whole)[-1]
+    data = whole[:last] + bomb(packed, declared) + whole[last:]
+    capture = open_capture(with_bytes(tmp_path / "bomb.mcap", data))
+    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert len(capture.damage) == 1
+
+
+def test_millions_of_false_chunks_do_not_hold_the_reader_up(tmp_path: Path) -> None:
+    size = 3_000_000
+    front = struct.pack("<QQQI", 0, 0, 1000, 1) + bytes(4)
+    at = 17
+    parts = [b"\x89MCAP0\r\n", b"\x06" + b"\xff" * 8]
+    while at < size - 2_000_000:
+        body = size - at - 9
+        parts.append(struct.pack("<BQ", 6, body) + front + struct.pack("<Q", body - len(front) - 8))
+        at += len(parts[-1])
+    parts.append(bytes(size - at))
+    path = with_bytes(tmp_path / "h.mcap", b"".join(parts))
+    with pytest.raises(CaptureError, match="no topics"):
+        open_capture(path)
+    with path.open("rb") as file:
+        source = RecordFile(file, size)
+        assert source.next_chunk(8) is None
+        assert source._patience <= 0
+
+
+def test_limits_of_a_foreign_file_hold(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        host, _ = raw_topics(writer)
+        for n in range(100):
+            writer.register_channel(f"/more/{n}", "json", 0)
+        writer.add_message(host, 1, b"a", 0)
+        writer.add_message(host, 2, bytes(limits.MESSAGE_BYTES + 1), 0)
+        writer.add_message(host, 3, bytes(limits.MESSAGE_BYTES), 0)
+
+    for chunked in (True, False):
+        path = foreign(tmp_path / "f.mcap", fill, use_chunking=chunked, chunk_size=1 << 20)
+        capture = open_capture(path)
+        assert [type(event) for event in capture] == [Chunk, Line, Chunk]
+        assert len(capture.damage) == 2
+        assert len(capture.contents.channels) == limits.CHANNELS
+
+
+def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        host, _ = raw_topics(writer)
+        for n in range(300):
+            writer.add_message(host, n, bytes(60_000), 0)
+        writer.add_message(host, 300, b"after", 0)
+
+    path = foreign(tmp_path / "f.mcap", fill, chunk_size=limits.CHUNK_BYTES + 1000)
+    capture = open_capture(path)
+    kept = [event for event in capture if isinstance(event, Chunk)]
+    assert len(capture.damage) == 1
+    assert "allowed are 16777216: left out" in capture.damage[0]
+    assert kept[-1] == Chunk(300 - capture.start, "host", b"after")
+    assert [event.event for event in capture if isinstance(event, Line)] == ["gap"]
+
+
+def test_a_window_too_small_for_the_disorder_is_said(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        host, device = raw_topics(writer)
+        for n in range(6_000):
+            writer.add_message(host, n + 10, b"x", 0)
+        writer.add_message(device, 1, b"y", 0)
+
+    capture = open_capture(foreign(tmp_path / "f.mcap", fill))
+    assert capture.start == 1
+    assert len(list(capture)) == 6_001
+    assert capture.damage == ("1 messages stand too far out of time order to be put right",)
+
+
+def test_the_times_of_a_foreign_file_are_those_of_all_its_chunks(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        host, _ = raw_topics(writer)
+        for t in (50, 90, 10, 70):  # each fills a chunk
+            writer.add_message(host, t, bytes(500), 0)
+
+    capture = open_capture(foreign(tmp_path / "f.mcap", fill, chunk_size=400))
+    assert len(chunk_offsets((tmp_path / "f.mcap").read_bytes())) >= 4
+    assert (capture.contents.first, capture.contents.last) == (10, 90)
+
+
+def test_a_clock_step_does_not_change_the_order_of_our_own_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
+        for t in (3, 4, 5, 0, 1, 2):
+            capture.chunk(Chunk(t, "host", b"x"))
+    assert [event.t for event in open_capture(path)] == [3, 4, 5, 0, 1, 2]
+
+
+def test_the_contents_count_topics_bytes_and_time(small: Path) -> None:
+    capture = open_capture(small)
+    counts, sizes = capture.contents.counts, capture.contents.sizes
+    assert (counts["/line"], counts["/state"], counts["/faults"]) == (4, 4, 0)
+    assert (sum(counts.values()), capture.contents.last - capture.start) == (24, 23)
+    events = [event for event in capture if isinstance(event, Chunk)]
+    for direction in ("host", "device"):
+        raw = sum(len(e.data) for e in events if e.direction == direction)
+        assert sizes[f"/{direction}/raw"] == raw
+
+
+def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(small: Path) -> None:
+    capture = open_capture(small)
+    events = capture.messages()
+    next(events)
+    small.write_bytes(small.read_bytes()[:4000])
+    with pytest.raises(CaptureError, match="changed while it was read"):
+        list(events)
+
+
+def test_foreign_text_is_one_harmless_line_of_at_most_200_characters() -> None:
+    assert printable("plain å") == "plain å"
+    assert printable("a\x1b[2J\x9b\u202e\n\ud800") == "a\\x1b[2J\\x9b\\x202e\\x0a\\xd800"
+    assert len(printable("\x00" * 5000)) == len(printable("a" * 5000)) == 200
+
+
+def test_log_messages_keep_foxgloves_timestamp(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
+        capture.write(Log(Time(1, 2), 4, "bad", "kind"), 0)
+    (message,) = all_of(path)
+    assert isinstance(message.value, dict)
+    assert message.value["timestamp"] == {"sec": 1, "nsec": 2}
+
+
+def test_an_empty_chunk_checksum_is_not_taken_from_our_own_files(
+    small: Path, tmp_path: Path
+) -> None:
+    whole = bytearray(small.read_bytes())
+    second = chunk_offsets(bytes(whole))[1]
+    whole[second + 9 + 24 : second + 9 + 28] = bytes(4)
+    capture = open_capture(with_bytes(tmp_path / "c.mcap", bytes(whole)))
+    assert len(list(capture.messages())) == 20
+    assert zlib.crc32(b"") == 0

@@ -1,0 +1,362 @@
+"""Capture writer: its guarantees, tested with real files and killed processes."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import (
+    Asked,
+    CaseMark,
+    Chunk,
+    Instruction,
+    Line,
+    Log,
+    Look,
+    Response,
+    State,
+    Time,
+)
+from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
+from tests.support import ROOT
+
+START = 1_790_000_000_000_000_000
+SECOND = 1_000_000_000
+
+ONE_OF_EACH: list[topics.Written] = [
+    Instruction(0, 5, "instruction", "81 05", 0, 1, "LED", 1, {"rgb": 5}, "OK", ""),
+    Instruction(6, 7, "garbage", "ff", None, None, None, None, {}, None, "no header"),
+    Response(8, "00", 0, "OK", 0, 3, True, ""),
+    Response(9, "07", 7, None, None, None, None, "nothing asked"),
+    State("forward", 9, -3, 7, True),
+    Log(Time(1, 2), 3, "odd", "kind"),
+    Line(10, "modem", "host", "cts on"),
+    Line(11, "gap"),
+    CaseMark(12, "valid/Speed/255", "begin"),
+    CaseMark(13, "valid/Speed/255", "end", "pass", ""),
+    Look(14, True, "forward", 9, 0, 7, 9, 9),
+    Look(15, None),
+    Asked(16, "look", 14),
+    Asked(17, "interrupt", None, "interrupted", False, True),
+]
+
+
+def writer(path: Path, **metadata: str) -> CaptureWriter:
+    return CaptureWriter(path, start_wall=START, metadata=metadata, version="0.1.0")
+
+
+def child(script: str, *arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+
+
+def chunks(capture: Capture) -> list[Chunk]:
+    return [event for event in capture if isinstance(event, Chunk)]
+
+
+def test_every_kind_of_value_comes_back_on_its_topic(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path) as capture:
+        for t, value in enumerate(ONE_OF_EACH):
+            capture.write(value, t)
+    read = list(open_capture(path).messages())
+    assert [message.value for message in read] == [msgspec.to_builtins(v) for v in ONE_OF_EACH]
+    assert [message.t for message in read] == list(range(len(ONE_OF_EACH)))
+    assert [message.sequence for message in read] == list(range(len(ONE_OF_EACH)))
+    assert {message.topic for message in read} == {t.name for t in topics.TOPICS if t.schema}
+
+
+events = st.lists(
+    st.one_of(
+        st.builds(
+            Chunk,
+            t=st.integers(0, 10 * SECOND),
+            direction=st.sampled_from(["host", "device"]),
+            data=st.binary(max_size=300),
+        ),
+        st.builds(
+            Line,
+            t=st.integers(0, 10 * SECOND),
+            event=st.text(max_size=20),
+            tap=st.sampled_from(["host", "device", ""]),
+            detail=st.text(max_size=20),
+        ),
+    ),
+    max_size=60,
+)
+
+
+@pytest.mark.slow
+@given(events=events)
+@settings(max_examples=60, deadline=None)
+def test_events_come_back_as_written_and_in_the_order_written(
+    events: list[Chunk | Line], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("round") / "a.mcap"
+    with writer(path) as capture:
+        for event in events:
+            if isinstance(event, Chunk):
+                capture.chunk(event)
+            else:
+                capture.write(event, event.t)
+    read = open_capture(path)
+    assert list(read.events()) == events
+    assert (read.damage, read.unfinished, read.start) == ((), False, START)
+
+
+def test_a_read_larger_than_a_message_becomes_several_of_the_same_time(tmp_path: Path) -> None:
+    data = bytes(range(256)) * 600
+    with writer(tmp_path / "a.mcap") as capture:
+        capture.chunk(Chunk(5, "device", data))
+    read = chunks(open_capture(tmp_path / "a.mcap"))
+    assert b"".join(chunk.data for chunk in read) == data
+    assert {(chunk.t, chunk.direction) for chunk in read} == {(5, "device")}
+    assert len(read) == 3
+
+
+def test_a_value_too_large_for_a_message_is_left_out_and_said_in_faults(tmp_path: Path) -> None:
+    with writer(tmp_path / "a.mcap") as capture:
+        capture.write(Line(5, "modem", "host", "x" * 70_000), 5)
+    (message,) = open_capture(tmp_path / "a.mcap").messages()
+    assert message.topic == "/faults"
+    assert isinstance(message.value, dict)
+    assert message.value["message"].startswith("/line: a message of 700")
+    assert message.value["timestamp"] == {"sec": START // SECOND, "nsec": 5}
+
+
+def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(CaptureError, match=r"a\.mcap exists .*: choose another name"):
+        writer(path)
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_folder_that_is_missing_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"cannot be made \(No such file"):
+        writer(tmp_path / "none" / "a.mcap")
+
+
+def test_metadata_and_channels_are_in_the_file_before_the_first_message(tmp_path: Path) -> None:
+    capture = writer(tmp_path / "a.mcap", grammar="robot car", ports="a, b")
+    read = open_capture(tmp_path / "a.mcap")
+    assert read.metadata == {"grammar": "robot car", "ports": "a, b", "start": str(START)}
+    assert (read.library, read.start, read.unfinished) == ("bilprov 0.1.0", START, True)
+    assert (list(read), read.damage) == ([], ())
+    capture.close()
+
+
+def test_what_waited_for_a_tenth_of_a_second_is_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    capture = writer(path)
+    capture.chunk(Chunk(0, "host", b"a"))
+    capture.tick(FLUSH_AFTER - 1)
+    assert chunks(open_capture(path)) == []
+    capture.tick(FLUSH_AFTER)
+    assert [chunk.data for chunk in chunks(open_capture(path))] == [b"a"]
+    capture.chunk(Chunk(FLUSH_AFTER + 1, "host", b"b"))
+    capture.chunk(Chunk(2 * FLUSH_AFTER + 1, "host", b"c"))
+    assert [chunk.data for chunk in chunks(open_capture(path))] == [b"a", b"b", b"c"]
+    capture.close()
+
+
+def test_late_values_do_not_flush_one_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    capture = writer(path)
+    capture.chunk(Chunk(SECOND, "host", b"a"))
+    for _ in range(5):
+        capture.write(State("stopped", 0, 0, 0, False), 0)
+    assert list(open_capture(path).messages()) == []
+    capture.close()
+
+
+def test_a_chunk_holds_at_most_2000_messages(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path) as capture:
+        for t in range(4_500):
+            capture.chunk(Chunk(t, "host", b"x"))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.chunk_count == 3
+
+
+def test_closing_twice_is_once_and_writing_after_it_is_wrong_use(tmp_path: Path) -> None:
+    capture = writer(tmp_path / "a.mcap")
+    capture.close()
+    capture.close()
+    with pytest.raises(ValueError, match="is closed"):
+        capture.chunk(Chunk(0, "host", b"x"))
+    assert not open_capture(tmp_path / "a.mcap").unfinished
+
+
+@pytest.mark.parametrize("t", [-START - 1, 1 << 64])
+def test_a_time_that_the_format_cannot_hold_is_wrong_use(tmp_path: Path, t: int) -> None:
+    with writer(tmp_path / "a.mcap") as capture, pytest.raises(ValueError, match="log time is"):
+        capture.chunk(Chunk(t, "host", b"x"))
+
+
+def test_a_file_deleted_while_recording_is_noticed_at_the_next_flush(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    capture = writer(path)
+    capture.chunk(Chunk(0, "host", b"x"))
+    path.unlink()
+    with pytest.raises(CaptureError, match=r"the capture file .* was deleted while recording"):
+        capture.flush()
+    capture.close()
+
+
+KILLED = """
+import sys
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+capture = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+flushed = 0
+for t in range(0, 10**15, 7_000_000):
+    capture.chunk(Chunk(t, "host", t.to_bytes(8, "big")))
+    capture.tick(t)
+    print(t, flush=True)
+"""
+
+
+def test_kill_9_loses_at_most_a_tenth_of_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = child(KILLED, path)
+    assert process.stdout is not None
+    with process.stdout as output:
+        last = 0
+        for _ in range(200):
+            last = int(output.readline())
+        process.kill()
+        for line in output:
+            last = int(line) if line.endswith("\n") else last
+    assert process.wait() == -signal.SIGKILL
+    read = open_capture(path)
+    kept = chunks(read)
+    assert read.unfinished
+    assert read.damage == ()
+    first_lost = kept[-1].t + 7_000_000
+    assert last - first_lost < FLUSH_AFTER
+    assert [chunk.t for chunk in kept] == list(range(0, kept[-1].t + 1, 7_000_000))
+    assert all(chunk.data == chunk.t.to_bytes(8, "big") for chunk in kept)
+
+
+FULL = """
+import json, random, resource, signal, sys
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+capture = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+bytes_of = random.Random(1).randbytes
+said = []
+for t in range(0, 10**12, 50_000_000):
+    try:
+        capture.chunk(Chunk(t, "host", bytes_of(1000)))
+    except CaptureError as error:
+        said.append(str(error))
+        if len(said) == 2:
+            break
+capture.close()
+capture.close()
+print(json.dumps([said, t]))
+"""
+
+
+def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = child(FULL, path)
+    output, _ = process.communicate()
+    said, last = json.loads(output)
+    kept = chunks(open_capture(path))
+    assert process.returncode == 0
+    until = f"{kept[-1].t / SECOND:.1f}"
+    assert said == [f"disk full: what was captured until {until} s is kept in {path}"] * 2
+    assert last - 4 * FLUSH_AFTER < kept[-1].t < last
+    assert open_capture(path).damage == ()
+    assert open_capture(path).unfinished
+
+
+def test_the_official_reader_reads_all_with_checksums_on(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path, grammar="g") as capture:
+        for t in range(300):
+            capture.chunk(Chunk(t, "host", bytes([t & 255])))
+            capture.write(ONE_OF_EACH[t % len(ONE_OF_EACH)], t)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        rows = list(reader.iter_messages())
+        metadata, seal = reader.iter_metadata()
+        header = reader.get_header()
+    assert (header.profile, header.library) == ("", "bilprov 0.1.0")
+    assert (metadata.name, metadata.metadata["grammar"]) == ("bilprov", "g")
+    assert (seal.name, sorted(seal.metadata)) == ("bilprov.seal", ["bytes", "sha256"])
+    assert [message.sequence for _, _, message in rows] == list(range(600))
+    table = {topic.name: topic for topic in topics.TOPICS}
+    for schema, channel, message in rows:
+        topic = table[channel.topic]
+        assert (channel.id, channel.message_encoding) == (topic.channel, topic.encoding)
+        assert (schema.name if schema else "") == topic.schema
+        assert (schema.encoding if schema else "jsonschema") == "jsonschema"
+        assert message.log_time == message.publish_time == START + message.sequence // 2
+
+
+def assert_plain(schema: dict[str, Any]) -> None:
+    """What Foxglove's schema parser takes: one type each, objects that name their properties."""
+    assert schema["type"] == "object"
+    for item in schema["properties"].values():
+        assert item["type"] in {"string", "integer", "boolean", "object"}
+        if item["type"] == "object":
+            assert_plain(item)
+
+
+@pytest.mark.parametrize("topic", [t for t in topics.TOPICS if t.schema], ids=lambda t: t.name)
+def test_schemas_are_plain_objects_and_say_the_unit_of_times(topic: topics.Topic) -> None:
+    text = topics.json_schema(topic.value)
+    schema = json.loads(text)
+    assert b"$ref" not in text
+    assert b"$defs" not in text
+    assert_plain(schema)
+    assert list(schema["properties"]) == list(topic.value.__struct_fields__)
+    for name in {"t", "end", "latency"} & set(schema["properties"]):
+        assert "nanoseconds" in schema["properties"][name]["description"]
+
+
+@pytest.mark.parametrize("value", ONE_OF_EACH, ids=lambda v: type(v).__name__)
+def test_messages_hold_what_their_schema_requires_and_no_null(value: topics.Written) -> None:
+    schema = json.loads(topics.json_schema(type(value)))
+    message = json.loads(topics.encoded(value))
+    kinds = {"string": str, "integer": int, "boolean": bool, "object": dict}
+    assert set(schema["required"]) <= set(message) <= set(schema["properties"])
+    for name, item in message.items():
+        assert isinstance(item, kinds[schema["properties"][name]["type"]])
+
+
+def test_topics_encodings_and_schema_names_are_the_contract() -> None:
+    assert [(t.name, t.encoding, t.schema) for t in topics.TOPICS] == [
+        ("/host/raw", "application/octet-stream", ""),
+        ("/device/raw", "application/octet-stream", ""),
+        ("/host/instructions", "json", "bilprov.Instruction"),
+        ("/device/responses", "json", "bilprov.Response"),
+        ("/state", "json", "bilprov.State"),
+        ("/faults", "json", "foxglove.Log"),
+        ("/line", "json", "bilprov.Line"),
+        ("/conformance/cases", "json", "bilprov.CaseMark"),
+        ("/conformance/looks", "json", "bilprov.Look"),
+        ("/conformance/asks", "json", "bilprov.Asked"),
+    ]

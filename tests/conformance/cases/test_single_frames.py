@@ -1,0 +1,302 @@
+"""Single-frame cases: their number, what each sends and expects, motions and seeds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.codec import judge
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol, load
+from tests.support.robots import FEW_LOOKS, CountingLink, run_over
+from tests.vectors import FRAME_COUNTS, FRAMES, HEADERS, READING_IDS, UNUSED_IDS
+
+SEEDS = (1, 2, 77)
+MOVING = {Motion.FORWARD, Motion.BACKWARD, Motion.ROTATE_RIGHT, Motion.ROTATE_LEFT}
+FAULTY = {FrameClass.UNUSED_ID, FrameClass.WRONG_LENGTH, FrameClass.BAD_DATA, FrameClass.TRUNCATED}
+
+
+@pytest.fixture(scope="module")
+def cases(protocol: Protocol) -> tuple[Case, ...]:
+    return all_cases(protocol, 1, every_cut=True)
+
+
+@pytest.fixture(scope="module")
+def chosen(protocol: Protocol) -> tuple[Case, ...]:
+    """What real time takes."""
+    return all_cases(protocol, 1, every_cut=False)
+
+
+def written_by_hand() -> Iterator[tuple[str, bytes, int]]:
+    """(id, stimulus, code) of every single-frame case, from table 1 alone."""
+    lengths = {row.id: row.length for row in HEADERS}
+    names = {row.id: row.name for row in HEADERS} | {i: str(i) for i in UNUSED_IDS}
+    for row in HEADERS:
+        if not row.length:
+            yield f"valid/{row.name}", bytes([row.id << 4]), 0
+        for value in range(256 if row.length else 0):
+            frame = bytes([row.id << 4 | 1, value])
+            if row.name == "LED" and value > 7:
+                yield f"bad-data/LED/{value}", frame, 2
+            else:
+                yield f"valid/{row.name}/{value}", frame, 0
+    for identity in range(16):
+        for length in range(16):
+            header, used = identity << 4 | length, identity in lengths
+            whole = bytes([header]) + bytes(length)
+            if not used:
+                yield f"unused-id/{identity}/{length}", whole, 1
+            elif length != lengths[identity]:
+                code = 3 if length > lengths[identity] else 4
+                yield f"wrong-length/{names[identity]}/{length}", whole, code
+            for arrived in range(length):
+                short = f"truncated/{names[identity]}"
+                if not used or length != lengths[identity]:
+                    short += f"/{length}"
+                yield f"{short}/{arrived}", whole[: 1 + arrived], 4 if used else 1
+
+
+def test_the_single_frames_are_those_of_the_table_and_no_others(cases: tuple[Case, ...]) -> None:
+    made = {
+        case.id: (case.stimulus, *case.accepted[0].codes)
+        for case in cases
+        if case.kind is not FrameClass.RECOVERY
+    }
+
+    assert made == {ident: (frame, code) for ident, frame, code in written_by_hand()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        (FrameClass.VALID, FRAME_COUNTS["valid"]),
+        (FrameClass.UNUSED_ID, FRAME_COUNTS["unused"]),
+        (FrameClass.WRONG_LENGTH, FRAME_COUNTS["wrong length"]),
+        (FrameClass.BAD_DATA, FRAME_COUNTS["bad data"]),
+        (FrameClass.TRUNCATED, FRAME_COUNTS["truncated"]),
+        (FrameClass.RECOVERY, 20),
+    ],
+)
+def test_each_class_has_as_many_cases_as_there_are(
+    cases: tuple[Case, ...], kind: FrameClass, count: int
+) -> None:
+    assert sum(case.kind is kind for case in cases) == count
+
+
+@pytest.mark.parametrize(
+    ("ident", "stimulus", "code"),
+    [
+        ("valid/Stop", "00", 0),
+        ("valid/Speed/255", "11 ff", 0),
+        ("unused-id/9/0", "90", 1),
+        ("wrong-length/Speed/3", "13 00 00 00", 3),
+        ("wrong-length/Right/0", "40", 4),
+        ("bad-data/LED/8", "81 08", 2),
+        ("truncated/Right/0", "41", 4),
+        ("truncated/Stop/2/1", "02 00", 4),
+        ("truncated/9/2/1", "92 00", 1),
+        ("recovery/truncated/Forward", "11", 4),
+        ("recovery/too-many/RotateLeft", "01 00", 3),
+        ("recovery/too-few/Backward", "10", 4),
+        ("recovery/bad-data/Forward", "81 08", 2),
+        ("recovery/unused-id/RotateRight", "90", 1),
+    ],
+)
+def test_an_id_says_what_is_sent(
+    cases: tuple[Case, ...], ident: str, stimulus: str, code: int
+) -> None:
+    (case,) = [case for case in cases if case.id == ident]
+
+    assert case.stimulus == bytes.fromhex(stimulus)
+    assert case.accepted[0].codes == (code,)
+    assert case.accepted[0].verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize("every_cut", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ids_are_unique(protocol: Protocol, seed: int, every_cut: bool) -> None:
+    ids = [case.id for case in all_cases(protocol, seed, every_cut=every_cut)]
+
+    assert len(set(ids)) == len(ids)
+
+
+@pytest.mark.parametrize("kind", FrameClass)
+def test_generator_and_judge_agree(
+    protocol: Protocol, cases: tuple[Case, ...], kind: FrameClass
+) -> None:
+    for case in cases:
+        if case.kind is not kind:
+            continue
+        judged = judge(protocol, case.stimulus)
+        assert case.accepted[0].codes == (judged.response.code,), case.id
+        assert judged.truncated is (case.arrived is not None), case.id
+        if judged.valid:
+            assert judged.instruction is not None
+            after = judged.instruction.effect.apply(case.setup, dict(judged.fields))
+            assert kind is FrameClass.VALID, case.id
+        else:
+            after = protocol.on_fault.apply(case.setup)
+            assert case.stop, case.id
+        assert case.expected == after, case.id
+        if case.then:
+            judged = judge(protocol, case.then)
+            assert judged.valid
+            assert judged.instruction is not None
+            assert case.after_then == judged.instruction.effect.apply(after), case.id
+
+
+@pytest.mark.parametrize("kind", FrameClass)
+def test_every_other_answer_that_is_accepted_is_worse_and_names_its_reading(
+    cases: tuple[Case, ...], kind: FrameClass
+) -> None:
+    for case in cases:
+        if case.kind is kind:
+            assert case.reading in ("", *READING_IDS)
+            assert len({choice.codes for choice in case.accepted}) == len(case.accepted)
+            for other in case.accepted[1:]:
+                assert other.verdict > Verdict.PASS
+                assert other.reading in READING_IDS
+                assert all(code < 5 for code in other.codes)
+
+
+def test_the_frames_of_the_document_that_are_cases_get_the_documents_answer(
+    cases: tuple[Case, ...],
+) -> None:
+    answers = {vector.frame: vector.code for vector in FRAMES}
+    met = [
+        case for case in cases if case.stimulus in answers and case.kind is not FrameClass.RECOVERY
+    ]
+
+    assert len(met) >= 60
+    assert [c.id for c in met if c.accepted[0].codes != (answers[c.stimulus],)] == []
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_each_class_of_fault_meets_each_kind_of_motion(protocol: Protocol, seed: int) -> None:
+    met: dict[FrameClass, set[Motion]] = {}
+    for case in all_cases(protocol, seed, every_cut=False):
+        assert case.setup.moving, case.id
+        met.setdefault(case.kind, set()).add(case.setup.motion)
+
+    assert met == dict.fromkeys(FrameClass, MOVING)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_too_few_data_meet_each_kind_of_motion_although_they_are_rare(
+    protocol: Protocol, seed: int
+) -> None:
+    few = [case for case in all_cases(protocol, seed, every_cut=False) if case.short]
+
+    assert len(few) == 4
+    assert {case.setup.motion for case in few} == MOVING
+
+
+def test_recovery_tries_each_fault_in_each_motion_and_restores_that_motion(
+    cases: tuple[Case, ...],
+) -> None:
+    recovery = [case for case in cases if case.kind is FrameClass.RECOVERY]
+    tried = Counter((case.id.split("/")[1], case.setup.motion) for case in recovery)
+
+    assert set(tried.values()) == {1}
+    assert len(tried) == 5 * 4
+    assert all(c.after_then and c.after_then.motion is c.setup.motion for c in recovery)
+
+
+@pytest.mark.parametrize("every_cut", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_thorough_cases_are_one_of_each_class_in_each_motion(
+    protocol: Protocol, seed: int, every_cut: bool
+) -> None:
+    thorough = [c for c in all_cases(protocol, seed, every_cut=every_cut) if c.thorough]
+
+    met = Counter((case.accepted[0].codes, case.kind, case.setup.motion) for case in thorough)
+    assert len(met) == len(thorough) == 20
+    assert len({(codes, kind) for codes, kind, _ in met}) == 5
+    assert {kind for _, kind, _ in met} == FAULTY
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_person_is_asked_at_most_40_times(protocol: Protocol, seed: int) -> None:
+    cases = all_cases(protocol, seed, every_cut=False)
+    link = CountingLink(Simulator(protocol))
+
+    runner = run_over(link, protocol, [c for c in cases if c.thorough], observability=FEW_LOOKS)
+
+    assert 20 <= len(link.looks) <= 40
+    assert all(
+        result.axes["stop"].verdict is Verdict.PASS
+        for result in runner.state.results
+        if result.id.split("/")[0] in FAULTY
+    )
+
+
+def test_cases_that_are_not_thorough_cost_no_dear_look(protocol: Protocol) -> None:
+    cases = [c for c in all_cases(protocol, 1, every_cut=False) if not c.thorough][::20]
+    link = CountingLink(Simulator(protocol))
+
+    run_over(link, protocol, cases, observability=FEW_LOOKS)
+
+    assert link.looks == []
+
+
+def test_the_same_seed_makes_the_same_cases(protocol: Protocol, cases: tuple[Case, ...]) -> None:
+    assert all_cases(protocol, 1, every_cut=True) == cases
+
+
+def test_another_seed_rotates_other_data_and_motions_through_the_same_cases(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    other = all_cases(protocol, 2, every_cut=True)
+
+    assert [case.id for case in other] == [case.id for case in cases]
+    assert [case.stimulus for case in other] == [case.stimulus for case in cases]
+    moved = sum(a.setup != b.setup for a, b in zip(cases, other, strict=True))
+    assert moved > len(cases) * 0.9
+    assert [c.setup.motion for c in other] != [c.setup.motion for c in cases]
+
+
+def test_the_setups_rotate_through_every_value(cases: tuple[Case, ...]) -> None:
+    assert {case.setup.speed for case in cases} >= set(range(128, 256))
+    assert {case.setup.steering for case in cases} == set(range(-255, 256))
+    assert {case.setup.led for case in cases} == set(range(8))
+
+
+def test_a_valid_instruction_changes_something_that_can_be_seen(cases: tuple[Case, ...]) -> None:
+    valid = [case for case in cases if case.kind is FrameClass.VALID]
+
+    assert [case.id for case in valid if case.expected == case.setup] == []
+
+
+def test_real_time_takes_one_cut_of_each_header_and_all_else(
+    cases: tuple[Case, ...], chosen: tuple[Case, ...]
+) -> None:
+    cuts = [
+        case for case in chosen if case.arrived is not None and case.kind is FrameClass.TRUNCATED
+    ]
+
+    assert sorted(case.stimulus[0] for case in cuts) == [b for b in range(256) if b & 0x0F]
+    assert {case.id for case in chosen} <= {case.id for case in cases}
+    assert [c.id for c in chosen if c.kind is not FrameClass.TRUNCATED] == [
+        c.id for c in cases if c.kind is not FrameClass.TRUNCATED
+    ]
+
+
+def test_the_cut_that_real_time_takes_rotates(chosen: tuple[Case, ...]) -> None:
+    arrived = {case.arrived for case in chosen if case.kind is FrameClass.TRUNCATED}
+
+    assert arrived == set(range(15))
+
+
+def test_a_grammar_without_limited_fields_has_no_bad_data(grammar_text: str) -> None:
+    free = load(grammar_text.replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,"))
+
+    kinds = Counter(case.kind for case in all_cases(free, 1, every_cut=False))
+    assert kinds[FrameClass.BAD_DATA] == 0
+    assert kinds[FrameClass.RECOVERY] == 16

@@ -1,0 +1,342 @@
+"""Both links carry out the runner's operations: exactly in virtual time, without loss on a port."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.fault import Fault, answers
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    Procedure,
+    Received,
+    Send,
+    listen,
+    observe,
+    send,
+)
+from bilprov.conformance.dut.port_link import PortLink
+from bilprov.conformance.dut.probes import open_probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
+
+pytestmark = pytest.mark.waits
+
+MS = 1_000_000
+LONG = int(PATIENCE * 1e9)  # ns; a link that waits so long hangs
+
+
+class Noted:
+    """A tap that notes what it hears."""
+
+    def __init__(self) -> None:
+        self.notes: list[tuple[str, object, int]] = []
+
+    def sent(self, data: bytes, t: int) -> None:
+        self.notes.append(("sent", data, t))
+
+    def received(self, data: bytes, t: int) -> None:
+        self.notes.append(("received", data, t))
+
+    def looked(self, look: Look) -> None:
+        self.notes.append(("looked", look.moving, look.t))
+
+
+def heard_of(link: VirtualLink | PortLink, count: int | None, patience: int) -> Received:
+    heard = link.do(Listen(count, patience))
+    assert isinstance(heard, Received)
+    return heard
+
+
+# -- virtual time ---------------------------------------------------------------------------------
+
+
+def test_bytes_take_their_time_on_the_wire(protocol: Protocol) -> None:
+    link = VirtualLink(Simulator(protocol), BYTE_TIME)
+
+    assert link.do(Send(bytes(3))) == 3 * BYTE_TIME
+    heard = heard_of(link, 3, LONG)
+    assert heard.answers == tuple(((i + 1) * BYTE_TIME, 0) for i in range(3))
+    assert heard.now == 3 * BYTE_TIME
+
+
+def test_listening_ends_with_the_last_answer_that_is_waited_for(protocol: Protocol) -> None:
+    link = VirtualLink(Simulator(protocol, latency=30 * MS), BYTE_TIME)
+    link.do(Send(b"\0"))
+
+    heard = heard_of(link, 1, LONG)
+
+    assert heard == Received(((BYTE_TIME + 30 * MS, 0),), BYTE_TIME + 30 * MS)
+
+
+def test_listening_for_ever_ends_with_the_patience(protocol: Protocol) -> None:
+    link = VirtualLink(Simulator(protocol), BYTE_TIME)
+
+    assert heard_of(link, None, 7 * MS) == Received((), 7 * MS)
+    assert heard_of(link, 1, 7 * MS) == Received((), 14 * MS)
+
+
+def test_what_is_there_is_heard_without_waiting(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    device.answer(5, 0)
+    link = VirtualLink(device, BYTE_TIME)
+
+    assert heard_of(link, None, 0) == Received(((0, 5),), 0)
+
+
+def test_what_was_heard_is_not_heard_again(protocol: Protocol) -> None:
+    link = VirtualLink(Simulator(protocol), BYTE_TIME)
+    link.do(Send(bytes(2)))
+
+    assert len(heard_of(link, None, MS).answers) == 2
+    assert heard_of(link, None, MS).answers == ()
+
+
+def test_a_time_out_happens_at_its_own_time_in_the_middle_of_a_wait(protocol: Protocol) -> None:
+    link = VirtualLink(Simulator(protocol), BYTE_TIME)
+    link.do(Send(b"\x11"))
+
+    heard = heard_of(link, None, 1000 * MS)
+
+    assert heard.answers == ((BYTE_TIME + 50 * MS, 4),)
+    assert heard.now == BYTE_TIME + 1000 * MS
+
+
+def test_a_look_shows_the_robot_as_it_is_then(protocol: Protocol) -> None:
+    coasting = Fault("x", "test", "", react=lambda d, e, r: (
+        r if e.judgement.valid else replace(r, state=e.before, later=((9 * MS, r.state),))
+    ))  # fmt: skip
+    link = VirtualLink(Simulator(protocol, coasting), BYTE_TIME)
+    link.do(Send(bytes.fromhex("11 c8 20 90")))
+
+    before = link.do(Observe())
+    heard_of(link, None, 9 * MS)
+    after = link.do(Observe())
+
+    assert isinstance(before, Observation)
+    assert isinstance(after, Observation)
+    assert (before.look.moving, after.look.moving) == (True, False)
+    assert before.asked == before.now == before.look.t == 4 * BYTE_TIME
+
+
+def test_the_tap_hears_everything_in_order(protocol: Protocol) -> None:
+    tap = Noted()
+    link = VirtualLink(Simulator(protocol), BYTE_TIME, tap)
+
+    link.do(Send(b"\x20"))
+    link.do(Observe())
+    link.do(Listen(None, MS))
+
+    assert tap.notes == [
+        ("sent", b"\x20", 0),
+        ("received", b"\0", BYTE_TIME),
+        ("looked", False, BYTE_TIME),
+    ]
+
+
+def test_a_device_whose_deadline_does_not_advance_is_wrong_use(protocol: Protocol) -> None:
+    class Stuck(Simulator):
+        def deadline(self) -> int | None:
+            return 0
+
+    link = VirtualLink(Stuck(protocol), BYTE_TIME)
+
+    with pytest.raises(RuntimeError, match="deadline does not advance"):
+        link.do(Listen(None, MS))
+
+
+# -- scripts --------------------------------------------------------------------------------------
+
+
+class Echo:
+    """A link that answers every ask with the ask's number, and may end the run."""
+
+    def __init__(self, ends_at: int = -1) -> None:
+        self.asks: list[Operation] = []
+        self._ends_at = ends_at
+
+    def do(self, ask: Operation) -> int | Received | Observation:
+        if len(self.asks) == self._ends_at:
+            raise Ended("gone", error=True, line_works=False)
+        self.asks.append(ask)
+        return len(self.asks)
+
+
+def talk(times: int) -> Procedure[list[int | str]]:
+    got: list[int | str] = []
+    for _ in range(times):
+        try:
+            got.append((yield from send(b"x")))
+        except Ended as ended:
+            got.append(str(ended))
+    return got
+
+
+def test_a_script_gets_the_reply_to_each_ask_and_its_value_comes_out() -> None:
+    assert drive(talk(3), Echo(), lambda: False) == [1, 2, 3]
+
+
+def test_a_link_that_ends_is_told_to_the_script_where_it_asked() -> None:
+    assert drive(talk(3), Echo(ends_at=1), lambda: False) == [1, "gone", "gone"]
+
+
+def test_an_interrupt_is_told_once_and_before_the_next_ask_is_done() -> None:
+    link, asked = Echo(), iter([False, True, True, True])
+
+    assert drive(talk(4), link, lambda: next(asked)) == [1, "interrupted", 2, 3]
+    assert len(link.asks) == 3
+
+
+# -- ports ----------------------------------------------------------------------------------------
+
+
+class Room:
+    """A served simulator with a port link to it."""
+
+    def __init__(self, stack: ExitStack, device: Simulator, *, pty: bool) -> None:
+        name, probe = stack.enter_context(served_here(device, pty=pty))
+        self.device = device
+        self.stopper = stack.enter_context(Stopper())
+        self.port = stack.enter_context(open_port(name))
+        self.probe = open_probe(probe, self.port)
+        assert self.probe is not None
+        stack.callback(self.probe.close)
+        self.tap = Noted()
+        self.link = PortLink(self.port, self.probe, self.stopper.fileno(), self.tap)
+
+
+@pytest.fixture(params=["tcp", "pty"])
+def room(request: pytest.FixtureRequest, protocol: Protocol) -> Iterator[Room]:
+    with ExitStack() as stack:
+        yield Room(stack, Simulator(protocol), pty=request.param == "pty")
+
+
+def test_a_port_answers_like_the_device_in_virtual_time(room: Room) -> None:
+    sent = room.link.do(Send(bytes.fromhex("11 c8 20 90 81 08 00")))
+
+    heard = heard_of(room.link, 5, LONG)
+
+    assert heard.codes == (0, 0, 1, 2, 0)
+    assert isinstance(sent, int)
+    times = [t for t, _ in heard.answers]
+    assert times == sorted(times)
+    assert heard.now >= times[-1]
+
+
+@pytest.mark.parametrize("byte", [0x00, 0x03, 0x04, 0x11, 0x13, 0x1A, 0x7F, 0xFF])
+def test_no_byte_is_special_to_the_line(room: Room, byte: int) -> None:
+    room.link.do(Send(bytes([0x11, byte])))
+
+    assert heard_of(room.link, 1, LONG).codes == (0,)
+    assert room.device.state.speed == byte
+
+
+def test_a_look_on_a_port_tells_what_the_probe_tells(room: Room) -> None:
+    room.link.do(Send(bytes.fromhex("81 05 11 c8 30")))
+    heard_of(room.link, 3, LONG)
+
+    seen = room.link.do(Observe())
+
+    assert isinstance(seen, Observation)
+    assert (seen.look.moving, seen.look.motion, seen.look.led) == (True, "backward", 5)
+    assert (seen.look.left, seen.look.right) == (-200, -200)
+    assert seen.asked <= seen.look.t <= seen.now
+
+
+def test_the_port_goes_on_being_read_while_the_probe_is_asked(protocol: Protocol) -> None:
+    slow = Fault("x", "test", "", react=lambda d, e, r: answers(r, 0, delay=20 * MS))
+    device = Simulator(protocol, slow)
+    with ExitStack() as stack:
+        name, _ = stack.enter_context(served_here(device))
+        server = stack.enter_context(ProbeServer(b'{"moving": false}\n'))
+        stopper = stack.enter_context(Stopper())
+        port = stack.enter_context(open_port(name))
+        probe = open_probe(server.name, port)
+        assert probe is not None
+        stack.callback(probe.close)
+        tap = Noted()
+        link = PortLink(port, probe, stopper.fileno(), tap)
+        link.do(Send(b"\x20"))
+        while ("received", b"\0") not in [note[:2] for note in tap.notes]:
+            link.do(Observe())
+        assert heard_of(link, None, 0).codes == (0,)
+
+    assert server.requests
+    assert set(server.requests) == {b"state\n"}
+
+
+def test_the_tap_hears_the_bytes_of_a_port(room: Room) -> None:
+    room.link.do(Send(b"\x20"))
+    heard_of(room.link, 1, LONG)
+    room.link.do(Observe())
+
+    kinds = [(kind, what) for kind, what, _ in room.tap.notes]
+    assert kinds == [("sent", b"\x20"), ("received", b"\0"), ("looked", False)]
+    times = [t for _, _, t in room.tap.notes]
+    assert times == sorted(times)
+
+
+def test_a_stop_ends_the_waiting_once_and_then_waits_again_to_home(room: Room) -> None:
+    room.stopper.stop()
+
+    assert heard_of(room.link, 1, LONG).answers == ()
+    room.link.do(Send(b"\0"))
+    assert heard_of(room.link, 1, LONG).codes == (0,)
+
+
+def test_a_port_that_goes_ends_the_run_and_says_so(protocol: Protocol) -> None:
+    with ExitStack() as stack:
+        serving = ExitStack()
+        name, _ = serving.enter_context(served_here(Simulator(protocol)))
+        stopper = stack.enter_context(Stopper())
+        port = stack.enter_context(open_port(name))
+        link = PortLink(port, None, stopper.fileno())
+        link.do(Send(b"\0"))
+        assert heard_of(link, 1, LONG).codes == (0,)
+        serving.close()
+
+        with pytest.raises(Ended) as ended:
+            heard_of(link, 1, LONG)
+
+    assert ended.value.error
+    assert not ended.value.line_works
+    assert name in str(ended.value)
+
+
+def test_a_flood_does_not_fill_the_memory(protocol: Protocol) -> None:
+    flooding = Fault("x", "test", "", react=lambda d, e, r: replace(r, answers=((0, 7),) * 60_000))
+    with ExitStack() as stack:
+        room = Room(stack, Simulator(protocol, flooding), pty=False)
+        heard = 0
+        for _ in range(4):
+            room.link.do(Send(b"\0"))
+            heard += len(heard_of(room.link, 60_000, 300 * MS).answers)
+            assert heard <= 4 << 16
+
+
+def test_listen_and_see_are_asks_of_their_own() -> None:
+    class Recorder:
+        def do(self, ask: Operation) -> int | Received | Observation:
+            if isinstance(ask, Listen):
+                return Received((), 5)
+            return Observation(1, 2, Look(2, None))
+
+    def procedure() -> Procedure[tuple[int, int]]:
+        heard = yield from listen(1, 5)
+        seen = yield from observe()
+        return heard.now, seen.now
+
+    assert drive(procedure(), Recorder(), lambda: False) == (5, 2)

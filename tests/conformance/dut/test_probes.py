@@ -1,0 +1,411 @@
+"""Probes: what each one reports, and the message if one fails."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.operations import Ended, Observation, Observe
+from bilprov.conformance.dut.port_link import PortLink
+from bilprov.conformance.dut.probes import (
+    ExecProbe,
+    Probe,
+    ProbeError,
+    TcpProbe,
+    open_probe,
+    parse_look,
+)
+from bilprov.conformance.recheck import recheck
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.robots import PATIENCE, ProbeServer, sentence, simulate
+
+pytestmark = pytest.mark.waits
+
+
+def look_of(probe: Probe) -> Look:
+    """Ask and wait as the link does."""
+    probe.ask()
+    while True:
+        fd = probe.fileno()
+        if fd is not None:
+            assert select.select([fd], [], [], PATIENCE)[0]
+        look = probe.take(7)
+        if look is not None:
+            return look
+
+
+# -- tcp ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "look"),
+    [
+        ('{"moving": true}', Look(7, True)),
+        ('{"moving": false}', Look(7, False)),
+        ('{"moving": null}', Look(7, None)),
+        ("{}", Look(7, None)),
+        ('{"moving": true, "battery": 7.2, "moods": [1]}', Look(7, True)),
+        ('{"moving": true, "motion": "forward"}', Look(7, True, motion="forward")),
+        (
+            '{"moving": true, "speed": 200.0, "steering": -3.6, "led": 5}',
+            Look(7, True, speed=200, steering=-4, led=5),
+        ),
+        # A wheel that turns slowly still turns.
+        ('{"moving": true, "left": 0.2, "right": -0.2}', Look(7, True, left=1, right=-1)),
+        ('{"moving": false, "left": 0, "right": 0.0}', Look(7, False, left=0, right=0)),
+        ('{"moving": false, "speed": null, "motion": null}', Look(7, False)),
+        ('{"moving": true}\r', Look(7, True)),
+    ],
+)
+def test_a_line_of_json_is_a_look(line: str, look: Look) -> None:
+    assert parse_look(line.encode(), 7) == look
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("", "moving", "true", "[]", "null", '{"moving": "yes"}', '{"moving": 1}'),
+        *('{"moving": true', '{"speed": "fast"}', '{"motion": 3}', '{"moving": true} {}'),
+        *("\xff\xfe", '{"moving": NaN}', "x" * 5000),
+    ],
+)
+def test_what_is_not_such_a_line_is_refused_in_one_sentence(line: str) -> None:
+    with pytest.raises(ProbeError, match="not a line of") as error:
+        parse_look(line.encode("latin-1"), 0)
+
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 500
+
+
+HOSTILE = {
+    "motion not UTF-8": b'{"moving": true, "motion": "\xff"}',
+    "motion cut within a character": b'{"motion": "caf\xc3"}',
+    "unknown key not UTF-8": b'{"moving": true, "\xff": 1}',
+    "unknown value not UTF-8": b'{"moving": true, "mood": "\xff"}',
+    "all of it not UTF-8": b"\x80\x81",
+    "half of a surrogate pair": b'{"motion": "\\ud800"}',
+    "nul bytes": b"\0" * 20,
+    "nul byte after it": b'{"moving": true}\0',
+    "nested without end": b'{"mood": ' + b"[" * 60_000,
+    "nested too deep": b'{"mood": ' + b"[" * 30_000 + b"]" * 30_000 + b"}",
+    "nested objects": b'{"a":' * 10_000,
+    "not a number": b'{"speed": NaN}',
+    "infinite": b'{"speed": -Infinity}',
+    "beyond a float": b'{"speed": 1e999}',
+    "beyond a float in digits": b'{"speed": ' + b"9" * 50_000 + b"}",
+    "huge": b'{"speed": 1e300}',
+    "beyond 64 bits": b'{"moving": true, "left": 123456789012345678901234567890}',
+    "a truth as a number": b'{"speed": true}',
+    "a number as a truth": b'{"moving": 0}',
+    "a list": b'[{"moving": true}]',
+    "a byte order mark": b'\xef\xbb\xbf{"moving": true}',
+}
+
+
+@pytest.mark.parametrize("line", HOSTILE.values(), ids=HOSTILE)
+def test_whatever_bytes_a_probe_answers_it_is_one_short_sentence(line: bytes) -> None:
+    with pytest.raises(ProbeError, match="not a line of JSON") as error:
+        parse_look(line, 0)
+
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+    str(error.value).encode()  # fit for a report
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        HOSTILE["motion not UTF-8"] + b"\n",
+        HOSTILE["nested without end"] + b"\n",
+        HOSTILE["beyond 64 bits"] + b"\n",
+        b"{" + b" " * (1 << 20) + b"}\n",
+    ],
+    ids=["not UTF-8", "nested", "huge number", "a line of 1 MB"],
+)
+def test_the_run_ends_as_an_error_and_keeps_its_report_and_recording(
+    tmp_path: Path, answer: bytes
+) -> None:
+    report, record = tmp_path / "run.json", tmp_path / "run.mcap"
+    with simulate() as robot, ProbeServer(b'{"moving": false}\n', answer) as server:
+        result = command(
+            *("conform", robot.port, "--probe", server.name, "--yes", "--only", "valid/LED/1"),
+            *("--json", str(report), "--record", str(record)),
+        )
+
+    assert b"Traceback" not in result.stderr
+    assert result.returncode == 2, result.stderr
+    document = msgspec.json.decode(report.read_bytes())
+    assert (document["exit"], document["ended_by"]) == (2, "error")
+    assert document["ended"].startswith("the probe ")
+    assert "\n" not in document["ended"]
+    assert document["cases"]  # what was judged until then
+    assert recheck(str(record)).exit == 0
+
+
+def test_one_connection_serves_the_whole_run() -> None:
+    with ProbeServer(b'{"moving": true}\n', b'{"moving": false}\n') as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        assert [look_of(probe).moving for _ in range(3)] == [True, False, False]
+        probe.close()
+
+    assert server.requests == [b"state\n"] * 3
+
+
+def test_an_answer_may_come_in_pieces() -> None:
+    with ProbeServer(b'{"moving"', b": true}\n") as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        probe.ask()
+        assert select.select([probe.fileno()], [], [], PATIENCE)[0]
+        assert probe.take(7) is None
+        assert look_of(probe) == Look(7, True)
+        probe.close()
+
+
+def test_a_line_without_end_is_refused() -> None:
+    with ProbeServer(b"x" * (1 << 17)) as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        with pytest.raises(ProbeError, match="no end of line"):
+            look_of(probe)
+        probe.close()
+
+
+@pytest.fixture
+def pty() -> Iterator[str]:
+    with open_pty() as pair:
+        yield pair.name
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (b"", "hung up"),
+        (b"yes\n", "not a line of JSON"),
+        (b"\n", "not a line of JSON"),
+        (None, "did not answer in 1 s"),
+    ],
+)
+def test_a_probe_that_fails_ends_the_run_but_not_the_line(
+    pty: str, answer: bytes | None, words: str
+) -> None:
+    with ExitStack() as stack:
+        server = stack.enter_context(ProbeServer(answer))
+        port = stack.enter_context(open_port(pty))
+        stopper = stack.enter_context(Stopper())
+        probe = open_probe(server.name, port)
+        assert probe is not None
+        stack.callback(probe.close)
+
+        with pytest.raises(Ended, match=words) as ended:
+            PortLink(port, probe, stopper.fileno()).do(Observe())
+
+    assert ended.value.error
+    assert ended.value.line_works
+    assert "\n" not in str(ended.value)
+
+
+def test_a_look_that_knows_nothing_comes_through_the_link(pty: str) -> None:
+    with ExitStack() as stack:
+        server = stack.enter_context(ProbeServer(b'{"moving": null}\n'))
+        port = stack.enter_context(open_port(pty))
+        stopper = stack.enter_context(Stopper())
+        probe = open_probe(server.name, port)
+        assert probe is not None
+        stack.callback(probe.close)
+
+        seen = PortLink(port, probe, stopper.fileno()).do(Observe())
+
+    assert isinstance(seen, Observation)
+    assert seen.look.moving is None
+
+
+@pytest.mark.parametrize("patience", [0.02, 0.05])
+def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patience: float) -> None:
+    """The clock stands still until the limit is asked for: so no wait can be a shorter one."""
+    asked: list[int] = []
+
+    def clock() -> int:
+        asked.append(0)
+        return 0 if len(asked) < 5 else int(patience * 1e9) - (1 if len(asked) < 9 else 0)
+
+    with ExitStack() as stack:
+        silent = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        port = stack.enter_context(open_port(pty))
+        stopper = stack.enter_context(Stopper())
+        probe = TcpProbe(f"127.0.0.1:{silent.getsockname()[1]}")
+        stack.callback(probe.close)
+        probe.patience = patience
+
+        with pytest.raises(Ended, match=rf"did not answer in {patience:g} s") as ended:
+            PortLink(port, probe, stopper.fileno(), clock=clock).do(Observe())
+
+    assert ended.value.error
+    assert len(asked) >= 9
+
+
+def test_the_limit_of_a_tcp_probe_is_the_one_that_the_contract_tells() -> None:
+    assert TcpProbe.patience == 1.0
+
+
+# -- exec -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("shell", "moving"),
+    [
+        ("exit 0", False),
+        ("echo moving; exit 0", False),
+        ("echo moving; exit 1", True),
+        ("echo it is moving now; exit 1", True),
+        ("exit 1", None),
+        ("echo stopped; exit 1", None),
+        ("echo moving >&2; exit 1", None),
+        ("echo moving; exit 2", None),
+        ("exit 3", None),
+        ("kill -9 $$", None),
+        (r"printf 'moving \377\300\0'; exit 1", True),
+        (r"printf '\377\376'; exit 1", None),
+        (r"printf '\377\376'; exit 0", False),
+        ("head -c 1000000 /dev/zero; exit 1", None),
+    ],
+)
+def test_a_commands_exit_code_and_output_tell(shell: str, moving: bool | None) -> None:
+    probe = ExecProbe(f"({shell}) 2>/dev/null" if ">&2" in shell else shell)
+
+    assert look_of(probe) == Look(7, moving)
+    assert look_of(probe) == Look(7, moving)
+    probe.close()
+
+
+def test_a_command_that_cannot_be_run_is_said_so(tmp_path: Path) -> None:
+    unreadable = tmp_path / "probe.txt"
+    unreadable.write_text("not a program")
+    for shell in ("/nowhere/probe 2>/dev/null", f"{unreadable} 2>/dev/null"):
+        with pytest.raises(ProbeError, match="cannot be run"):
+            look_of(ExecProbe(shell))
+
+
+def test_a_command_with_a_nul_byte_is_refused() -> None:
+    with pytest.raises(ProbeError, match="--probe exec"):
+        ExecProbe("exit 0\0").ask()
+
+
+def test_a_command_that_is_given_up_is_ended() -> None:
+    probe = ExecProbe("exec cat /dev/zero")
+    probe.ask()
+    process = probe._process
+    assert process is not None
+
+    probe.close()
+
+    assert process.returncode == -9
+
+
+# -- names ----------------------------------------------------------------------------------------
+
+
+def test_none_is_no_probe(pty: str) -> None:
+    with open_port(pty) as port:
+        assert open_probe("none", port) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("", "it can be tcp:HOST:PORT"),
+        ("sim", "it can be tcp:HOST:PORT"),
+        ("tcp", "it can be tcp:HOST:PORT"),
+        ("tcp:", "it can be tcp:HOST:PORT"),
+        ("exec:", "it can be tcp:HOST:PORT"),
+        ("modem:dtr", "it can be tcp:HOST:PORT"),
+        ("telepathy:me", "it can be tcp:HOST:PORT"),
+        ("tcp:localhost", "tcp:localhost"),
+        ("tcp:127.0.0.1:x", "tcp:127.0.0.1:x"),
+        ("tcp:127.0.0.1:1", "cannot be reached"),
+        ("modem:cts", "no modem lines"),
+        ("ask", "terminal"),
+    ],
+)
+def test_a_probe_that_cannot_be_had_is_refused_before_anything_moves(
+    pty: str, name: str, words: str
+) -> None:
+    result = command("conform", pty, "--probe", name, "--yes")
+
+    assert result.returncode == 2
+    assert words in sentence(result)
+    assert sentence(result).startswith("bilprov: ")
+    assert result.stdout == b""
+
+
+# -- ask ------------------------------------------------------------------------------------------
+
+QUESTION = re.compile(rb"Does the robot move now\?.*?tell\] ")
+
+
+def test_what_a_person_types_that_is_no_text_is_no_known_answer() -> None:
+    """The terminal is this test: it is asked once, in a process that has it as its own."""
+    ask = (
+        "from bilprov.conformance.dut.probes import AskProbe; probe = AskProbe(); probe.ask(); "
+        "print(probe.take(7).moving, probe.take(7).moving)"
+    )
+    with open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        process = subprocess.Popen(
+            [sys.executable, "-c", ask],
+            env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"},  # as in most locales
+            stdin=slave,
+            stderr=slave,
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        os.write(terminal.master, b"\xff\ny\n")
+        out, _ = process.communicate(timeout=PATIENCE)
+
+    assert out == b"None True\n"
+
+
+def test_a_person_who_answers_is_a_probe() -> None:
+    """The person is this test: at each question it looks at the robot and types y or n."""
+    questions = 0
+    with simulate() as robot, open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        only = ["--only", "unused-id/9/?", "--only", "wrong-length/S*/[0-5]"]
+        asked = [sys.executable, "-m", "bilprov", "conform", "--probe", "ask", "--yes"]
+        process = subprocess.Popen(
+            [*asked, robot.port, "--truncation-timeout", "50", *only],
+            stdin=slave,
+            stderr=slave,
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        told = b""
+        while process.poll() is None:
+            if not select.select([terminal.master], [], [], 0.05)[0]:
+                continue
+            told += os.read(terminal.master, 4096)
+            while match := QUESTION.search(told):
+                told = told[match.end() :]
+                questions += 1
+                os.write(terminal.master, b"y\n" if robot.state()["moving"] else b"n\n")
+        out, _ = process.communicate(timeout=PATIENCE)
+        assert not robot.state()["moving"]
+
+    assert process.returncode == 3, out  # what is not thorough was not looked at
+    assert 8 <= questions <= 40
+    assert b"fail" not in out

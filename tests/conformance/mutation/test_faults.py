@@ -1,0 +1,304 @@
+"""The bank of faulty devices: the suite fails each of them, in the cases that the fault names."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import fields
+
+import pytest
+
+from bilprov.conformance.api import Options, conform, suite_ids
+from bilprov.conformance.cases.levels import LEVELS
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.operations import Listen, Received, Send
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import all_faults, fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.fields import Clauses
+from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
+from tests.support.robots import MS, CountingLink, at_rest, cases_of, failing, matching, run_over
+
+# xdist must collect the same tests everywhere: the names come from the kit's own grammar.
+BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py"))
+
+# What each of these breaks, typed by hand: all of these cases fail, and no other.
+EXACTLY = {
+    "ok-to-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
+    "wrong-code-for-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
+    "ok-to-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "wrong-code-for-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "ok-to-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
+    "ok-to-too-few": [
+        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
+        "recovery/too-few/*",
+        "link/too-few",
+    ],
+    "wrong-code-for-truncated": [
+        "truncated/*",
+        "recovery/truncated/*",
+        "timing/truncation-timeout",
+    ],
+    "never-times-out": ["truncated/*", "recovery/truncated/*", "timing/truncation-timeout"],
+    "no-stop-on-unknown-id": ["unused-id/*", "recovery/unused-id/*"],
+    "no-stop-on-bad-data": ["bad-data/*", "recovery/bad-data/*"],
+    "no-stop-on-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
+    "no-stop-on-too-few": [
+        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
+        "recovery/too-few/*",
+    ],
+    "no-stop-on-truncated": [
+        "truncated/*",
+        "recovery/truncated/*",
+        "timing/truncation-timeout",
+    ],
+    "unused-code-for-faults": [
+        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
+        "timing/truncation-timeout",
+    ],
+    "always-0": [
+        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
+        "timing/truncation-timeout",
+    ],
+    "stops-late": [
+        "unused-id/*",
+        "wrong-length/*",
+        "bad-data/*",
+        "truncated/*",
+        "recovery/*",
+        "timing/truncation-timeout",
+    ],
+    "accepts-id-15": ["unused-id/15/*", "truncated/15/*"],
+    "accepts-led-bit-3": ["bad-data/LED/[89]", "bad-data/LED/1[0-5]", "recovery/bad-data/*"],
+    "ignores-led-upper-bits": ["bad-data/LED/*", "recovery/bad-data/*"],
+    "swallows-missing-data": [
+        f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")
+    ],
+    "stop-does-nothing": ["valid/Stop", "leave/stopped"],
+    "moves-at-power-on": ["power-on/at-rest", "power-on/Speed"],
+}
+# Devices of which too little is left to judge one by one: what else they break is not said.
+SWEEPING = {
+    "always-1",
+    "answers-at-header",
+    "double-answer",
+    "nibbles-swapped",
+    "sticks-after-50-faults",
+    "unused-code-for-valid",
+    "xon-xoff",
+}
+
+# What shows only in the first frames after power-on, so that it takes a whole run with its switch.
+AT_POWER_ON = {
+    "first-frame-answered-twice",
+    "second-frame-unanswered",
+    "first-fault-unanswered",
+    "banner-after-first-frame",
+    "first-fault-missed",
+}
+
+# What a case's id begins with where single frames, or the first bytes of a run, are the case.
+SINGLE = (*FrameClass, "link", "power-on", "timing", "leave")
+
+
+def by_single_frames(fault: Fault) -> bool:
+    """Whether single frames are meant to catch it, and nothing else is."""
+    alone = all(glob == "*" or glob.split("/")[0] in SINGLE for glob in fault.caught_by)
+    return alone and fault.name not in AT_POWER_ON
+
+
+def test_the_bank_is_large_and_every_fault_says_what_it_does(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+
+    assert len(bank) >= 160
+    assert len({fault.doc for fault in bank.values()}) == len(bank)
+    for name, fault in bank.items():
+        assert name == fault.name
+        assert name == name.lower()
+        assert " " not in name
+        assert len(fault.doc) > 15
+        assert not fault.doc.endswith(".")
+        assert set(fault.clauses) <= {field.name for field in fields(Clauses)}
+        assert fault.clauses
+        assert fault.needs in ("", "soak")
+
+
+def test_there_are_faults_of_every_family(protocol: Protocol) -> None:
+    families = Counter(fault.family for fault in fault_bank(protocol).values())
+
+    old = {"answer", "stop", "parsing", "motion", "setting", "history", "line"}
+    assert set(families) == old | {"pair", "narrow", "delivery", "timing", "code", "power-on"}
+    assert all(families[name] >= 20 for name in ("pair", "narrow", "history", "delivery"))
+
+
+def test_no_two_faults_have_one_name(protocol: Protocol, horn: Protocol) -> None:
+    for grammar in (protocol, horn):
+        names = [fault.name for fault in all_faults(grammar)]
+        assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("ok-to-unknown-id", "wrong-code-for-bad-data", "wrong-code-for-truncated"),
+        *("no-stop-on-unknown-id", "no-stop-on-too-few", "no-stop-on-truncated"),
+        *("double-answer", "answers-too-late", "never-times-out", "accepts-id-9"),
+        *("accepts-led-bit-3", "nibbles-swapped", "one-byte-too-many-is-fine"),
+        *("sticks-after-50-faults", "fault-changes-speed", "restarts-on-next-valid"),
+        *("never-moves", "echo", "dead", "always-0", "always-1"),
+    ],
+)
+def test_the_faults_that_the_contract_names_are_there(protocol: Protocol, name: str) -> None:
+    assert name in fault_bank(protocol)
+
+
+def test_only_a_broken_line_ends_in_2_and_only_no_motion_at_all_in_3(protocol: Protocol) -> None:
+    exits = {name: fault.exit for name, fault in fault_bank(protocol).items() if fault.exit != 1}
+
+    assert exits == {"echo": 2, "dead": 2, "never-moves": 3}
+
+
+def test_a_fault_that_fails_says_which_cases_catch_it(protocol: Protocol) -> None:
+    for name, fault in fault_bank(protocol).items():
+        assert bool(fault.caught_by) is (fault.exit == 1), name
+        assert ("*" in fault.caught_by) is (name in SWEEPING), name
+
+
+@pytest.mark.slow
+def test_every_glob_that_a_fault_names_has_cases(protocol: Protocol) -> None:
+    suite = [i for level in LEVELS for i in suite_ids(protocol, Options(level=level, soak=1))]
+    globs = {glob for fault in fault_bank(protocol).values() for glob in fault.caught_by}
+
+    assert {glob for glob in globs if not any(matching(ident, (glob,)) for ident in suite)} == set()
+
+
+@pytest.mark.parametrize("name", sorted(AT_POWER_ON))
+def test_what_shows_only_after_power_on_fails_the_cases_that_are_meant_to_catch_it(
+    protocol: Protocol, name: str
+) -> None:
+    fault = BANK[name]
+
+    report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
+
+    failed = failing(report.results)
+    assert failed
+    assert {ident for ident in failed if not matching(ident, fault.caught_by)} == set()
+
+
+@pytest.mark.sample(16)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [n for n, fault in BANK.items() if by_single_frames(fault)])
+def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, name: str) -> None:
+    fault = fault_bank(protocol)[name]
+    device = Simulator(protocol, fault)
+    cases = cases_of(protocol)
+    link = CountingLink(device)
+
+    runner = run_over(link, protocol, cases)
+
+    results = runner.state.results
+    found = failing(results)
+    verdicts = {result.verdict for result in results}
+    if fault.exit == 2:
+        assert runner.unusable
+        assert results == []
+        return
+    assert runner.unusable == ""
+    assert Verdict.ERROR not in verdicts
+    assert bool(found) is (fault.exit == 1)
+    assert {ident for ident in found if not matching(ident, fault.caught_by)} == set()
+    idle = [glob for glob in fault.caught_by if not any(matching(i, (glob,)) for i in found)]
+    assert idle == []
+    clauses = {result.clause for result in results if result.verdict is Verdict.FAIL}
+    broken = {getattr(protocol.clauses, name) for name in fault.clauses}
+    assert clauses & broken or not clauses
+    if fault.exit == 3:
+        assert Verdict.INCONCLUSIVE in verdicts
+    if name in EXACTLY:
+        ids = {result.id for result in results}
+        assert found == {ident for ident in ids if matching(ident, EXACTLY[name])}
+    run = [result.id for result in results if result.id in {case.id for case in cases}]
+    assert sorted(run) == sorted(case.id for case in cases)
+    assert at_rest(device) or name in ("stop-does-nothing", "restarts-by-itself")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_reference_passes_everything_and_nothing_is_inconclusive(
+    protocol: Protocol, seed: int
+) -> None:
+    report = conform(grammar=protocol, options=Options(seed=seed))
+
+    assert report.exit == 0
+    assert [r.id for r in report.results if r.verdict is not Verdict.PASS] == []
+    assert report.seed == seed
+
+
+@pytest.mark.slow
+def test_the_reference_passes_every_single_frame_there_is(protocol: Protocol) -> None:
+    cases = cases_of(protocol, every_cut=True)
+    runner = run_over(CountingLink(Simulator(protocol)), protocol, cases)
+
+    # 781 valid, 112 unused, 135 wrong lengths, 248 bad data, 1,920 cuts, and 20 of recovery
+    assert len(cases) == 781 + 112 + 135 + 248 + 1920 + 20
+    # Without a power switch there is no second power-on.
+    odd = [r.id for r in runner.state.results if r.verdict is not Verdict.PASS]
+    assert odd == ["power-on/Forward"]
+
+
+@pytest.mark.parametrize("name", ["echo", "dead"])
+def test_a_line_that_cannot_be_used_is_told_in_one_sentence(protocol: Protocol, name: str) -> None:
+    report = conform(Simulator(protocol, fault_bank(protocol)[name]), grammar=protocol)
+
+    assert report.exit == 2
+    assert report.results == ()
+    assert "\n" not in report.unusable
+    assert {"echo": "echo", "dead": "nobody answered"}[name] in report.unusable
+
+
+def test_a_robot_without_motor_power_is_not_failed_but_not_vouched_for(protocol: Protocol) -> None:
+    report = conform(
+        Simulator(protocol, fault_bank(protocol)["never-moves"]),
+        grammar=protocol,
+        options=Options(only=("unused-id/9/*", "valid/Forward")),
+    )
+
+    assert report.exit == 3
+    verdicts = {r.id: r.verdict for r in report.results}
+    assert verdicts["unused-id/9/0"] is Verdict.INCONCLUSIVE
+    assert verdicts["valid/Forward"] is Verdict.INCONCLUSIVE
+    reasons = [r.reason for r in report.results if r.verdict is Verdict.INCONCLUSIVE]
+    assert all("seen moving" in reason for reason in reasons)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("name", ["no-stop-while-rotate-left", "speed-starts-it"])
+def test_a_fault_is_caught_whatever_the_seed(protocol: Protocol, name: str, seed: int) -> None:
+    fault = fault_bank(protocol)[name]
+    only = ("unused-id/*", "valid/Stop", "wrong-length/Speed/*")
+
+    report = conform(
+        Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=seed)
+    )
+
+    assert report.exit == 1
+
+
+def test_who_waits_for_the_answer_is_never_taken_for_one_who_sends_ahead(
+    protocol: Protocol,
+) -> None:
+    link = CountingLink(Simulator(protocol, fault_bank(protocol)["sent-ahead-lost"]))
+    stop = bytes([protocol.pad_byte])
+    for _ in range(5):
+        link.do(Send(stop))
+        waited = link.do(Listen(1, MS))
+        assert isinstance(waited, Received)
+        assert len(waited.answers) == 1
+
+    link.do(Send(stop * 2))
+
+    ahead = link.do(Listen(2, MS))
+    assert isinstance(ahead, Received)
+    assert len(ahead.answers) == 1

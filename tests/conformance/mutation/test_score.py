@@ -1,0 +1,184 @@
+"""Mutation score: what is caught, by which cases, at what cost, and which survivors could show."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from bilprov.conformance.api import conform
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.score import (
+    Caught,
+    Score,
+    _Spares,
+    chosen_faults,
+    group_of,
+    score,
+)
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command
+from tests.support.robots import sentence
+
+pytestmark = pytest.mark.slow
+
+FEW = ("ok-to-bad-data", "sent-ahead-merged", "echo", "never-moves", "no-stop-after-65536-frames")
+
+
+@pytest.fixture(scope="module")
+def few(protocol: Protocol) -> Score:
+    return score(protocol, chosen_faults(protocol, 0, FEW), most=2000)
+
+
+@pytest.mark.slow
+def test_each_fault_is_caught_as_it_must_be(few: Score) -> None:
+    (level,) = few.levels
+    caught = {name: result.caught for name, result in few.at(level).items()}
+
+    assert caught["ok-to-bad-data"]
+    assert caught["echo"]  # the line is told to be unusable
+    assert caught["never-moves"]  # nothing failed, and nothing vouched for
+    assert not caught["no-stop-after-65536-frames"]
+    assert few.soak == ("no-stop-after-65536-frames",)
+    assert few.reference == {level: "pass"}
+    assert few.bytes[level] > 10_000
+
+
+def test_the_groups_that_fail_are_named(few: Score) -> None:
+    (level,) = few.levels
+    result = few.at(level)["ok-to-bad-data"]
+
+    assert result.groups == ("bad-data", "recovery")
+    assert result.own_clause
+    assert result.verdict == "fail"
+
+
+@pytest.mark.parametrize(
+    ("ident", "group"),
+    [
+        ("valid/Speed/12", "valid"),
+        ("unused-id/9/0", "unused-id"),
+        ("sequence/pairs/7", "sequence/pairs"),
+        ("pipelined/3", "pipelined"),
+        ("leave/stopped", "leave"),
+    ],
+)
+def test_a_group_is_a_class_or_the_first_two_parts(ident: str, group: str) -> None:
+    assert group_of(ident) == group
+
+
+@pytest.mark.slow
+def test_a_survivor_that_can_show_fails_the_suite_and_is_shown(protocol: Protocol) -> None:
+    found = score(protocol, chosen_faults(protocol, 0, ["stop-ignored-after-led"]), most=50_000)
+
+    (level,) = found.levels
+    survivors = found.survivors(level)
+    if survivors:
+        assert found.searches[survivors[0]].shown
+        assert found.failures == [f"{level}: 0 of 1 named faults, 100% must be"]
+    else:
+        assert found.failures == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ok-to-bad-data", "accepts-id-12-with-7"])
+def test_what_can_say_no_more_is_skipped_and_nothing_else(protocol: Protocol, name: str) -> None:
+    fault = fault_bank(protocol)[name]
+    spares = _Spares({getattr(protocol.clauses, clause) for clause in fault.clauses})
+    report = conform(Simulator(protocol, fault), grammar=protocol, spare=spares)
+
+    failed: set[str] = set()
+    for case in report.results:
+        group = group_of(case.id)
+        if case.verdict is Verdict.FAIL:
+            assert group not in failed
+            failed.add(group)
+        elif case.verdict is Verdict.SKIPPED:
+            assert group in failed or len(failed) > 1
+    assert any(case.verdict is Verdict.SKIPPED for case in report.results)
+
+
+def result(name: str, *groups: str, level: str = "x") -> Caught:
+    return Caught(name, level, bool(groups), "fail" if groups else "pass", groups, True, 9)
+
+
+def made(*results: Caught, **more: object) -> Score:
+    faults = {r.name: ("random" if ":" in r.name else "family", "") for r in results}
+    levels = tuple(dict.fromkeys(r.level for r in results))
+    values: dict[str, object] = {
+        "levels": levels, "bytes": {}, "faults": faults, "soak": (), "results": results,
+        "reference": dict.fromkeys(levels, "pass"), "searches": {},
+    }  # fmt: skip
+    return Score(**(values | more))  # type: ignore[arg-type]
+
+
+def test_what_a_group_catches_alone(protocol: Protocol) -> None:
+    found = made(result("a", "one"), result("b", "one", "two"), result("c", "two"), result("d"))
+
+    assert found.alone("x") == {"one": ["a"], "two": ["c"]}
+    assert found.survivors("x") == ["d"]
+    assert found.caught("family", "x") == (3, 4)
+
+
+def test_what_is_proven_equivalent_does_not_count() -> None:
+    from bilprov.conformance.mutation.equivalence import Search
+
+    proof = Search((), "", True, 60, 440, 5)
+    open_end = Search((), "", False, 60, 440, 5)
+    drawn = [result(f"random:{n}", "one") for n in range(9)]
+
+    assert made(*drawn, result("random:9")).share("x", drawn=True) == (9, 10)
+    assert made(*drawn, result("random:9")).failures == []
+    two = (*drawn, result("random:9"), result("random:10"))
+    assert made(*two).failures == ["x: 9 of 11 random faults, 90% must be"]
+    assert made(*two, searches={"random:9": proof}).share("x", drawn=True) == (9, 10)
+    assert made(*two, searches={"random:9": proof}).failures == []
+    assert made(*two, searches={"random:9": open_end}).share("x", drawn=True) == (9, 11)
+
+
+def test_each_level_has_its_floor_and_the_reference_must_pass() -> None:
+    smoke = [result(str(n), *["g"][: n < 8], level="smoke") for n in range(9)]
+
+    assert made(*smoke).failures == []
+    assert made(*smoke[1:], result("z", level="smoke")).failures == [
+        "smoke: 7 of 9 named faults, 88% must be"
+    ]
+    assert made(result("a"), soak=("a",)).failures == []
+    broken = made(result("a", "g"), reference={"x": Verdict.FAIL.label})
+    assert broken.failures == ["x: the reference device gets fail"]
+    astray = made(msgspec.structs.replace(result("a", "g"), own_clause=False))
+    assert astray.failures == ["x: no case that fails for a names its clause"]
+
+
+@pytest.mark.slow
+def test_the_choice_of_faults(protocol: Protocol) -> None:
+    assert len(chosen_faults(protocol, 0)) > 400
+    assert list(chosen_faults(protocol, 3, ["random:*"])) == ["random:1", "random:2", "random:3"]
+    assert chosen_faults(protocol, 3, ["nothing"]) == {}
+
+
+def test_the_command_scores_on_several_processes_and_writes_json() -> None:
+    words = [word for name in ("ok-to-bad-data", "echo", "random:1") for word in ("--only", name)]
+    result = command("score", *words, "--random", "1", "--jobs", "2", "--json", "-")
+
+    told = msgspec.json.decode(result.stdout, type=Score)
+    assert [r.name for r in told.results] == ["ok-to-bad-data", "echo", "random:1"]
+    assert result.returncode == (1 if told.failures else 0)
+    assert b"bytes sent" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--only", "nothing"), "no fault matches nothing"),
+        (("--level", "deepest"), "there is no level 'deepest'"),
+        (("--json", "/nowhere/x.json"), "no such folder"),
+        (("--jobs", "0"), "jobs"),
+    ],
+)
+def test_wrong_use_is_one_sentence(arguments: tuple[str, ...], words: str) -> None:
+    result = command("score", *arguments)
+
+    assert result.returncode == 2
+    assert words in sentence(result)

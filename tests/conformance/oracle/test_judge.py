@@ -1,0 +1,848 @@
+"""Judging: a choice where the document is silent gets the verdict that its reading names.
+
+Two tables: single axes judged from hand-made answers and looks, and whole runs against simulators
+that choose otherwise in one point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
+from bilprov.conformance.dut.operations import Received
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation import variant_behaviour as take
+from bilprov.conformance.mutation.faults.vocabulary import (
+    answers_with,
+    drives_on,
+    faulty,
+    is_truncated,
+    keeps,
+    late,
+    resumes_after,
+    sets,
+    stops_after,
+    then,
+    twice,
+    when,
+)
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state
+from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
+from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
+from tests.vectors import READING_IDS
+
+MS = 1_000_000
+
+PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
+INCONCLUSIVE, FAIL, ERROR, SKIPPED = (
+    Verdict.INCONCLUSIVE,
+    Verdict.FAIL,
+    Verdict.ERROR,
+    Verdict.SKIPPED,
+)
+
+
+@pytest.fixture(scope="module")
+def cases(protocol: Protocol) -> dict[str, Case]:
+    return {case.id: case for case in all_cases(protocol, 1, every_cut=True)}
+
+
+# -- the answer axis ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ident", "codes", "verdict", "reading"),
+    [
+        ("valid/Speed/255", [0], PASS, ""),
+        ("valid/Speed/255", [1], FAIL, ""),
+        ("valid/Speed/255", [], FAIL, ""),
+        ("unused-id/9/0", [1], PASS, ""),
+        ("unused-id/9/0", [3], FAIL, ""),  # nothing is too many where nothing is announced
+        ("unused-id/9/0", [4], FAIL, ""),
+        ("unused-id/9/4", [1], PASS, ""),
+        ("unused-id/9/4", [3], NON_STRICT, "R-unused-length"),
+        ("unused-id/9/4", [4], NON_STRICT, "R-unused-length"),
+        ("unused-id/9/4", [2], FAIL, ""),
+        ("unused-id/9/4", [0], FAIL, ""),
+        ("unused-id/9/4", [], FAIL, ""),
+        ("wrong-length/Speed/3", [3], PASS, ""),
+        ("wrong-length/Speed/3", [1], FAIL, ""),  # R-known-length
+        ("wrong-length/Speed/3", [4], FAIL, ""),
+        ("wrong-length/Speed/3", [2], FAIL, ""),
+        ("wrong-length/Speed/0", [4], PASS, ""),
+        ("wrong-length/Speed/0", [1], FAIL, ""),
+        ("wrong-length/Speed/0", [3], FAIL, ""),
+        ("bad-data/LED/8", [2], PASS, ""),
+        ("bad-data/LED/8", [0], FAIL, ""),
+        ("truncated/Right/0", [4], PASS, ""),
+        ("truncated/Right/0", [], NON_STRICT, "R-truncated-known"),
+        ("truncated/Right/0", [3], FAIL, ""),
+        ("truncated/Right/0", [0], FAIL, ""),
+        ("truncated/9/4/2", [1], PASS, ""),
+        ("truncated/9/4/2", [4], NON_STRICT, "R-truncated-unused"),
+        ("truncated/9/4/2", [3], NON_STRICT, "R-truncated-unused"),
+        ("truncated/9/4/2", [2], FAIL, ""),
+        ("truncated/Stop/4/2", [4], PASS, ""),
+        ("truncated/Stop/4/2", [3], NON_STRICT, "R-truncated-long"),
+        ("truncated/Stop/4/2", [1], FAIL, ""),
+        ("valid/Stop", [0, 0], FAIL, ""),
+        ("unused-id/9/4", [1, 1], FAIL, ""),
+        ("bad-data/LED/8", [2, 0], FAIL, ""),
+        ("valid/Stop", [5], FAIL, ""),
+        ("bad-data/LED/8", [255], FAIL, ""),
+        ("truncated/Right/0", [4, 200], FAIL, ""),
+    ],
+)
+def test_a_list_of_answers_gets_the_verdict_of_its_reading(
+    protocol: Protocol,
+    cases: dict[str, Case],
+    ident: str,
+    codes: list[int],
+    verdict: Verdict,
+    reading: str,
+) -> None:
+    case = cases[ident]
+    heard = Received(tuple((i * MS, code) for i, code in enumerate(codes)), 20 * MS)
+
+    axis = judge_answers(protocol, case.accepted, heard, 0, timed=True, timers=Timers())
+
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert bool(axis.reason) is (verdict is not PASS)
+
+
+@pytest.mark.parametrize("ident", ["valid/Stop", "unused-id/9/1", "truncated/Right/0"])
+def test_an_unused_code_is_never_right(
+    protocol: Protocol, cases: dict[str, Case], ident: str
+) -> None:
+    for code in range(5, 256):
+        heard = Received(((0, code),), MS)
+        axis = judge_answers(protocol, cases[ident].accepted, heard, 0, timed=True, timers=Timers())
+        assert axis.verdict is FAIL
+        assert f"{code:02x} unused" in axis.reason
+
+
+@pytest.mark.parametrize(
+    ("late", "verdict", "reading"),
+    [
+        (0, PASS, ""),
+        (100, PASS, ""),
+        (101, NON_STRICT, "R-answer-deadline"),
+        (1000, NON_STRICT, "R-answer-deadline"),
+        (1001, FAIL, "R-answer-deadline"),
+    ],
+)
+def test_an_answer_is_due_in_100_ms_and_wrong_after_a_second(
+    protocol: Protocol, cases: dict[str, Case], late: int, verdict: Verdict, reading: str
+) -> None:
+    heard = Received(((5 * MS + late * MS, 0),), 5 * MS + late * MS)
+
+    axis = judge_answers(
+        protocol, cases["valid/Stop"].accepted, heard, 5 * MS, timed=True, timers=Timers()
+    )
+
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+
+
+@pytest.mark.parametrize(
+    ("deadline", "late", "verdict", "reason"),
+    [
+        (50, 50, PASS, ""),
+        (50, 80, NON_STRICT, "slow: answered after 80 ms, 50 ms are expected"),
+        (200, 150, PASS, ""),
+        (200, 1001, FAIL, "answered after 1001 ms, at most 1000 ms are allowed"),
+        (1500, 1400, PASS, ""),
+        (1500, 1501, FAIL, "answered after 1501 ms, at most 1500 ms are allowed"),
+    ],
+)
+def test_the_deadline_of_the_run_decides_whether_an_answer_is_slow(
+    protocol: Protocol,
+    cases: dict[str, Case],
+    deadline: int,
+    late: int,
+    verdict: Verdict,
+    reason: str,
+) -> None:
+    limits = Timers().due_within(deadline * MS)
+    heard = Received(((late * MS, 0),), late * MS)
+
+    axis = judge_answers(
+        protocol, cases["valid/Stop"].accepted, heard, 0, timed=True, timers=limits
+    )
+
+    assert (axis.verdict, axis.reason) == (verdict, reason)
+
+
+def test_a_right_answer_is_not_slow_where_a_time_out_comes_first(
+    protocol: Protocol, cases: dict[str, Case]
+) -> None:
+    heard = Received(((700 * MS, 4),), 700 * MS)
+
+    axis = judge_answers(
+        protocol, cases["truncated/Right/0"].accepted, heard, 0, timed=False, timers=Timers()
+    )
+
+    assert axis.verdict is PASS
+
+
+def test_a_slow_answer_of_another_reading_keeps_the_readings_name(
+    protocol: Protocol, cases: dict[str, Case]
+) -> None:
+    heard = Received(((500 * MS, 3),), 500 * MS)
+
+    axis = judge_answers(
+        protocol, cases["unused-id/9/4"].accepted, heard, 0, timed=True, timers=Timers()
+    )
+
+    assert (axis.verdict, axis.reading) == (NON_STRICT, "R-unused-length")
+
+
+# -- the state axis -------------------------------------------------------------------------------
+
+DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
+RESTED = replace(DRIVING, motion=Motion.STOPPED, steering=0)
+TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
+
+
+def told(state: State, **other: Any) -> Look:
+    """A look that tells this state, or something else."""
+    facets = {
+        "t": 0,
+        "moving": state.moving,
+        "motion": str(state.visible_motion),
+        "speed": state.speed,
+        "steering": state.steering,
+        "led": state.led,
+    }
+    return Look(**(facets | other))
+
+
+Shown = dict[str, str]  # the words of a device's own choices, by point
+
+
+def frame_effect(protocol: Protocol, name: str, *values: int) -> FrameEffect:
+    """What an instruction does with these values; a fault where there is none of that name."""
+    if name not in protocol.by_name:
+        return FAULT
+    spec = protocol.by_name[name]
+    fields = {part.name: value for part, value in zip(spec.fields, values, strict=True)}
+    return FrameEffect(spec.effect, fields)
+
+
+def choosing(protocol: Protocol, shown: Shown) -> Model:
+    """The model of a device that has shown these choices."""
+    choices = Choices()
+    for point, word in shown.items():
+        choices.record(point, word, "before")
+    return Model(protocol, choices)
+
+
+ZEROED = {"R-fault-state speed": "zeroed"}
+KEPT = {"R-fault-state steering": "kept"}
+OFF = {"R-led-state fault": "off"}
+STOP_ZEROED = {"R-stop-speed": "zeroed"}
+STOP_KEPT = {"R-stop-steering": "kept"}
+STOP_OFF = {"R-led-state stop": "off"}
+STRAIGHTENED = {"R-drive-steering": "straight"}
+NEXT = {"R-speed-moving": "next-motion"}
+CURVE = {"R-steer-rotating": "curve"}
+
+# What was done, from where; the device's choices; what is seen; the verdict and its reading.
+STATES = [
+    ("fault", DRIVING, {}, told(RESTED), PASS, ""),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=0), INFORMATIONAL, "R-fault-state"),
+    ("fault", DRIVING, KEPT, told(RESTED, steering=40), INFORMATIONAL, "R-fault-state"),
+    ("fault", DRIVING, OFF, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=100), FAIL, ""),
+    ("fault", DRIVING, KEPT, told(RESTED, steering=39), FAIL, ""),
+    ("fault", DRIVING, OFF, told(RESTED, led=2), FAIL, ""),
+    ("fault", DRIVING, ZEROED, told(RESTED, speed=0, led=2), FAIL, ""),
+    ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=0), NON_STRICT, "R-stop-speed"),
+    ("Stop", DRIVING, STOP_KEPT, told(RESTED, steering=40), NON_STRICT, "R-stop-steering"),
+    ("Stop", DRIVING, STOP_OFF, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
+    (
+        "Stop",
+        DRIVING,
+        STOP_ZEROED | STOP_OFF,
+        told(RESTED, speed=0, led=0),
+        NON_STRICT,
+        "R-stop-speed",
+    ),
+    ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=7), FAIL, ""),
+    ("Stop", DRIVING, STOP_OFF, told(RESTED, led=7), FAIL, ""),
+    # A stop is no fault: a choice that was shown for the one says nothing of the other.
+    ("Stop", DRIVING, ZEROED | KEPT | OFF, told(RESTED), PASS, ""),
+    ("fault", DRIVING, STOP_ZEROED | STOP_KEPT | STOP_OFF, told(RESTED), PASS, ""),
+    ("RotateLeft", DRIVING, {}, told(TURNING), PASS, ""),
+    (
+        "RotateLeft",
+        DRIVING,
+        STRAIGHTENED,
+        told(TURNING, steering=0),
+        INFORMATIONAL,
+        "R-drive-steering",
+    ),
+    ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING, steering=-40), FAIL, ""),
+    ("RotateLeft", DRIVING, {}, told(TURNING, speed=0), FAIL, ""),
+    ("RotateLeft", DRIVING, {}, told(DRIVING), FAIL, ""),
+    ("Speed 90", DRIVING, NEXT, told(DRIVING), NON_STRICT, "R-speed-moving"),
+    # A probe may tell the speed that is set, or the one that the wheels turn with.
+    ("Speed 90", DRIVING, NEXT, told(DRIVING, speed=90), NON_STRICT, "R-speed-moving"),
+    ("Speed 90", DRIVING, NEXT, told(DRIVING, speed=91), FAIL, ""),
+    ("LED 2", DRIVING, {}, told(DRIVING), FAIL, ""),
+    ("Right 9", DRIVING, {}, told(DRIVING), FAIL, ""),
+    (
+        "Left 9",
+        TURNING,
+        CURVE,
+        told(TURNING, motion="forward", steering=-9),
+        INFORMATIONAL,
+        "R-steer-rotating",
+    ),
+    (
+        "Left 9",
+        TURNING,
+        CURVE,
+        told(TURNING, motion="stopped", moving=False, steering=-9),
+        FAIL,
+        "",
+    ),
+    ("Right 9", RESTED, {}, told(DRIVING, steering=9), FAIL, ""),
+    # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
+    ("Speed 0", DRIVING, {}, told(DRIVING, speed=0, moving=False), PASS, ""),
+]
+
+
+@pytest.mark.parametrize(("done", "before", "shown", "look", "verdict", "reading"), STATES)
+def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
+    protocol: Protocol,
+    done: str,
+    before: State,
+    shown: Shown,
+    look: Look,
+    verdict: Verdict,
+    reading: str,
+) -> None:
+    name, *values = done.split()
+    model = choosing(protocol, shown)
+
+    expected_state = model.after(
+        ExpectedState(before), frame_effect(protocol, name, *map(int, values))
+    )
+
+    axis = judge_state(model, expected_state, look)
+    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert bool(axis.reason) is (verdict is not PASS)
+
+
+@pytest.mark.parametrize(
+    ("done", "before", "shown", "look", "reading"),
+    [
+        (done, before, shown, look, reading)
+        for done, before, shown, look, verdict, reading in STATES
+        if verdict in (INFORMATIONAL, NON_STRICT) and len(shown) == 1
+    ],
+)
+def test_a_device_that_has_shown_one_choice_fails_with_the_other_by_its_reading(
+    protocol: Protocol, done: str, before: State, shown: Shown, look: Look, reading: str
+) -> None:
+    name, *values = done.split()
+    act = frame_effect(protocol, name, *map(int, values))
+    asked = ExpectedState(before)
+    seen = [(choosing(protocol, {}), look)]
+    if "next-motion" not in shown.values() and "curve" not in shown.values():
+        reference = choosing(protocol, {}).after(asked, act)
+        seen.append((choosing(protocol, shown), told(reference.state)))
+
+    for model, other in seen:
+        axis = judge_state(model, model.after(asked, act), other)
+        named, why = contradiction(model, asked, act, other)
+        if other.speed == 90:
+            assert axis.verdict is PASS  # what the reference shows too
+            continue
+        assert axis.verdict is FAIL
+        assert named == reading
+        assert "a device keeps to one choice" in why
+
+
+@pytest.mark.parametrize(
+    ("motion", "left", "right", "verdict"),
+    [
+        ("rotate_left", -9, 9, FAIL),
+        ("rotate_left", 9, 9, PASS),  # the wheels tell more than the word
+        ("rotate_left", 0, 9, PASS),
+        ("forward", -9, 9, FAIL),
+        ("rotate_left", None, None, FAIL),
+        ("forward", None, None, PASS),
+    ],
+)
+def test_a_curve_is_told_from_a_rotation_by_the_wheels_where_they_are_seen(
+    protocol: Protocol, motion: str, left: int | None, right: int | None, verdict: Verdict
+) -> None:
+    turning = State(Motion.ROTATE_LEFT, speed=100)
+    curving = ExpectedState(turning, unknown=frozenset({"motion", "steering"}))
+    look = Look(0, True, motion, 100, None, 0, left, right)
+
+    assert judge_state(choosing(protocol, CURVE), curving, look).verdict is verdict
+
+
+def test_what_no_choice_would_show_contradicts_none(protocol: Protocol) -> None:
+    model = choosing(protocol, {})
+
+    for look in (told(RESTED, speed=100), told(RESTED, led=2), told(DRIVING)):
+        assert contradiction(model, ExpectedState(DRIVING), FAULT, look) == ("", "")
+
+
+def test_what_is_judged_elsewhere_is_not_judged_again(protocol: Protocol) -> None:
+    model = choosing(protocol, {})
+    look = told(RESTED, moving=True)
+
+    assert judge_state(model, ExpectedState(RESTED), look).verdict is FAIL
+    assert judge_state(model, ExpectedState(RESTED), look, ("moving", "motion")).verdict is PASS
+
+
+@pytest.mark.parametrize("facet", ["speed", "steering", "led"])
+def test_what_nobody_knows_is_not_held_against_the_device(protocol: Protocol, facet: str) -> None:
+    model = choosing(protocol, {})
+    look = told(RESTED, **{facet: 3})
+
+    assert judge_state(model, ExpectedState(RESTED), look).verdict is FAIL
+    assert judge_state(model, ExpectedState(RESTED, frozenset({facet})), look).verdict is PASS
+
+
+STRAIGHT = replace(DRIVING, steering=0)
+
+
+@pytest.mark.parametrize(
+    ("state", "left", "right", "verdict"),
+    [
+        (STRAIGHT, 100, 100, PASS),
+        (STRAIGHT, 100, 99, FAIL),
+        (STRAIGHT, -100, -100, FAIL),
+        (STRAIGHT, 0, 0, FAIL),
+        (DRIVING, 100, 60, PASS),
+        (DRIVING, 100, 100, PASS),  # no mixing law is given
+        (replace(DRIVING, steering=200), 100, 100, FAIL),  # but so much of it must show
+        (replace(DRIVING, steering=200, speed=20), 10, 10, PASS),  # unless it is as slow as that
+        (replace(DRIVING, steering=200), 100, 99, PASS),
+        (DRIVING, 100, -20, PASS),
+        (DRIVING, 60, 100, FAIL),
+        (replace(DRIVING, steering=-40), 60, 100, PASS),
+        (replace(DRIVING, steering=-40), 100, 60, FAIL),
+        (replace(DRIVING, motion=Motion.BACKWARD), -100, -60, PASS),
+        (replace(DRIVING, motion=Motion.BACKWARD), -60, -100, FAIL),
+        (replace(DRIVING, motion=Motion.BACKWARD), 100, 60, FAIL),
+        (TURNING, -100, 100, PASS),
+        (TURNING, -100, 20, PASS),
+        (TURNING, 100, -100, FAIL),
+        (TURNING, 100, 100, FAIL),
+        (RESTED, 0, 0, PASS),
+        (RESTED, 0, 1, FAIL),
+    ],
+)
+def test_wheels_are_judged_by_their_signs_and_by_which_is_faster(
+    protocol: Protocol, state: State, left: int, right: int, verdict: Verdict
+) -> None:
+    model = choosing(protocol, {})
+
+    axis = judge_state(model, ExpectedState(state), told(state, left=left, right=right))
+
+    assert axis.verdict is verdict
+
+
+@given(
+    facets=st.sets(st.sampled_from(["moving", "motion", "speed", "steering", "led"])),
+    state=st.sampled_from([DRIVING, RESTED, TURNING]),
+)
+def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
+    protocol: Protocol, facets: set[str], state: State
+) -> None:
+    look = told(state, **dict.fromkeys(facets))
+
+    assert judge_state(choosing(protocol, {}), ExpectedState(state), look).verdict is PASS
+
+
+# -- whole runs -----------------------------------------------------------------------------------
+
+
+def named(*names: str) -> Callable[[Event], bool]:
+    return lambda e: e.judgement.valid and e.judgement.name in names
+
+
+def whole_fault(event: Event) -> bool:
+    return faulty(event) and not is_truncated(event)
+
+
+def unused(event: Event) -> bool:
+    return event.judgement.instruction is None
+
+
+def as_unknown(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    stopped = device.protocol.on_fault.apply(event.before)
+    return replace(answers(reaction, 1), state=stopped)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A device that chooses otherwise, the cases it is shown, and the verdict that it earns.
+
+    `cases` have this verdict on this axis and name this reading; no other case of the run is worse.
+    """
+
+    name: str
+    fault: Fault
+    only: str
+    verdict: Verdict
+    axis: str
+    reading: str = ""
+    reason: str = ""
+    every: bool = True
+
+
+def choice(
+    name: str,
+    only: str,
+    verdict: Verdict,
+    axis: str,
+    reading: str = "",
+    reason: str = "",
+    *,
+    every: bool = True,
+    **fault: Any,
+) -> Choice:
+    return Choice(
+        name, Fault("x", "test", name, **fault), only, verdict, axis, reading, reason, every
+    )
+
+
+OPENING = ("power-on", "link", "timing", "reading", "line")
+UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
+CHOICES = [
+    choice("the reference itself", "*/Right/0", PASS, "answer"),
+    choice("3 for an unused ID with data", UNUSED_WITH_DATA, NON_STRICT, "answer",
+           "R-unused-length", react=when(take.announces_data_for_nobody, answers_with(3))),
+    choice("4 for an unused ID with data", UNUSED_WITH_DATA, NON_STRICT, "answer",
+           "R-unused-length", react=when(take.announces_data_for_nobody, answers_with(4))),
+    choice("no stop for an unused ID with data", UNUSED_WITH_DATA, FAIL, "stop", "R-stop-latency",
+           react=when(take.announces_data_for_nobody, drives_on)),
+    choice("BAD_HEADER for a known ID with a wrong length", "wrong-length/Speed/*", FAIL, "answer",
+           react=when(lambda e: whole_fault(e) and not unused(e), answers_with(1))),
+    choice("LED upper bits ignored: 0 and no stop", "bad-data/LED/*8", FAIL, "answer",
+           react=when(take.out_of_bits, then(answers_with(0), drives_on))),
+    choice("LED upper bits: 0 with stop", "bad-data/LED/*8", FAIL, "answer",
+           react=when(whole_fault, answers_with(0))),
+    choice("LED upper bits: 2 without stop", "bad-data/LED/*8", FAIL, "stop", "R-stop-latency",
+           react=when(whole_fault, drives_on)),
+    choice("Right without data takes the next byte", "wrong-length/Right/0", FAIL, "answer",
+           "R-example-right", "took the next byte",
+           lengths=bytes(1 if header == 0x40 else header & 15 for header in range(256))),
+    choice("a stop without an answer after a cut", "truncated/LE*", NON_STRICT, "answer",
+           "R-truncated-known", react=when(is_truncated, answers_with())),
+    choice("never times out", "truncated/LED/0", FAIL, "stop", "R-stop-latency", timeout=None),
+    choice("TOO_FEW_DATA for an unused ID that is cut short", "truncated/9/3/*", NON_STRICT,
+           "answer", "R-truncated-unused", react=when(take.cut_short_and_unused, answers_with(4))),
+    choice("TOO_MANY_DATA for what is cut short and too long", "truncated/Stop/3/*", NON_STRICT,
+           "answer", "R-truncated-long", react=when(take.cut_short_and_too_long, answers_with(3))),
+    choice("answers after 300 ms", "*/LED/[57]", NON_STRICT, "answer", "R-answer-deadline", "slow",
+           react=late(300)),
+    choice("answers after 1.1 s", "*/LED/[57]", FAIL, "answer",
+           react=when(whole_fault, late(1100)), every=False),
+    choice("two answers", "wrong-length/Speed/*", FAIL, "answer", react=when(whole_fault, twice)),
+    choice("a second answer 15 ms later", "wrong-length/Speed/*", FAIL, "answer",
+           react=when(whole_fault, lambda d, e, r: replace(r, answers=(*r.answers, (15 * MS, 0))))),
+    choice("an unused code", "wrong-length/Speed/*", FAIL, "answer", "",
+           "never sends an unused code", react=when(whole_fault, answers_with(5))),
+    choice("stops at a header that is wrong already", "wrong-length/Speed/*", PASS, "stop",
+           begins=take.stops_at_the_header),
+    choice("stops 50 ms after the answer", "wrong-length/Speed/*", NON_STRICT, "stop",
+           "R-stop-latency", react=when(faulty, stops_after(50))),
+    choice("stops 150 ms after the answer", "wrong-length/Speed/*", FAIL, "stop", "R-stop-latency",
+           react=when(faulty, stops_after(150))),
+    choice("moves again by itself 15 ms after the stop", "wrong-length/Speed/*", FAIL, "stop", "",
+           "moved again by itself", react=when(whole_fault, resumes_after(15))),
+    choice("a fault zeroes the speed", "wrong-length/Speed/*", INFORMATIONAL, "state",
+           "R-fault-state", react=when(faulty, sets(speed=0)), every=False),
+    # a rotation is set up without steering
+    choice("a fault keeps steering", "wrong-length/Speed/*", INFORMATIONAL, "state",
+           "R-fault-state", react=when(faulty, keeps("steering")), every=False),
+    choice("a fault switches the LED off", "wrong-length/Speed/*", INFORMATIONAL, "state",
+           "R-led-state", react=when(faulty, sets(led=0)), every=False),
+    choice("Stop keeps steering", "valid/Stop", NON_STRICT, "state", "R-stop-steering",
+           react=when(named("Stop"), keeps("steering"))),
+    # a rotation is set up without steering
+    choice("a fault keeps steering, also for Forward after it", "bad-data/LED/*8", INFORMATIONAL,
+           "state", "R-fault-state", react=when(faulty, keeps("steering")), every=False),
+    choice("Stop zeroes the speed", "valid/Stop", NON_STRICT, "state", "R-stop-speed",
+           react=when(named("Stop"), sets(speed=0))),
+    choice("Stop switches the LED off", "valid/Stop", INFORMATIONAL, "state", "R-led-state",
+           react=when(named("Stop"), sets(led=0))),
+    # a rotation is set up without steering
+    choice("a direction straightens the steering", "valid/*wa*d", INFORMATIONAL, "state",
+           "R-drive-steering", react=when(named("Forward", "Backward"), sets(steering=0)),
+           every=False),
+    choice("Speed waits for the next motion", "valid/Speed/[12]", NON_STRICT, "state",
+           "R-speed-moving", react=take.speed_at_next_motion()),
+    choice("steering makes a curve of a rotation", "valid/*t/*", INFORMATIONAL, "state",
+           "R-steer-rotating", react=when(take.steers_while_rotating, take.straight_into_a_curve),
+           every=False),
+    choice("steering ends a rotation", "valid/Right/1?", FAIL, "state",
+           react=when(take.steers_while_rotating, sets(motion=Motion.STOPPED)), every=False),
+    choice("another speed at power-on", "valid/Stop", INFORMATIONAL, "state", "R-power-on",
+           power_on=State(speed=77), every=False),
+    choice("moves at power-on", "valid/Stop", FAIL, "state", "R-power-on",
+           power_on=State(Motion.BACKWARD, speed=77), every=False),
+    choice("knows version 1.0 only: no LED", "valid/LED/*", FAIL, "answer",
+           react=when(lambda e: e.judgement.id == 8, as_unknown), every=False),
+]  # fmt: skip
+
+
+def run(protocol: Protocol, chosen: Choice) -> Report:
+    options = Options(only=(chosen.only,), truncation_timeout=50)
+    return conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+
+
+@pytest.mark.parametrize("chosen", CHOICES, ids=lambda c: c.name)
+def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
+    protocol: Protocol, chosen: Choice
+) -> None:
+    report = run(protocol, chosen)
+
+    assert report.verdict is chosen.verdict
+    assert report.exit == (1 if chosen.verdict is FAIL else 0)
+    found = [
+        result
+        for result in report.results
+        if chosen.axis in result.axes and result.axes[chosen.axis].verdict is chosen.verdict
+    ]
+    mine = [r for r in report.results if not r.id.startswith(OPENING)]
+    assert found
+    if chosen.every:
+        assert [r.id for r in mine if r not in found] == []
+    if chosen.verdict is not PASS:
+        assert any(r.axes[chosen.axis].reading == chosen.reading for r in found)
+        assert any(chosen.reason in r.axes[chosen.axis].reason for r in found)
+    assert chosen.reading in ("", *READING_IDS)
+
+
+@pytest.mark.parametrize(
+    "chosen", [c for c in CHOICES if c.verdict is NON_STRICT], ids=lambda c: c.name
+)
+def test_non_strict_fails_a_strict_run_only(protocol: Protocol, chosen: Choice) -> None:
+    options = Options(only=(chosen.only,), truncation_timeout=50, strict=True)
+
+    report = conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+
+    assert report.exit == 1
+    assert report.verdict is NON_STRICT
+
+
+@pytest.mark.parametrize(
+    ("timeout", "verdict"),
+    [(3, NON_STRICT), (6, PASS), (50, PASS), (900, PASS), (1100, NON_STRICT), (2400, NON_STRICT)],
+)
+def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
+    protocol: Protocol, timeout: int, verdict: Verdict
+) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", timeout=timeout * MS))
+
+    report = conform(device, grammar=protocol, options=Options(only=("truncated/L*",)))
+
+    assert report.profile["truncation_timeout_ms"] == pytest.approx(timeout)
+    (measured,) = [r for r in report.results if r.id == "timing/truncation-timeout"]
+    assert (measured.verdict, measured.reading) == (verdict, "R-truncation-timeout")
+    mine = [r for r in report.results if not r.id.startswith("reading")]
+    assert {r.verdict for r in mine if r is not measured} == {PASS}
+    # Where a frame may not pause so long as its answer takes, one probe says that it cannot tell.
+    assert {r.verdict for r in report.results} <= {PASS, INFORMATIONAL, measured.verdict}
+
+
+class Banner:
+    """A device that sends a greeting by itself, `at` ns after it was made."""
+
+    def __init__(self, device: Simulator, at: int, greeting: bytes) -> None:
+        self._device = device
+        for byte in greeting:
+            device.answer(byte, at)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+
+def test_a_banner_before_the_first_instruction_is_informational(protocol: Protocol) -> None:
+    device = Banner(Simulator(protocol), 0, b"Hej!")
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
+
+    (at_rest,) = [r for r in report.results if r.verdict is not PASS]
+    assert (at_rest.id, at_rest.verdict) == ("power-on/at-rest", INFORMATIONAL)
+    assert at_rest.reading == "R-unsolicited"
+
+
+@pytest.mark.parametrize("at", [1, 30])
+def test_a_byte_without_an_instruction_that_came_once_is_never_a_pass(
+    protocol: Protocol, at: int
+) -> None:
+    device = Banner(Simulator(protocol), at * MS, b"!")
+
+    report = conform(device, grammar=protocol, options=Options(only=("wrong-length/*",)))
+
+    assert report.exit in (1, 3)  # 3 where the line may have made it: it was flaky
+    worst_of_all = [r for r in report.results if r.verdict >= INCONCLUSIVE]
+    assert len(worst_of_all) == 1
+    assert report.exit == 1 or "flaky, not reproduced" in worst_of_all[0].reason
+
+
+def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
+    protocol: Protocol,
+) -> None:
+    chatty = Fault("x", "test", "", react=lambda d, e, r: (
+        replace(r, unasked=((10 * MS, 0x21),)) if not e.judgement.valid else r
+    ))  # fmt: skip
+
+    report = conform(
+        Simulator(protocol, chatty), grammar=protocol, options=Options(only=("wrong-length/*",))
+    )
+
+    assert report.exit == 1
+    assert [r.id for r in report.results if r.id.startswith("wrong") and r.verdict is PASS] == []
+
+
+def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:
+    chatty = Fault("x", "test", "", react=lambda d, e, r: (
+        replace(r, answers=(*r.answers, (3 * MS, 0))) if e.frames % 10 == 9 else r
+    ))  # fmt: skip
+
+    report = conform(
+        Simulator(protocol, chatty), grammar=protocol, options=Options(only=("wrong-length/*",))
+    )
+
+    assert report.exit == 1
+
+
+def only_moving(look: Look) -> Look:
+    return Look(t=look.t, moving=look.moving)
+
+
+def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", show=only_moving))
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/*", "*-*/*/1")))
+
+    assert report.exit == 3
+    blind = [r for r in report.results if r.verdict is INCONCLUSIVE]
+    assert {r.id.split("/")[1] for r in blind} >= {"LED", "Speed", "Right", "Left", "Forward"}
+    for result in blind:
+        assert result.id.startswith(("valid/", "reading/"))
+        assert "answer" not in result.axes or result.axes["answer"].verdict is PASS
+        assert "not observable" in result.axes["state"].reason
+    leds = [r for r in report.results if r.id.startswith("valid/LED")]
+    assert sum(r.verdict is INCONCLUSIVE for r in leds) >= 6
+    seen = [r for r in report.results if r.id.startswith(("wrong-length", "unused", "bad"))]
+    assert {r.verdict for r in seen} == {PASS}
+
+
+def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
+    protocol: Protocol,
+) -> None:
+    device = Simulator(protocol, Fault("x", "test", "", show=lambda look: Look(look.t, None)))
+
+    report = conform(device, grammar=protocol, options=Options(only=("*-*/*/1", "valid/Stop")))
+
+    assert report.exit == 3
+    assert FAIL not in {r.verdict for r in report.results}
+    mine = [r for r in report.results if not r.id.startswith("timing")]
+    seeing = [r for r in mine if "stop" in r.axes or "state" in r.axes]
+    assert {r.verdict for r in seeing} == {INCONCLUSIVE}
+    assert {r.verdict for r in mine if not r.id.startswith(OPENING)} == {INCONCLUSIVE}
+
+
+def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol) -> None:
+    class Blind:
+        def __init__(self) -> None:
+            device = Simulator(protocol)
+            self.receive, self.advance = device.receive, device.advance
+            self.deadline = device.deadline
+
+    report = conform(Blind(), grammar=protocol, options=Options(only=("*/*/1",)))  # type: ignore[arg-type]
+
+    assert report.exit == 3
+    mine = [r for r in report.results if not r.id.startswith(OPENING)]
+    assert {r.axes["answer"].verdict for r in mine} == {PASS}
+    assert {r.axes["state"].verdict for r in mine} == {INCONCLUSIVE}
+    assert {"not observable" in r.axes["state"].reason for r in mine} == {True}
+
+
+# -- verdicts -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code", "strict"),
+    [
+        ([], 0, 0),
+        ([SKIPPED], 0, 0),
+        ([PASS, SKIPPED], 0, 0),
+        ([PASS, INFORMATIONAL], 0, 0),
+        ([PASS, NON_STRICT], 0, 1),
+        ([PASS, INCONCLUSIVE], 3, 3),
+        ([INCONCLUSIVE, NON_STRICT], 3, 1),
+        ([ERROR, INCONCLUSIVE], 2, 2),
+        ([ERROR, NON_STRICT], 2, 1),
+        ([FAIL, INCONCLUSIVE], 1, 1),
+        ([FAIL, ERROR, INCONCLUSIVE], 1, 1),
+    ],
+)
+def test_the_exit_code_follows_the_contract(
+    verdicts: list[Verdict], code: int, strict: int
+) -> None:
+    for order in permutations(verdicts):
+        assert exit_code(order) == code
+        assert exit_code(order, strict=True) == strict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "label"),
+    [
+        (SKIPPED, "skipped"),
+        (PASS, "pass"),
+        (INFORMATIONAL, "informational"),
+        (NON_STRICT, "non-strict"),
+        (INCONCLUSIVE, "inconclusive"),
+        (FAIL, "fail"),
+        (ERROR, "error"),
+    ],
+)
+def test_a_verdict_is_written_as_the_contract_writes_it(verdict: Verdict, label: str) -> None:
+    assert verdict.label == label
+
+
+@given(st.lists(st.sampled_from(Verdict), min_size=1))
+def test_the_worst_verdict_counts(verdicts: list[Verdict]) -> None:
+    order = [SKIPPED, PASS, INFORMATIONAL, NON_STRICT, INCONCLUSIVE, FAIL, ERROR]
+
+    assert worst(verdicts) is max(verdicts, key=order.index)
+
+
+def test_a_case_takes_the_worst_of_its_axes_and_its_reason() -> None:
+    axes = {
+        "answer": Axis(PASS, "", ""),
+        "stop": Axis(FAIL, "stopped", "moving", "drives on"),
+        "state": Axis(NON_STRICT, "", "", "another reading"),
+    }
+    result = CaseResult("x", "", "", worst(a.verdict for a in axes.values()), axes, "", (), ())
+
+    assert (result.verdict, result.reason) == (FAIL, "drives on")

@@ -1,0 +1,168 @@
+"""Legal variants: no device that follows another legal reading is ever called faulty.
+
+Each is made by hand from the last column of the readings. Where it does not pass, it gets the
+verdict that this column gives.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.fault import Event, Fault, Reaction
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.catalogue import find_variant
+from bilprov.conformance.mutation.faults.vocabulary import faulty, sets, stands_still, when
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import READINGS
+from tests.support.robots import CountingLink, cases_of, run_over
+
+FAIL, INFORMATIONAL = Verdict.FAIL, Verdict.INFORMATIONAL
+NON_STRICT, PASS = Verdict.NON_STRICT, Verdict.PASS
+
+ALLOWED = (NON_STRICT, Verdict.SKIPPED)  # nothing is sent ahead of a device that must not be
+# The verdicts of the last column of the readings, typed by hand. One that needs an option fails
+# without it.
+VERDICTS = {
+    "R-unused-length=too-many": NON_STRICT,
+    "R-unused-length=too-few": NON_STRICT,
+    "R-competing-errors=bad-data": NON_STRICT,
+    "R-led-upper-bits=ignored": FAIL,
+    "R-led-id=9": FAIL,
+    "R-version=1.0": FAIL,
+    "R-truncated-known=silent": NON_STRICT,
+    "R-truncated-unused=too-few": NON_STRICT,
+    "R-truncated-long=too-many": NON_STRICT,
+    "R-answer-point=header": NON_STRICT,
+    "R-truncation-timeout=3-ms": NON_STRICT,
+    "R-truncation-timeout=6-ms": PASS,
+    "R-truncation-timeout=500-ms": PASS,
+    "R-truncation-timeout=1500-ms": NON_STRICT,
+    "R-truncation-timeout=whole-frame": NON_STRICT,
+    "R-answer-deadline=60-ms": INFORMATIONAL,  # too slow to tell what it does inside a frame
+    "R-answer-deadline=150-ms": NON_STRICT,
+    "R-answer-deadline=150-ms-after-faults": NON_STRICT,
+    "R-answer-deadline=one-at-a-time": INFORMATIONAL,  # as above
+    "R-stop-point=header": PASS,
+    "R-stop-latency=50-ms": NON_STRICT,
+    "R-watchdog=stops": INFORMATIONAL,
+    "R-drain-known=flushed": NON_STRICT,
+    "R-drain-unused=flushed": NON_STRICT,
+    "R-drain-known=flushed-after-any": NON_STRICT,
+    "R-drain-unused=run": FAIL,
+    "R-pipelining=lost-after-a-fault": NON_STRICT,
+    "R-pipelining=no": FAIL,
+    "R-unsolicited=banner": INFORMATIONAL,
+    "R-fault-state=speed-zeroed": INFORMATIONAL,
+    "R-fault-state=steering-kept": INFORMATIONAL,
+    "R-fault-state=both": INFORMATIONAL,
+    "R-stop-steering=kept": NON_STRICT,
+    "R-stop-steering=kept-by-faults-too": NON_STRICT,
+    "R-stop-speed=zeroed": NON_STRICT,
+    "R-stop-speed=zeroed-by-faults-too": NON_STRICT,
+    "R-drive-steering=straight": INFORMATIONAL,
+    "R-steer-rotating=curve": INFORMATIONAL,
+    "R-led-state=off": INFORMATIONAL,
+    "R-speed-moving=next-motion": NON_STRICT,
+    "R-power-on=another-speed": INFORMATIONAL,
+}
+
+
+class TellingOnlyWhetherItMoves(Simulator):
+    """Its probe sees no speed, so that a speed that a fault has zeroed shows only by standing."""
+
+    def look(self, now: int) -> Look:
+        return Look(t=now, moving=super().look(now).moving)
+
+
+def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(
+    protocol: Protocol,
+) -> None:
+    known = variants(protocol)
+
+    assert set(known) == set(VERDICTS)
+    for variant in known.values():
+        assert (VERDICTS[variant.name] is FAIL) is bool(variant.allow)
+    # Where the readings let another choice pass, there is a device that takes it.
+    legal = {
+        reading.id
+        for reading in READINGS
+        if any(
+            verdict.split()[0] != "fail" or "allowed" in verdict for _, verdict in reading.others
+        )
+    }
+    assert legal == {variant.reading for variant in known.values()}
+
+
+@pytest.mark.sample(7)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VERDICTS)
+def test_another_legal_reading_gets_its_verdict_and_never_a_failure(
+    name: str, protocol: Protocol
+) -> None:
+    report = conform(Simulator(protocol, find_variant(protocol, name)), grammar=protocol)
+
+    worst = max(report.results, key=lambda result: result.verdict)
+    assert not report.unusable
+    assert worst.verdict is VERDICTS[name], (worst.id, worst.reason)
+    assert report.exit == (VERDICTS[name] is FAIL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, verdict in VERDICTS.items() if verdict is FAIL])
+def test_a_reading_that_needs_an_option_does_not_fail_with_it(
+    name: str, protocol: Protocol
+) -> None:
+    variant = variants(protocol)[name]
+    options = Options(allow=(variant.allow,))
+    report = conform(Simulator(protocol, variant.fault), grammar=protocol, options=options)
+
+    worst = max(report.results, key=lambda result: result.verdict)
+    assert report.exit == 0, (worst.id, worst.reason)
+    assert worst.verdict <= Verdict.NON_STRICT, (worst.id, worst.reason)
+    # What an option leaves out is listed as skipped, what it lets pass has its verdict.
+    found = {result.verdict for result in report.results}
+    assert found & {Verdict.NON_STRICT, Verdict.SKIPPED}
+
+
+@pytest.mark.slow
+def test_a_reading_that_a_device_rests_on_is_named(protocol: Protocol) -> None:
+    for name, verdict in VERDICTS.items():
+        if verdict in (PASS, FAIL):
+            continue
+        cases = cases_of(protocol, "valid/Stop", "*/[1-9]", "*/0", "timing/*", "valid/R*")[::9]
+        device = Simulator(protocol, find_variant(protocol, name))
+        runner = run_over(CountingLink(device), protocol, cases, discover=True)
+        readings = {axis.reading for r in runner.state.results for axis in r.axes.values()}
+        if any(result.verdict is verdict for result in runner.state.results):
+            assert readings - {""}, name
+
+
+def test_a_probe_that_sees_only_motion_does_not_take_a_zeroed_speed_for_a_broken_restart(
+    protocol: Protocol,
+) -> None:
+    fault = Fault("variant", "variant", "", react=when(faulty, sets(speed=0)))
+    device = TellingOnlyWhetherItMoves(protocol, fault)
+    runner = run_over(
+        CountingLink(device), protocol, cases_of(protocol, "unused-id/9/*"), discover=True
+    )
+
+    verdicts = {r.verdict for r in runner.state.results if r.id.startswith("unused-id")}
+    assert verdicts == {INFORMATIONAL}
+
+
+def test_but_a_robot_that_no_new_speed_wakes_after_a_fault_fails(protocol: Protocol) -> None:
+    def dead(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        broken = device.faults > 3 or not event.judgement.valid
+        return stands_still(device, event, reaction) if broken else reaction
+
+    fault = Fault("dead", "variant", "", react=dead)
+    device = TellingOnlyWhetherItMoves(protocol, fault)
+    runner = run_over(
+        CountingLink(device), protocol, cases_of(protocol, "unused-id/9/*"), discover=True
+    )
+
+    assert Verdict.FAIL in {result.verdict for result in runner.state.results}

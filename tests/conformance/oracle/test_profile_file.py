@@ -1,0 +1,117 @@
+"""Profile files: a profile is read back as it was written; files that do not fit are refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bilprov.captures.schemas import MS
+from bilprov.conformance.oracle.choices import POINTS
+from bilprov.conformance.oracle.profile_file import profile_from, profile_text
+from bilprov.spec.protocol import Protocol
+
+LED_ID = {"led-id": "9"}
+MEASURED: dict[str, Any] = {
+    "truncation_timeout_ms": 40.5,
+    "stop_latency_ms": 3.0,
+    "watchdog_ms": None,
+    "truncated_frames_answered": False,
+    "flushes": True,
+    "whole_frame": False,
+    "led_id": 9,
+    "readings": {"R-stop-speed": "zeroed"},
+}
+
+
+def _text(protocol: Protocol, **changed: Any) -> str:
+    grammar = {"name": "robot", "version": "1", "sha256": protocol.sha256}
+    return profile_text(grammar, MEASURED | changed)
+
+
+def test_what_was_measured_and_chosen_comes_back(protocol: Protocol) -> None:
+    profile = profile_from(protocol, _text(protocol), LED_ID)
+
+    assert profile.truncation_timeout == 40_500_000  # ns
+    assert profile.stop_latency == 3 * MS
+    assert profile.watchdog is None
+    assert profile.truncation_answered is False
+    assert (profile.flushes, profile.whole_frame) == (True, False)
+    assert profile.choices.led_id == 9
+    assert profile.choices.word("R-stop-speed") == "zeroed"
+    assert profile.choices.differs("R-stop-speed")
+    assert profile.choices.allowed == LED_ID
+
+
+def test_what_was_not_measured_stays_unknown(protocol: Protocol) -> None:
+    unknown = dict.fromkeys(MEASURED) | {"readings": {}}
+    text = _text(protocol, **unknown)
+    profile = profile_from(protocol, text, {})
+
+    assert text.splitlines()[3:] == ["", "[readings]"]
+    assert (profile.truncation_timeout, profile.truncation_answered) == (None, None)
+    assert profile.choices.led_id is None
+
+
+@pytest.mark.parametrize("word", ["true", "false", "0", "-1", "60001", '"40"', "nan"])
+def test_a_time_is_a_number_above_0_and_at_most_60_seconds(protocol: Protocol, word: str) -> None:
+    text = _text(protocol).replace("= 40.5", f"= {word}")
+
+    with pytest.raises(ValueError, match=r"truncation_timeout_ms = .* is no time"):
+        profile_from(protocol, text, LED_ID)
+
+
+def test_the_longest_time_is_taken(protocol: Protocol) -> None:
+    text = _text(protocol).replace("= 40.5", "= 60000")
+
+    assert profile_from(protocol, text, LED_ID).truncation_timeout == 60_000 * MS
+
+
+@pytest.mark.parametrize("word", ["1", "0", '"true"', "[]"])
+def test_a_flag_is_true_or_false(protocol: Protocol, word: str) -> None:
+    text = _text(protocol).replace("flushes = true", f"flushes = {word}")
+
+    with pytest.raises(ValueError, match=r"flushes = .* is neither true nor false"):
+        profile_from(protocol, text, LED_ID)
+
+
+@pytest.mark.parametrize("identity", [-1, 0, 8, 16])
+def test_the_leds_other_id_is_an_unused_one(protocol: Protocol, identity: int) -> None:
+    with pytest.raises(ValueError, match=f"led_id = {identity} is no unused ID"):
+        profile_from(protocol, _text(protocol, led_id=identity), LED_ID)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("[readings]", "[readings", "it is no TOML"),
+        ('sha256 = "', 'sha256 = "0', "made with another grammar"),
+        ('[readings]\n"R-stop-speed" = "zeroed"', "readings = 1", "its readings are no table"),
+        ('"zeroed"', '"doubled"', "R-stop-speed = 'doubled' is no choice"),
+        ("R-stop-speed", "R-none", "R-none = 'zeroed' is no choice"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_in_a_sentence(
+    protocol: Protocol, old: str, new: str, sentence: str
+) -> None:
+    text = _text(protocol)
+    assert text.count(old) == 1
+
+    with pytest.raises(ValueError, match=sentence):
+        profile_from(protocol, text.replace(old, new), LED_ID)
+
+
+def test_a_choice_that_has_to_be_allowed_is_refused_without_its_option(protocol: Protocol) -> None:
+    needing = [
+        (name, choice.word, choice.option)
+        for name, point in POINTS.items()
+        for choice in point.choices
+        if choice.option
+    ]
+    assert needing
+    for point, word, option in needing:
+        text = _text(protocol, readings={point: word}, led_id=None)
+        name, _, value = option.partition("=")
+        assert profile_from(protocol, text, {name: value}).choices.word(point) == word
+        with pytest.raises(ValueError, match="has to be allowed: see --allow"):
+            profile_from(protocol, text, {})

@@ -1,0 +1,291 @@
+"""State model: the hand-typed sequences, and what each other choice changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.oracle.choices import POINTS, STATE_POINTS, Choices
+from bilprov.conformance.oracle.state_model import (
+    FAULT,
+    VARIABLES,
+    ExpectedState,
+    FrameEffect,
+    Model,
+)
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
+from tests.vectors import SEQUENCES, RobotState, Sequence
+
+DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
+TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
+RESTED = State(Motion.STOPPED, speed=200, steering=40, led=5)
+STANDING = State(Motion.BACKWARD, speed=0, steering=40, led=5)
+
+
+def as_step(protocol: Protocol, frame: bytes) -> Step:
+    """A frame as a step; one that is shorter than it announces was cut."""
+    identity, length = protocol.headers[frame[0]]
+    if len(frame) - 1 < length:
+        return truncated_frame(protocol, identity, length, frame[1:])
+    return complete_frame(protocol, frame[0], frame[1:])
+
+
+def done(protocol: Protocol, name: str, *values: int) -> FrameEffect:
+    """What an instruction does with these values; a fault for the name `fault`."""
+    if name == "fault":
+        return FAULT
+    spec = protocol.by_name[name]
+    return FrameEffect(
+        spec.effect, {part.name: v for part, v in zip(spec.fields, values, strict=True)}
+    )
+
+
+def model_of(protocol: Protocol, *shown: tuple[str, str]) -> Model:
+    """The model of a device that has shown these (point, word)."""
+    choices = Choices()
+    for point, word in shown:
+        assert choices.record(point, word, "before") == ""
+    return Model(protocol, choices)
+
+
+def other_word(point: str) -> str:
+    (other,) = (choice.word for choice in POINTS[point].choices[1:])
+    return other
+
+
+# -- by default -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES, ids=lambda s: f"{s.clause}: {s.title}")
+def test_by_default_the_model_does_what_the_document_says(
+    protocol: Protocol, sequence: Sequence
+) -> None:
+    model, expected_state = model_of(protocol), ExpectedState(protocol.power_on)
+
+    for typed in sequence.steps:
+        step = as_step(protocol, typed.frame)
+        expected_state = model.after(expected_state, step.frame_effect)
+        state = expected_state.state
+        seen = RobotState(str(state.motion), state.speed, state.steering, state.led, state.moving)
+        assert (step.accepted[0].codes, seen) == ((typed.code,), typed.state)
+        assert (expected_state.unknown, expected_state.pending_speed, expected_state.rests_on) == (
+            frozenset(),
+            None,
+            frozenset(),
+        )
+
+
+def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> None:
+    defaults = model_of(protocol, *((point, POINTS[point].default) for point in STATE_POINTS))
+
+    for sequence in SEQUENCES:
+        told = known = ExpectedState(protocol.power_on)
+        for typed in sequence.steps:
+            frame_effect = as_step(protocol, typed.frame).frame_effect
+            told, known = (
+                defaults.after(told, frame_effect),
+                model_of(protocol).after(known, frame_effect),
+            )
+            assert told == known
+
+
+# -- each other choice ----------------------------------------------------------------------------
+
+ACTS = (
+    *(("fault",), ("Stop",), ("Forward",), ("Backward",), ("RotateRight",), ("RotateLeft",)),
+    *(("Speed", 90), ("Right", 30), ("Left", 30), ("LED", 2)),
+)
+MOTIONS = {"Forward", "Backward", "RotateRight", "RotateLeft"}
+
+# For each point: what is done, from where, for the choice to show; what the state then differs in.
+CHANGES: dict[str, tuple[set[str], dict[str, int]]] = {
+    "R-fault-state speed": ({"fault"}, {"speed": 0}),
+    "R-fault-state steering": ({"fault"}, {"steering": 40}),
+    "R-led-state fault": ({"fault"}, {"led": 0}),
+    "R-stop-speed": ({"Stop"}, {"speed": 0}),
+    "R-stop-steering": ({"Stop"}, {"steering": 40}),
+    "R-led-state stop": ({"Stop"}, {"led": 0}),
+    "R-drive-steering": (MOTIONS, {"steering": 0}),
+}
+BEFORE = (DRIVING, TURNING, RESTED, STANDING)
+
+
+def test_every_point_about_the_state_is_held_here() -> None:
+    assert set(STATE_POINTS) == {*CHANGES, "R-speed-moving", "R-steer-rotating"}
+
+
+@pytest.mark.parametrize("before", BEFORE, ids=str)
+@pytest.mark.parametrize("point", CHANGES)
+def test_another_choice_changes_what_it_says_and_nothing_else(
+    protocol: Protocol, point: str, before: State
+) -> None:
+    shows, difference = CHANGES[point]
+    model, reference = model_of(protocol, (point, other_word(point))), model_of(protocol)
+
+    for name, *values in ACTS:
+        frame_effect = done(protocol, str(name), *map(int, values))
+        default = reference.after(ExpectedState(before), frame_effect)
+        expected_state = model.after(ExpectedState(before), frame_effect)
+        if name not in shows:
+            assert expected_state == default, name
+            continue
+        changed = replace(default.state, **difference)  # type: ignore[arg-type]  # no motion
+        assert expected_state.state == changed, name
+        rests_on = {point} if changed != default.state else set()
+        assert (expected_state.rests_on, expected_state.unknown, expected_state.pending_speed) == (
+            rests_on,
+            frozenset(),
+            None,
+        ), name
+
+
+@pytest.mark.parametrize("before", BEFORE, ids=str)
+def test_a_speed_that_waits_counts_from_the_next_motion_on(
+    protocol: Protocol, before: State
+) -> None:
+    model = model_of(protocol, ("R-speed-moving", "next-motion"))
+    set_ = model.after(ExpectedState(before), done(protocol, "Speed", 90))
+
+    if before.motion is Motion.STOPPED:
+        # Nothing moves: it takes effect at once, and no choice is shown.
+        assert set_ == ExpectedState(replace(before, speed=90))
+        return
+    assert set_.pending_speed == 90
+    assert set_.rests_on == {"R-speed-moving"}
+    assert set_.state == before
+    # Whether a direction without speed counts as moving is left open too.
+    assert set_.unknown == ({"speed"} if not before.speed else set())
+    for name in ("LED", "Right"):
+        expected_state = model.after(set_, done(protocol, name, 3))
+        assert (expected_state.state.speed, expected_state.pending_speed) == (before.speed, 90)
+    for name in ("Stop", "fault"):
+        expected_state = model.after(set_, done(protocol, name))
+        assert (expected_state.state.speed, expected_state.pending_speed) == (before.speed, 90)
+    for name in MOTIONS:
+        expected_state = model.after(set_, done(protocol, name))
+        assert (
+            expected_state.state.speed,
+            expected_state.pending_speed,
+            expected_state.unknown,
+        ) == (90, None, frozenset())
+
+
+def test_a_later_speed_replaces_the_one_that_waits(protocol: Protocol) -> None:
+    model = model_of(protocol, ("R-speed-moving", "next-motion"))
+    waits = model.after(ExpectedState(DRIVING), done(protocol, "Speed", 90))
+
+    later = model.after(waits, done(protocol, "Speed", 91))
+    assert (later.pending_speed, later.state.speed) == (91, 200)
+
+    rested = model.after(model.after(waits, done(protocol, "Stop")), done(protocol, "Speed", 92))
+    assert (rested.pending_speed, rested.state.speed) == (None, 92)
+    assert model.after(rested, done(protocol, "Forward")).state.speed == 92
+
+
+@pytest.mark.parametrize("point", ["R-stop-speed", "R-fault-state speed"])
+def test_a_stop_that_zeroes_the_speed_zeroes_the_one_that_waits(
+    protocol: Protocol, point: str
+) -> None:
+    model = model_of(protocol, ("R-speed-moving", "next-motion"), (point, "zeroed"))
+    waits = model.after(ExpectedState(DRIVING), done(protocol, "Speed", 90))
+
+    stopped = model.after(waits, done(protocol, "Stop" if point == "R-stop-speed" else "fault"))
+
+    assert (stopped.state.speed, stopped.pending_speed) == (0, None)
+    assert model.after(stopped, done(protocol, "Forward")).state.speed == 0
+
+
+@pytest.mark.parametrize("before", BEFORE, ids=str)
+def test_steering_that_makes_a_curve_of_a_rotation_leaves_the_motion_open(
+    protocol: Protocol, before: State
+) -> None:
+    model = model_of(protocol, ("R-steer-rotating", "curve"))
+
+    for name, *values in ACTS:
+        frame_effect = done(protocol, str(name), *map(int, values))
+        expected_state, default = (
+            m.after(ExpectedState(before), frame_effect) for m in (model, model_of(protocol))
+        )
+        curves = name in ("Right", "Left") and before is TURNING
+        assert expected_state.state == default.state
+        assert expected_state.unknown == ({"motion"} if curves else set())
+        assert expected_state.rests_on == ({"R-steer-rotating"} if curves else set())
+
+
+def test_the_motion_is_known_again_after_the_next_one(protocol: Protocol) -> None:
+    model = model_of(protocol, ("R-steer-rotating", "curve"))
+    curve = model.after(ExpectedState(TURNING), done(protocol, "Right", 9))
+
+    for name in (*MOTIONS, "Stop", "fault"):
+        assert model.after(curve, done(protocol, name)).unknown == frozenset(), name
+
+
+# -- what is not known ----------------------------------------------------------------------------
+
+
+def test_of_a_robot_that_was_found_nothing_is_known_but_what_is_set(protocol: Protocol) -> None:
+    model = model_of(protocol)
+    expected_state = model.found()
+
+    assert expected_state.unknown == set(VARIABLES)
+    assert expected_state.still
+    expected_state = model.after(expected_state, done(protocol, "Speed", 7))
+    assert expected_state.unknown == {"steering", "led"}
+    expected_state = model.after(expected_state, done(protocol, "LED", 7))
+    assert expected_state.unknown == {"steering"}
+    assert model.after(expected_state, done(protocol, "Left", 7)).unknown == frozenset()
+    assert model.after(expected_state, done(protocol, "Stop")).unknown == frozenset()
+
+
+def test_after_homing_a_direction_is_known_and_the_settings_are_not(protocol: Protocol) -> None:
+    reference = model_of(protocol)
+    homed = reference.homed(reference.found())
+    assert (homed.state.motion, homed.unknown) == (Motion.STOPPED, {"speed", "led"})
+
+    keeps = model_of(protocol, ("R-stop-steering", "kept"))
+    assert keeps.homed(keeps.found()).unknown == set(VARIABLES)
+
+    zeroes = model_of(protocol, ("R-stop-speed", "zeroed"), ("R-led-state stop", "off"))
+    homed = zeroes.homed(zeroes.found())
+    assert (homed.state.speed, homed.state.led, homed.unknown) == (0, 0, frozenset())
+
+
+# -- choices --------------------------------------------------------------------------------------
+
+
+def points() -> Iterator[tuple[str, str]]:
+    for point in POINTS.values():
+        for choice in point.choices:
+            yield point.id, choice.word
+
+
+@pytest.mark.parametrize(("point", "word"), list(points()))
+def test_a_device_keeps_to_the_choice_that_it_has_shown(point: str, word: str) -> None:
+    choices = Choices()
+    other = next(c.word for c in POINTS[point].choices if c.word != word)
+
+    assert choices.record(point, word, "reading/first") == ""
+    assert choices.record(point, word, "reading/second") == ""
+    why = choices.record(point, other, "reading/third")
+
+    assert choices.word(point) == word
+    assert choices.differs(point) is (word != POINTS[point].default)
+    assert choices.verdict(point) is POINTS[point].choice(word).verdict  # type: ignore[union-attr]
+    assert "reading/first" in why
+    assert POINTS[point].reading in why
+
+
+def test_trying_another_choice_leaves_the_devices_own_as_they_are() -> None:
+    choices = Choices()
+    choices.record("R-stop-speed", "zeroed", "x")
+
+    kept = choices.but("R-stop-speed", "kept")
+    more = choices.but("R-stop-steering", "kept")
+
+    assert (choices.word("R-stop-speed"), choices.others) == ("zeroed", {"R-stop-speed"})
+    assert (kept.word("R-stop-speed"), kept.others) == ("kept", set())
+    assert more.others == {"R-stop-speed", "R-stop-steering"}

@@ -1,0 +1,446 @@
+"""The HTML page, opened and used in a real Chromium; hostile text is never executed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.run_report import Report, reproduce
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import READINGS
+from tests.support.chromium import INSTALL, Browser, Page, chromium, running
+from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+
+pytestmark = pytest.mark.waits
+
+needs_chromium = pytest.mark.skipif(chromium() is None, reason=INSTALL)
+Open = Callable[..., Page]
+
+
+class Seen(HTMLParser):
+    """The elements of a page and their attributes, as a parser finds them."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with running(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    with browser.page() as tab:
+        tab.size(1280)
+        tab.scheme("light")
+        yield tab
+
+
+@pytest.fixture
+def show(page: Page, protocol: Protocol, tmp_path: Path) -> Open:
+    """Opens a page about some reports; nothing may complain, nothing else may be asked for."""
+
+    def opened(*reports: Report, grammar: Protocol | None = None) -> Page:
+        file = tmp_path / "report.html"
+        file.write_text(as_html(reports, grammar or protocol), encoding="utf-8")
+        page.open(file.as_uri())
+        assert page.complaints == []
+        assert page.requests == [file.as_uri()]
+        return page
+
+    return opened
+
+
+def failing(protocol: Protocol) -> Report:
+    return a_run(
+        protocol, "bad-data/LED/1?", "unused-id/9/*", "valid/LED/*", fault="restarts-by-itself"
+    )
+
+
+def visible_ids(page: Page) -> list[str]:
+    return list(
+        page.eval(
+            "[...document.querySelectorAll('#list details')].filter(row => row.checkVisibility())"
+            ".map(row => row.querySelector('.id').textContent)"
+        )
+    )
+
+
+def ids(report: Report, *verdicts: Verdict) -> list[str]:
+    return [r.id for r in report.results if not verdicts or r.verdict in verdicts]
+
+
+def open_case(page: Page, ident: str) -> str:
+    """Click a case; gives the text of what is inside."""
+    row = f'#list details[data-id="{ident}"]'
+    page.click(f"{row} summary")
+    page.wait(f"document.querySelector('{row} .inside')")
+    return str(page.eval(f"document.querySelector('{row} .inside').innerText"))
+
+
+def wire_log(page: Page) -> list[list[str]]:
+    """The wire log that is open: its cells, row by row."""
+    return list(
+        page.eval(
+            "[...document.querySelectorAll('.log tbody tr')]"
+            ".map(row => [...row.cells].map(cell => cell.textContent))"
+        )
+    )
+
+
+# -- what is in the file --------------------------------------------------------------------------
+
+
+def test_it_is_one_file_that_asks_no_other_place(protocol: Protocol) -> None:
+    text = as_html([failing(protocol)], protocol)
+    elements = Seen(text).elements
+
+    assert not {tag for tag, _ in elements} & {"link", "img", "iframe", "object", "embed", "base"}
+    assert not [attributes for _, attributes in elements if "src" in attributes]
+    assert all(
+        (attributes["href"] or "").startswith("#")
+        for _, attributes in elements
+        if "href" in attributes
+    )
+    assert not re.search(r"url\(|@import", text)
+
+
+def test_only_its_own_script_and_style_may_run(protocol: Protocol) -> None:
+    elements = Seen(as_html([failing(protocol)], protocol)).elements
+    (policy,) = [
+        attributes["content"] or ""
+        for tag, attributes in elements
+        if tag == "meta" and attributes.get("http-equiv") == "Content-Security-Policy"
+    ]
+
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe" not in policy
+    assert not [a for _, a in elements if "style" in a or any(key.startswith("on") for key in a)]
+
+
+def test_the_same_report_gives_the_same_page(protocol: Protocol) -> None:
+    assert as_html([failing(protocol)], protocol) == as_html([failing(protocol)], protocol)
+
+
+def test_matrix_and_cases_are_there_without_any_script(protocol: Protocol) -> None:
+    report = failing(protocol)
+    text = as_html([report], protocol).partition("<script")[0]
+
+    for result in report.results:
+        assert f'<span class="id">{result.id}</span>' in text
+    assert "sim does not conform" in text
+    assert '<table class="matrix">' in text
+
+
+@pytest.mark.parametrize("evil", EVIL)
+def test_hostile_text_makes_no_element_and_no_attribute(protocol: Protocol, evil: str) -> None:
+    tame = Seen(as_html([hostile(protocol, "tame")], protocol)).elements
+    text = as_html([hostile(protocol, evil)] * 2, protocol)
+    wild = Seen(text).elements
+
+    assert {tag for tag, _ in wild} <= {tag for tag, _ in tame} | {"ol", "li", "b", "article"}
+    assert len([tag for tag, _ in wild if tag == "script"]) == 2
+    known = {key for _, attributes in tame for key in attributes}
+    assert {key for _, attributes in wild for key in attributes} <= known
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", text)
+    block = text.partition('id="data">')[2].partition("</script>")[0]
+    assert not set("<>&") & set(block)
+    assert escape_controls(evil) in json.loads(block)["strings"]
+
+
+# -- in the browser -------------------------------------------------------------------------------
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_open_filter_click_and_read(
+    protocol: Protocol, page: Page, show: Open, width: int, scheme: str
+) -> None:
+    report = failing(protocol)
+    failed = [result for result in report.results if result.verdict is Verdict.FAIL]
+    page.size(width)
+    page.scheme(scheme)
+    show(report)
+
+    # Nothing is wider than the window, and the ground is as light or dark as was asked for.
+    assert page.eval("document.documentElement.scrollWidth") == width
+    red = page.eval("+getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0]")
+    assert (red > 128) is (scheme == "light")
+    assert "sim does not conform" in page.eval("document.querySelector('.conclusion').innerText")
+
+    # What did not pass is there first; then everything; then what passed.
+    assert visible_ids(page) == [result.id for result in failed]
+    page.click("#everything")
+    assert visible_ids(page) == ids(report)
+    page.click('.chip[data-v="pass"]')
+    assert visible_ids(page) == ids(report, Verdict.PASS)
+    assert page.eval("document.querySelector('.chip[data-v=pass]').ariaPressed") == "true"
+    page.click('.chip[data-v="pass"]')
+    page.click('.chip[data-v="fail"]')
+    assert visible_ids(page) == [result.id for result in failed]
+    assert f"{len(failed)} of {len(report.results)}" in page.eval("shown.textContent")
+
+    # One case, with everything that is known of it.
+    case = failed[0]
+    inside = open_case(page, case.id)
+    told = [case.requirement, case.clause, *case.sent, reproduce(report, case)]
+    for axis in case.axes.values():
+        told += [axis.expected, axis.actual, axis.reason]
+    for words in told:
+        assert words in inside, words
+    log = wire_log(page)
+    assert [row[3] for row in log] == [event.hex for event in case.log]
+    assert [row[0] for row in log] == [f"{event.t // 1000 / 1000:.3f}" for event in case.log]
+    arrows = {"sent": "host →", "received": "← device", "look": "probe"}
+    assert [row[2] for row in log] == [arrows[event.kind] for event in case.log]
+    assert page.eval("document.documentElement.scrollWidth") == width
+    assert page.complaints == []
+
+
+@needs_chromium
+def test_the_wire_log_says_what_bytes_mean(protocol: Protocol, show: Open) -> None:
+    report = a_run(protocol, "bad-data/LED/9", "truncated/Speed/14/7", fault="ok-to-bad-data")
+    page = show(report)
+    open_case(page, "bad-data/LED/9")
+    meanings = {row[3]: row[4] for row in wire_log(page)}
+
+    assert meanings["81 09"] == "LED rgb=9 (faulty, 02 BAD_DATA is due)"
+    assert meanings[" ".join(["00"] * 16)] == "16 × Stop"
+    assert meanings["00"] == "00 OK"
+    look = next(row[4] for row in wire_log(page) if row[2] == "probe")
+    assert look.startswith("moving")
+
+
+@needs_chromium
+def test_the_timing_picture_has_a_mark_for_each_entry(protocol: Protocol, show: Open) -> None:
+    report = failing(protocol)
+    case = next(result for result in report.results if result.verdict is Verdict.FAIL)
+    page = show(report)
+    open_case(page, case.id)
+    kinds = [event.kind for event in case.log]
+
+    assert page.eval("document.querySelectorAll('.timing .host').length") == kinds.count("sent")
+    assert page.eval("document.querySelectorAll('.timing .device').length") == kinds.count(
+        "received"
+    )
+    circles = "[...document.querySelectorAll('.timing circle')]"
+    places = page.eval(f"{circles}.map(circle => circle.cx.baseVal.value)")
+    assert len(places) == kinds.count("look")
+    assert places == sorted(places)
+    assert page.eval("document.querySelectorAll('.timing .moving').length") == sum(
+        event.look.startswith("moving") for event in case.log
+    )
+    # The pause of the silence is drawn short and says how long it was.
+    assert "20.0 ms" in page.eval("document.querySelector('.timing').textContent")
+
+
+@needs_chromium
+def test_a_reading_is_told_with_its_point_default_and_verdicts(
+    protocol: Protocol, show: Open
+) -> None:
+    result = a_case("made/1", Verdict.NON_STRICT, "slow", "R-answer-deadline")
+    inside = open_case(show(replace(every_verdict(protocol), results=(result,))), "made/1")
+
+    (told,) = [reading for reading in READINGS if reading.id == "R-answer-deadline"]
+    assert told.others
+    for words in (told.id, told.clause, told.point, told.default, *sum(told.others, ())):
+        assert words in inside, words
+
+
+@needs_chromium
+def test_search_and_matrix_narrow_the_list(protocol: Protocol, show: Open) -> None:
+    report = failing(protocol)
+    page = show(report)
+    page.click("#everything")
+
+    page.click("#search")
+    page.type("LED/1")
+    assert visible_ids(page) == [ident for ident in ids(report) if "LED/1" in ident]
+
+    page.click('.matrix a[data-g="unused-id"][data-v="pass"]')
+    wanted = [i for i in ids(report, Verdict.PASS) if i.startswith("unused-id/")]
+    assert visible_ids(page) == wanted
+    assert page.eval("scope.textContent").endswith("unused-id ×")
+
+    page.click("#scope")
+    assert visible_ids(page) == ids(report, Verdict.PASS)
+
+
+@needs_chromium
+def test_a_case_opens_by_keyboard_and_by_its_address(protocol: Protocol, show: Open) -> None:
+    report = failing(protocol)
+    page = show(report)
+    first = visible_ids(page)[0]
+
+    page.eval("document.querySelector('#list details:not([hidden]) summary').focus()")
+    page.press("Enter", 13, "\r")
+    page.wait("document.querySelector('details[open] .inside')")
+    assert page.eval("decodeURIComponent(location.hash)") == f"#case={first}"
+
+    # A case that the filter hides is found by its address too.
+    passed = ids(report, Verdict.PASS)[-1]
+    page.eval(f"location.hash = '#case={passed}'")
+    page.wait(f"document.querySelector('details[data-id=\"{passed}\"][open] .inside')")
+    assert passed in visible_ids(page)
+
+
+@needs_chromium
+def test_a_case_that_is_closed_and_opened_again_is_drawn_once(
+    protocol: Protocol, show: Open
+) -> None:
+    report = failing(protocol)
+    page = show(report)
+    row = f'details[data-id="{ids(report, Verdict.FAIL)[0]}"]'
+    open_case(page, ids(report, Verdict.FAIL)[0])
+
+    for state in ("false", "true"):
+        page.click(f"{row} summary")
+        page.wait(f"document.querySelector('{row}').open === {state}")
+        page.eval("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
+
+    assert page.eval("document.querySelectorAll('.inside').length") == 1
+
+
+@needs_chromium
+def test_the_line_to_try_it_again_is_copied(protocol: Protocol, show: Open) -> None:
+    report = failing(protocol)
+    page = show(report)
+    case = ids(report, Verdict.FAIL)[0]
+    page.call("Browser.grantPermissions", permissions=["clipboardReadWrite"])
+    open_case(page, case)
+
+    page.click(".again button")
+    page.wait("/Copied|Selected/.test(document.querySelector('.again button').textContent)")
+
+    again = reproduce(report, next(r for r in report.results if r.id == case))
+    assert page.eval("document.querySelector('.again code').textContent") == again
+    if page.eval("document.querySelector('.again button').textContent") == "Copied":
+        assert page.eval("navigator.clipboard.readText()") == again
+
+
+@needs_chromium
+@pytest.mark.parametrize("evil", EVIL)
+def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) -> None:
+    report = hostile(protocol, evil)
+    page = show(report, replace(report, device="other"))
+    page.click("#everything")
+    count = page.eval("document.querySelectorAll('#list summary').length")
+    page.eval("document.querySelectorAll('#list summary').forEach(row => row.click())")
+    page.wait(f"document.querySelectorAll('.inside').length === {count}")
+
+    assert count == 2
+    assert page.eval("window.hit") is None
+    assert page.eval("document.querySelectorAll('img, [onerror], [onmouseover]').length") == 0
+    assert page.eval("document.querySelectorAll('script').length") == 2
+    assert page.eval("document.querySelector('.id').textContent") == escape_controls(
+        f"{evil}/{evil}"
+    )
+    assert page.eval("document.querySelector('.required').textContent") == escape_controls(evil)
+    assert page.complaints == []
+
+
+@needs_chromium
+def test_a_script_that_got_in_all_the_same_would_be_refused(
+    page: Page, show: Open, protocol: Protocol
+) -> None:
+    show(failing(protocol))
+
+    page.eval(
+        "(() => { const s = document.createElement('script'); s.textContent = 'window.hit = 1';"
+        "document.body.append(s); })()"
+    )
+
+    assert page.eval("window.hit") is None
+    page.wait("true")
+    assert any("Content Security Policy" in words for words in page.complaints)
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [1280, 400])
+def test_several_runs_stand_side_by_side(
+    protocol: Protocol, page: Page, show: Open, width: int
+) -> None:
+    good = a_run(protocol, "bad-data/LED/1?", "valid/LED/1")
+    bad = a_run(protocol, "bad-data/LED/1?", fault="restarts-by-itself")
+    page.size(width)
+    show(good, bad)
+    failed = ids(bad, Verdict.FAIL)
+
+    assert page.eval("document.documentElement.scrollWidth") == width
+    assert visible_ids(page) == failed
+    badges = f'details[data-id="{failed[0]}"] .badges .badge'
+    assert page.eval(f"[...document.querySelectorAll('{badges}')].map(b => b.textContent)") == [
+        "pass",
+        "fail",
+    ]
+    inside = open_case(page, failed[0])
+    assert "sim\xa0" in inside or "sim " in inside
+    assert "--fault restarts-by-itself" in inside
+    assert page.eval("document.querySelectorAll('.inside article').length") == 2
+
+    page.click("#everything")
+    page.click('.chip[data-v="missing"]')
+    assert visible_ids(page) == ["valid/LED/1"]
+    assert "This run has no such case." in open_case(page, "valid/LED/1")
+
+
+@needs_chromium
+def test_profile_and_coverage_are_told_whatever_they_hold(protocol: Protocol, show: Open) -> None:
+    report = failing(protocol)
+    more = {
+        "boot_time_ms": 12.5,
+        "readings": {"R-fault-state": "speed zeroed", "R-new": None},
+        "nested": {"list": [1, {"deep": True}], "none": []},
+    }
+    page = show(replace(report, profile=report.profile | more))
+    profile = page.eval("document.querySelector('#profile').innerText")
+    coverage = page.eval("document.querySelector('#coverage').innerText")
+
+    for words in ("boot time (ms)", "12.5", "what a fault resets", "speed zeroed", "R-new", "deep"):
+        assert words in profile, words
+    for name, (done, of) in report.coverage.items():
+        assert name in coverage
+        assert f"{done:,} of {of:,}" in coverage
+
+
+@needs_chromium
+def test_five_thousand_cases_are_drawn_only_when_opened(protocol: Protocol, show: Open) -> None:
+    results: tuple[CaseResult, ...] = tuple(
+        a_case(f"made/{n}", Verdict.FAIL if n == 4321 else Verdict.PASS) for n in range(5000)
+    )
+    page = show(replace(every_verdict(protocol), results=results))
+
+    assert visible_ids(page) == ["made/4321"]
+    assert page.eval("document.querySelectorAll('.inside').length") == 0
+    open_case(page, "made/4321")
+    assert page.eval("document.querySelectorAll('.inside').length") == 1
+    assert wire_log(page)[-1][4] == "7 entries are left out here"
+
+
+@needs_chromium
+def test_a_run_of_nothing_still_makes_a_page(protocol: Protocol, show: Open) -> None:
+    report = replace(
+        every_verdict(protocol), results=(), coverage={}, profile={}, unusable="it echoes", exit=2
+    )
+    page = show(report)
+
+    words = page.eval("document.body.innerText")
+    assert "not judged: it echoes" in words
+    assert "No case was judged." in words

@@ -1,0 +1,136 @@
+"""JUnit XML, read back by a public parser: totals, outcomes, and any bytes of a device."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from xml.etree.ElementTree import fromstring
+
+import junitparser
+import pytest
+from msgspec.structs import replace
+
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.junit import as_junit, outcome
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
+from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+
+
+def parsed(reports: list[Report], protocol: Protocol) -> junitparser.JUnitXml:
+    return junitparser.JUnitXml.fromstring(as_junit(reports, protocol).encode())
+
+
+def cases(xml: junitparser.JUnitXml) -> dict[str, junitparser.TestCase]:
+    return {case.name: case for suite in xml for case in suite}
+
+
+def test_the_totals_are_those_of_the_cases(protocol: Protocol) -> None:
+    report = a_run(protocol, "bad-data/*", "unused-id/9/*", fault="no-stop-on-bad-data")
+    xml = parsed([report], protocol)
+    counts = report.counts
+
+    assert counts["fail"] > 100
+    assert (xml.tests, xml.failures) == (len(report.results), counts["fail"])
+    assert (xml.errors, xml.skipped) == (counts["error"], counts["inconclusive"])
+    # What the parser counts by itself is what the file says.
+    found = Counter(type(result).__name__ for case in cases(xml).values() for result in case.result)
+    assert found == {"Failure": counts["fail"]}
+    assert set(cases(xml)) == {result.id for result in report.results}
+    for suite in xml:
+        assert suite.tests == len(list(suite))
+        assert all(case.name.startswith(f"{suite.name}/") for case in suite)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "strict", "kind"),
+    [
+        (Verdict.PASS, False, ""),
+        (Verdict.INFORMATIONAL, False, ""),
+        (Verdict.INFORMATIONAL, True, ""),
+        (Verdict.NON_STRICT, False, ""),
+        (Verdict.NON_STRICT, True, "failure"),
+        (Verdict.INCONCLUSIVE, False, "skipped"),
+        (Verdict.INCONCLUSIVE, True, "skipped"),
+        (Verdict.SKIPPED, False, "skipped"),
+        (Verdict.FAIL, False, "failure"),
+        (Verdict.ERROR, False, "error"),
+    ],
+)
+def test_each_verdict_has_its_outcome(
+    protocol: Protocol, verdict: Verdict, strict: bool, kind: str
+) -> None:
+    case = cases(parsed([every_verdict(protocol, strict=strict)], protocol))[
+        f"made/{verdict.label}"
+    ]
+
+    assert outcome(verdict, strict=strict) == kind
+    assert [type(result).__name__.lower() for result in case.result] == ([kind] if kind else [])
+    for result in case.result:
+        assert result.message == "a reason"
+        assert result.type == verdict.label
+
+
+def test_what_is_no_plain_pass_says_its_verdict_reading_and_how_to_try_it_again(
+    protocol: Protocol,
+) -> None:
+    case = replace(a_case("one/1", Verdict.NON_STRICT, "slow", "R-led-id"), reproduce="do it again")
+    report = replace(every_verdict(protocol), results=(case,))
+    found = cases(parsed([report], protocol))["one/1"]
+    properties = {p.name: p.value for p in found.child(junitparser.Properties)}
+
+    assert properties == {"verdict": "non-strict", "reading": "R-led-id"}
+    for words in ("slow", "[R-led-id]", "00 OK", "01 BAD_HEADER", "11 7f", "do it again"):
+        assert words in found.system_out
+    assert "expected  stopped" not in found.system_out  # an axis that passed
+
+
+def test_a_failure_says_what_was_expected_and_what_came(protocol: Protocol) -> None:
+    (failure,) = cases(parsed([every_verdict(protocol)], protocol))["made/fail"].result
+
+    assert "expected  00 OK\ngot       01 BAD_HEADER" in failure.text
+    assert "again     bilprov conform sim" in failure.text
+
+
+def test_an_unusable_line_is_an_error_and_never_an_empty_success(protocol: Protocol) -> None:
+    report = replace(every_verdict(protocol), results=(), unusable="the line is an echo", exit=2)
+    xml = parsed([report], protocol)
+
+    assert (xml.tests, xml.errors) == (1, 1)
+    (error,) = cases(xml)["usable"].result
+    assert error.message == "the line is an echo"
+
+
+def test_several_reports_keep_their_cases_apart(protocol: Protocol) -> None:
+    one, other = every_verdict(protocol), replace(every_verdict(protocol), device="other")
+    xml = parsed([one, other], protocol)
+    found = [(case.classname, case.name) for suite in xml for case in suite]
+
+    assert xml.tests == 2 * len(one.results)
+    assert len(set(found)) == len(found)
+    assert {suite.name for suite in xml} == {
+        f"{device}: {group}" for device in ("sim", "other") for group in ("made", "more")
+    }
+
+
+def test_times_are_seconds_on_the_wire_and_add_up(protocol: Protocol) -> None:
+    xml = parsed([every_verdict(protocol)], protocol)
+
+    assert cases(xml)["made/pass"].time == pytest.approx(0.0206)
+    assert xml.time == pytest.approx(0.0206 * len(cases(xml)), abs=1e-5)
+
+
+@pytest.mark.parametrize("evil", EVIL)
+def test_any_foreign_text_is_text(protocol: Protocol, evil: str) -> None:
+    written = as_junit([hostile(protocol, evil)], protocol)
+    root = fromstring(written)  # our own text
+
+    assert {element.tag for element in root.iter()} == {
+        "testsuites", "testsuite", "properties", "property", "testcase", "failure", "skipped",
+        "system-out",
+    }  # fmt: skip
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe]", written)
+    xml = parsed([hostile(protocol, evil)], protocol)
+    assert (xml.tests, xml.failures, xml.skipped) == (2, 1, 1)
+    visible_part = evil.strip("\x00\x1b[31m\x9b\u202e\u2028\ufffe\udcff\n")[:5]
+    assert all(visible_part in case.name for case in cases(xml).values())

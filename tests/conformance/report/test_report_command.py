@@ -1,0 +1,538 @@
+"""`bilprov report`, and the reports of `conform`: complete, checked before the run, lossless."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import stat
+import threading
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import fromstring
+
+import pytest
+import rich_click as click
+from markdown_it import MarkdownIt
+from msgspec.structs import replace
+
+from bilprov.analyzer.files import write_whole
+from bilprov.conformance.cli.outputs import Output, require_writable
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.json_report import read_report
+from bilprov.conformance.report.junit import as_junit
+from bilprov.conformance.report.markdown import as_markdown
+from bilprov.conformance.report.run_report import Report, as_json, reproduce
+from bilprov.conformance.report.side_by_side import names, rows
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command, process
+from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+from tests.support.robots import PATIENCE, sentence
+
+pytestmark = pytest.mark.waits
+
+FEW = ("--only", "valid/LED/*")
+
+
+def saved(report: Report, folder: Path, name: str = "run.json") -> Path:
+    file = folder / name
+    file.write_bytes(as_json(report))
+    return file
+
+
+# -- a report is read back as the value that it was -----------------------------------------------
+
+
+@pytest.mark.parametrize("fault", ["", "restarts-by-itself", "double-answer", "silent-on-faults"])
+def test_a_report_read_back_is_the_same_value(
+    protocol: Protocol, tmp_path: Path, fault: str
+) -> None:
+    report = a_run(protocol, "bad-data/LED/1?", "unused-id/9/*", "truncated/LED/*", fault=fault)
+
+    assert read_report(str(saved(report, tmp_path))) == report_with_its_words(report)
+    assert as_json(read_report(str(saved(report, tmp_path)))) == as_json(report)
+
+
+def report_with_its_words(report: Report) -> Report:
+    """The report as a file tells it: options as lists, and the command that tries a case again."""
+    document = json.loads(as_json(report))
+    return replace(
+        report,
+        options=document["options"],
+        link=document["link"],
+        results=tuple(replace(result, reproduce="") for result in report.results),
+        again={case["id"]: case["reproduce"] for case in document["cases"]},
+    )
+
+
+def test_nothing_that_a_run_says_is_lost(protocol: Protocol, tmp_path: Path) -> None:
+    """What a budget, Ctrl-C and a file of expected failures leave in a report, too."""
+    base = every_verdict(protocol)
+    report = replace(
+        base,
+        ended="stopped by the user",
+        ended_by="user",
+        timing={"bytes_sent": 12, "wire_s": 0.25},
+        dropped={"tour": 3},
+        comparison=Comparison("known.toml", frozenset({"more/1"}), 2, ("more/9 passes now",)),
+    )
+    again = read_report(str(saved(report, tmp_path)))
+
+    assert as_json(again) == as_json(report)
+    assert again == report_with_its_words(report)
+    assert (again.ended_by, again.timing, again.dropped) == (
+        "user",
+        {"bytes_sent": 12, "wire_s": 0.25},
+        {"tour": 3},
+    )
+    assert again.comparison == report.comparison
+
+
+def test_every_verdict_is_read_back(protocol: Protocol, tmp_path: Path) -> None:
+    report = every_verdict(protocol)
+    again = read_report(str(saved(report, tmp_path)))
+
+    assert [result.verdict for result in again.results] == [r.verdict for r in report.results]
+    assert again.results == report.results
+    assert again.again["more/2"] == "bilprov conform sim --seed 1 --only more/2"
+    assert as_json(again) == as_json(report)
+
+
+@pytest.mark.parametrize("evil", EVIL[:-2])
+def test_a_hostile_report_is_read_back(protocol: Protocol, tmp_path: Path, evil: str) -> None:
+    file = saved(hostile(protocol, evil), tmp_path)
+
+    assert as_json(read_report(str(file))) == file.read_bytes()
+
+
+def test_what_this_version_does_not_know_is_passed_over(protocol: Protocol, tmp_path: Path) -> None:
+    report = a_run(protocol, "valid/LED/1")
+    document = json.loads(as_json(report))
+    document["later"] = {"x": 1}
+    document["cases"][0]["later"] = [1]
+    document["cases"][0]["axes"]["answer"]["later"] = None
+    file = tmp_path / "later.json"
+    file.write_text(json.dumps(document))
+
+    assert as_json(read_report(str(file))) == as_json(report)
+
+
+def test_a_case_has_the_command_that_it_brought_along(protocol: Protocol, tmp_path: Path) -> None:
+    case = replace(a_case("tour/1", Verdict.FAIL), reproduce="11 7f 20")
+    report = replace(every_verdict(protocol), results=(case,))
+    again = read_report(str(saved(report, tmp_path)))
+
+    assert reproduce(report, case) == "bilprov send PORT 11 7f 20"
+    assert reproduce(again, again.results[0]) == "bilprov send PORT 11 7f 20"
+
+
+def changed(document: dict[str, Any], path: str, value: object) -> str:
+    *way, last = path.split(".")
+    place: Any = document
+    for step in way:
+        place = place[int(step)] if step.isdigit() else place[step]
+    place[last] = value
+    return json.dumps(document)
+
+
+WRONG = [
+    ("seed", "one", "no result of bilprov"),
+    ("verdict", "fine", "no result of bilprov"),
+    ("exit", 7, "no result of bilprov"),
+    ("cases", {}, "no result of bilprov"),
+    ("cases.0.log", [{"t": 0, "kind": "eaten", "hex": "", "look": ""}], "no result of bilprov"),
+    ("cases.0.log", [{"t": -1, "kind": "sent", "hex": "", "look": ""}], "no result of bilprov"),
+    ("cases.0.log", [{"t": 1e300, "kind": "sent", "hex": "", "look": ""}], "no result of bilprov"),
+    ("cases.0.sent", ["<b>"], "no result of bilprov"),
+    ("cases.0.received", [{"hex": "00", "t": 1e308}], "no result of bilprov"),
+    ("coverage", {"headers": {"done": -1, "of": 1}}, "no result of bilprov"),
+    ("verdict", "fail", "contradicts itself"),
+    ("counts.pass", 99, "contradicts itself"),
+    ("cases.0.verdict", "fail", "contradicts itself"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "words"), WRONG)
+def test_a_wrong_file_is_one_sentence(
+    protocol: Protocol, tmp_path: Path, path: str, value: object, words: str
+) -> None:
+    file = tmp_path / "wrong.json"
+    file.write_text(changed(json.loads(as_json(a_run(protocol, "valid/LED/1"))), path, value))
+
+    with pytest.raises(ValueError, match=words) as raised:
+        read_report(str(file))
+
+    assert "wrong.json" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+DEEP = b'{"profile":{"x":' + b"[" * 100_000
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"\xff\xfe", b"[" * 100_000, DEEP, b"null", b"\x89MCAP"]
+)
+def test_what_is_no_result_is_refused_with_2(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "odd.json"
+    file.write_bytes(content)
+    page = tmp_path / "page.html"
+
+    result = command("report", str(file), "--html", str(page))
+
+    assert result.returncode == 2
+    assert "no result of bilprov" in sentence(result)
+    assert not page.exists()
+
+
+def test_a_file_that_is_not_there_is_refused_with_2(tmp_path: Path) -> None:
+    result = command("report", str(tmp_path / "none.json"))
+
+    assert result.returncode == 2
+    assert "none.json cannot be read" in sentence(result)
+
+
+# -- side by side ---------------------------------------------------------------------------------
+
+
+def with_cases(report: Report, *idents: str) -> Report:
+    results: tuple[CaseResult, ...] = tuple(a_case(ident, Verdict.PASS) for ident in idents)
+    return replace(report, results=results)
+
+
+def test_cases_stand_beside_one_another_in_the_order_of_the_runs(protocol: Protocol) -> None:
+    base = every_verdict(protocol)
+    one, two = with_cases(base, "a", "b", "d"), with_cases(base, "z", "a", "c", "d", "e")
+    found = rows([one, two])
+
+    assert [row.id for row in found] == ["z", "a", "c", "b", "d", "e"]
+    assert [row.id for row in found if None in row.results] == ["z", "c", "b", "e"]
+    assert not any(row.differs for row in found)
+
+
+def test_an_id_that_stands_twice_loses_nothing(protocol: Protocol) -> None:
+    report = with_cases(every_verdict(protocol), "a", "a", "b")
+
+    assert [row.id for row in rows([report, report])] == ["a", "a", "b"]
+
+
+def test_runs_are_told_apart(protocol: Protocol) -> None:
+    base = every_verdict(protocol)
+    faulty = replace(base, link=base.link | {"fault": "x"})
+
+    assert names([base, faulty, base]) == ["sim (1)", "sim --fault x", "sim (2)"]
+
+
+def test_several_results_are_a_table_on_the_terminal(protocol: Protocol, tmp_path: Path) -> None:
+    good = saved(a_run(protocol, "bad-data/LED/1?"), tmp_path, "good.json")
+    report = a_run(protocol, "bad-data/LED/1?", "valid/LED/1", fault="restarts-by-itself")
+    bad = saved(report, tmp_path, "bad.json")
+
+    result = command("report", str(good), str(bad))
+    said = result.stdout.decode()
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    failed = [case.id for case in report.results if case.verdict is Verdict.FAIL]
+    assert failed
+    assert all(f"{ident}  pass, fail" in said for ident in failed)
+    assert f"{len(failed)} fail, {10 - len(failed)} pass" in said
+    assert "1 not run" in said
+    assert "sim --fault restarts-by-itself: sim does not conform" in said
+
+
+def test_one_result_is_shown_as_conform_shows_it(protocol: Protocol, tmp_path: Path) -> None:
+    file = tmp_path / "run.json"
+    ran = command("conform", "sim", *FEW, "--fault", "always-0", "--json", str(file))
+    shown = command("report", str(file))
+
+    assert ran.returncode == 1
+    assert shown.returncode == 0
+    assert shown.stdout == ran.stdout
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_hostile_result_does_not_control_the_terminal(
+    protocol: Protocol, tmp_path: Path, count: int
+) -> None:
+    evil = "[bold] \x1b]0;owned\x07\x9b31m\u202e\r\x08[/red][link=x]"
+    file = saved(hostile(protocol, evil), tmp_path)
+
+    result = command("report", *[str(file)] * count)
+    said = result.stdout.decode()
+
+    assert result.returncode == 0
+    assert "[/red][link=x]" in said
+    assert [line for line in said.splitlines() if line.startswith("│") and "[bold]" in line]
+    assert not [c for c in said if not c.isprintable() and c != "\n"]
+
+
+def test_pages_of_all_kinds_are_written_from_results(protocol: Protocol, tmp_path: Path) -> None:
+    one = saved(a_run(protocol, "valid/LED/1"), tmp_path, "one.json")
+    two = saved(a_run(protocol, "valid/LED/2"), tmp_path, "two.json")
+    files = {kind: tmp_path / f"out.{kind}" for kind in ("html", "junit", "markdown")}
+    options = [word for kind, file in files.items() for word in (f"--{kind}", str(file))]
+
+    result = command("report", str(one), str(two), *options)
+
+    assert (result.returncode, result.stdout) == (0, b"")
+    assert files["html"].read_text().startswith("<!doctype html>")
+    assert files["junit"].read_text().startswith("<?xml")
+    assert files["markdown"].read_text().count("## ✅ sim conforms") == 2
+    for file in files.values():
+        assert f"{file} written" in result.stderr.decode()
+
+
+def test_another_grammars_result_is_shown_without_its_words(
+    horn: Protocol, horn_text: str, tmp_path: Path
+) -> None:
+    grammar = tmp_path / "horn.py"
+    grammar.write_text(horn_text, encoding="utf-8")
+    file = saved(a_run(horn, "valid/Horn/*"), tmp_path)
+
+    plain = command("report", str(file), "--html", "-").stdout.decode()
+    told = command("--grammar", str(grammar), "report", str(file), "--html", "-").stdout.decode()
+
+    assert '"known":[false]' in plain
+    assert "Horn sound=3" not in plain
+    assert '"known":[true]' in told
+    assert "Horn sound=3" in told
+
+
+# -- where reports are written --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def passes(protocol: Protocol) -> int:
+    """How many cases a run of the eight LED frames has, with those that open every run."""
+    count = a_run(protocol, "valid/LED/*").counts["pass"]
+    assert count > 8
+    return count
+
+
+def test_conform_writes_every_kind_from_one_run(tmp_path: Path, passes: int) -> None:
+    files = {kind: tmp_path / f"out.{kind}" for kind in ("json", "junit", "markdown", "html")}
+    options = [word for kind, file in files.items() for word in (f"--{kind}", str(file))]
+
+    result = command("conform", "sim", *FEW, *options)
+
+    assert result.returncode == 0
+    assert "sim conforms" in result.stdout.decode()
+    assert all(
+        f"{passes} pass" in files[kind].read_text() for kind in ("junit", "markdown", "html")
+    )
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
+        file.name for file in files.values()
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "begins"), [("junit", b"<?xml"), ("markdown", b"## "), ("html", b"<!doctype")]
+)
+def test_a_dash_is_standard_output_and_nothing_else_is_on_it(
+    kind: str, begins: bytes, passes: int
+) -> None:
+    result = command("conform", "sim", *FEW, f"--{kind}", "-")
+
+    assert result.returncode == 0
+    assert result.stdout.startswith(begins)
+    assert f"sim conforms: {passes} pass".encode() in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["json", "junit", "markdown", "html"])
+@pytest.mark.parametrize("place", ["none/out", "."])
+def test_what_cannot_be_written_is_refused_before_anything_moves(
+    tmp_path: Path, kind: str, place: str
+) -> None:
+    # The port is not there either: that the file comes first shows that nothing was sent.
+    result = command("conform", "/dev/none", "--yes", f"--{kind}", str(tmp_path / place))
+
+    assert result.returncode == 2
+    assert f"--{kind} {tmp_path / place} cannot be written" in sentence(result)
+
+
+def test_two_reports_do_not_share_a_file_or_standard_output(tmp_path: Path) -> None:
+    file = tmp_path / "out"
+    link = tmp_path / "link"
+    link.symlink_to(file)
+
+    one = command("conform", "sim", *FEW, "--json", "-", "--html", "-")
+    two = command("conform", "sim", *FEW, "--json", str(file), "--html", str(link))
+
+    assert (one.returncode, two.returncode) == (2, 2)
+    assert "--json and --html both go to standard output" in sentence(one)
+    assert "would overwrite --json" in sentence(two)
+    assert not file.exists()
+
+
+def test_the_results_that_are_read_are_not_overwritten(protocol: Protocol, tmp_path: Path) -> None:
+    file = saved(a_run(protocol, "valid/LED/1"), tmp_path)
+    before = file.read_bytes()
+
+    result = command("report", str(file), "--html", str(tmp_path / "." / "run.json"))
+
+    assert result.returncode == 2
+    assert f"would overwrite the input {file}" in sentence(result)
+    assert file.read_bytes() == before
+
+
+def refused(tmp_path: Path) -> str:
+    with pytest.raises(click.UsageError) as raised:
+        require_writable([Output("--html", str(tmp_path / "out"), lambda reports, protocol: "")])
+    return raised.value.message
+
+
+def test_a_file_that_this_user_may_not_write_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The tests may run as root, whom no mode keeps from anything.
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+
+    assert "this user may not" in refused(tmp_path)
+
+
+def test_a_file_keeps_its_mode(tmp_path: Path) -> None:
+    file = tmp_path / "out.html"
+    file.write_text("before")
+    file.chmod(0o640)
+
+    write_whole(file, b"after")
+    assert file.read_text() == "after"
+    assert stat.S_IMODE(file.stat().st_mode) == 0o640
+
+
+def test_a_full_disk_keeps_what_was_there_and_the_other_reports(tmp_path: Path) -> None:
+    # The one that does not fit is written first.
+    values, tests = tmp_path / "run.json", tmp_path / "tests.xml"
+    values.write_text("before")
+
+    def nearly_full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    result = process(
+        *("conform", "sim", *FEW, "--json", str(values), "--junit", str(tests)),
+        preexec_fn=nearly_full,
+    )
+
+    assert result.returncode == 2
+    assert "File too large" in sentence(result)
+    assert "sim conforms" in result.stdout.decode()
+    assert values.read_text() == "before"
+    assert tests.read_text().startswith("<?xml")
+    assert {entry.name for entry in tmp_path.iterdir()} == {"run.json", "tests.xml"}
+
+
+def test_a_link_stays_a_link_and_a_pipe_a_pipe(tmp_path: Path) -> None:
+    target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
+    link.symlink_to(target)
+    os.mkfifo(pipe)
+    came: list[bytes] = []
+    reader = threading.Thread(target=lambda: came.append(pipe.read_bytes()))
+    reader.start()
+
+    write_whole(link, b"through")
+    write_whole(pipe, b"along")
+    reader.join(PATIENCE)
+
+    assert link.is_symlink()
+    assert target.read_bytes() == b"through"
+    assert came == [b"along"]
+    assert pipe.is_fifo()
+
+
+# -- a case stands under one clause, whatever became of it ----------------------------------------
+
+
+def failing_walk() -> tuple[CaseResult, CaseResult]:
+    """A walk that passes, and one that fails and says which clause that breaks."""
+    passed = a_case("tour/1", Verdict.PASS)
+    failed = replace(
+        a_case("tour/1", Verdict.FAIL), clause="section 5", planned="section 4, table 2"
+    )
+    return passed, failed
+
+
+def rows_of_the_matrix(page: str) -> list[str]:
+    matrix = page.partition('<table class="matrix">')[2].partition("</table>")[0]
+    return re.findall(r'class="clause"><a [^>]*>([^<]*)<', matrix)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_case_stands_under_the_same_clause_on_every_page(protocol: Protocol, first: int) -> None:
+    base = every_verdict(protocol)
+    runs = [replace(base, results=(case,), exit=1) for case in failing_walk()]
+    runs = runs[first:] + runs[:first]
+
+    pages = [as_html(some, protocol) for some in (runs, runs[:1], runs[1:])]
+
+    assert [rows_of_the_matrix(page) for page in pages] == [["section 4, table 2"]] * 3
+    assert all('data-c="section 4, table 2"' in page for page in pages)
+    assert "what fails: section 5" in pages[0]
+    tests = as_junit(runs, protocol)
+    assert set(re.findall(r'classname="sim: ([^"]*)"', tests)) == {"section 4, table 2"}
+    assert "fail (section 5)" in tests
+
+
+def test_a_walk_of_a_real_run_keeps_its_row(protocol: Protocol) -> None:
+    only = "sequence/*"
+    good = a_run(protocol, only)
+    bad = a_run(protocol, only, fault="led-order-reversed")
+    failed = [result for result in bad.results if result.verdict is Verdict.FAIL]
+    own = {result.id: result.clause for result in good.results}
+
+    assert any(result.clause != own[result.id] for result in failed)
+    assert {result.id: result.own_clause for result in bad.results} == own
+
+
+def test_both_clauses_are_read_back_and_an_old_report_has_but_one(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    passed, failed = failing_walk()
+    file = saved(replace(every_verdict(protocol), results=(failed,), exit=1), tmp_path)
+    document = json.loads(file.read_bytes())
+    (case,) = document["cases"]
+
+    (again,) = read_report(str(file)).results
+    assert again == failed
+    assert (case["clause"], case["planned_clause"]) == ("section 5", "section 4, table 2")
+    del case["planned_clause"]
+    file.write_text(json.dumps(document))
+    (old,) = read_report(str(file)).results
+    assert (old.clause, old.own_clause) == ("section 5", "section 5")
+    # Beside a run in which it passes the old one finds its row all the same.
+    runs = [replace(every_verdict(protocol), results=(case,)) for case in (old, passed)]
+    assert [row.clause for row in rows(runs)] == ["section 4, table 2"]
+
+
+# -- when, where and with what a run was made -----------------------------------------------------
+
+
+def test_every_form_says_when_where_and_with_what_a_run_was_made(tmp_path: Path) -> None:
+    files = {kind: tmp_path / kind for kind in ("json", "junit", "markdown", "html")}
+    asked = [word for kind, file in files.items() for word in (f"--{kind}", str(file))]
+
+    result = command("conform", "sim", "--only", "valid/LED/1", *asked)
+
+    document = json.loads(files["json"].read_text())
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", document["begun"])
+    assert document["took_s"] >= 0
+    assert set(document["versions"]) == {"Python", "platform", "pyserial", "construct"}
+    for told in (result.stdout.decode(), *(file.read_text() for file in files.values())):
+        for words in (document["begun"], document["host"], document["versions"]["pyserial"]):
+            assert words in told
+    suite = files["junit"].read_text()
+    assert f'timestamp="{document["begun"]}" hostname="{document["host"]}"' in suite
+
+
+@pytest.mark.parametrize("evil", EVIL)
+def test_a_hostile_host_is_text(protocol: Protocol, evil: str) -> None:
+    tame = replace(every_verdict(protocol), begun="then", took_s=1.0, host="h", versions={"a": "b"})
+    wild = replace(tame, begun=evil, host=evil, versions={evil: evil})
+
+    pages = [as_html([report], protocol) for report in (tame, wild)]
+    assert len({page.count("<dt>") for page in pages}) == 1
+    assert evil not in pages[1] or "<" not in evil
+    fromstring(as_junit([wild], protocol))
+    text = as_markdown([wild], protocol)
+    assert not {"link_open", "image", "html_block"} & {t.type for t in MarkdownIt().parse(text)}

@@ -1,0 +1,409 @@
+"""Discovery of a device's choices: what each probe shows, and the profile that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import Observation, Operation, Procedure, Received, listen
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.catalogue import find_mixture
+from bilprov.conformance.mutation.faults.vocabulary import answers_with, sets
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.oracle.choices import POINTS, Choices, parse_allowed
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.runner.discovery import discover as discovery
+from bilprov.conformance.runner.discovery.discover import reading_cases
+from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
+from tests.vectors import READING_IDS
+
+PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
+INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
+# Probes that are made only where an option is given.
+ASKED = {"reading/version", "reading/led-id", "reading/led-upper-bits"}
+
+# What each variant shows otherwise than the kit, by hand: (point, word). What is not named here is
+# shown as the kit reads it. A measured time is no choice.
+LOST = "lost-after-fault"
+LOSES_ALL = {
+    "R-drain-known": "flushed",
+    "R-drain-unused": "flushed",
+    "R-pipelining unused-id": LOST,
+    "R-pipelining too-few": LOST,
+    "R-pipelining bad-data": LOST,
+}
+SHOWS: dict[str, dict[str, str]] = {
+    "R-unused-length=too-many": {
+        "R-unused-length": "too-many",
+        "R-truncated-unused": "too-many",
+    },
+    "R-unused-length=too-few": {"R-unused-length": "too-few", "R-truncated-unused": "too-few"},
+    "R-competing-errors=bad-data": {"R-competing-errors": "data"},
+    "R-truncated-known=silent": {
+        "R-truncated-known": "silent",
+        "R-truncated-long": "silent",
+        "R-truncated-unused": "silent",
+    },
+    "R-truncated-unused=too-few": {"R-truncated-unused": "too-few"},
+    "R-truncated-long=too-many": {"R-truncated-long": "too-many"},
+    # It judges a frame by its header, also one that is then cut short.
+    "R-answer-point=header": {"R-answer-point": "at-header", "R-truncated-long": "too-many"},
+    "R-truncation-timeout=whole-frame": {"R-truncation-timeout": "whole-frame"},
+    "R-watchdog=stops": {"R-watchdog": "stops"},
+    "R-drain-known=flushed": {
+        "R-drain-known": "flushed",
+        "R-pipelining too-few": LOST,
+        "R-pipelining bad-data": LOST,
+    },
+    "R-drain-unused=flushed": {"R-drain-unused": "flushed", "R-pipelining unused-id": LOST},
+    "R-drain-known=flushed-after-any": LOSES_ALL,
+    "R-pipelining=lost-after-a-fault": LOSES_ALL,
+    "R-fault-state=speed-zeroed": {"R-fault-state speed": "zeroed"},
+    "R-fault-state=steering-kept": {"R-fault-state steering": "kept"},
+    "R-fault-state=both": {"R-fault-state speed": "zeroed", "R-fault-state steering": "kept"},
+    "R-stop-steering=kept": {"R-stop-steering": "kept"},
+    "R-stop-steering=kept-by-faults-too": {
+        "R-stop-steering": "kept",
+        "R-fault-state steering": "kept",
+    },
+    "R-stop-speed=zeroed": {"R-stop-speed": "zeroed"},
+    "R-stop-speed=zeroed-by-faults-too": {
+        "R-stop-speed": "zeroed",
+        "R-fault-state speed": "zeroed",
+    },
+    "R-drive-steering=straight": {"R-drive-steering": "straight"},
+    "R-steer-rotating=curve": {"R-steer-rotating": "curve"},
+    "R-led-state=off": {"R-led-state stop": "off", "R-led-state fault": "off"},
+    "R-speed-moving=next-motion": {"R-speed-moving": "next-motion"},
+    "R-led-upper-bits=ignored": {"R-led-upper-bits": "ignored"},
+    "R-led-id=9": {"R-led-id": "example"},
+    "R-version=1.0": {"R-version": "older"},
+    "R-drain-unused=run": {"R-drain-unused": "run"},
+}
+
+
+def probed(
+    protocol: Protocol,
+    fault: Fault | None,
+    *allow: str,
+    observability: Observability = ALL_SEEING,
+    link: type[CountingLink] = CountingLink,
+) -> RunState:
+    """The books of a run that only looks at the device's own choices."""
+    choices = Choices(allowed=parse_allowed(protocol, allow))
+    run = RunState(
+        protocol,
+        Timers(idle=2500 * MS),
+        observability,
+        begin=lambda ident: None,
+        report=lambda result: None,
+        profile=Profile(choices=choices),
+    )
+    drive(Runner(run, []).run(), link(Simulator(protocol, fault)), lambda: False)
+    return run
+
+
+def readings(run: RunState) -> dict[str, CaseResult]:
+    found = {r.id: r for r in run.results if r.id.startswith("reading/")}
+    assert len(found) == sum(r.id.startswith("reading/") for r in run.results)
+    return found
+
+
+def others(run: RunState) -> dict[str, str]:
+    """What the device showed otherwise than the kit."""
+    shown = {point: word for point, (word, _) in run.profile.choices.shown.items()}
+    return {point: word for point, word in shown.items() if word != POINTS[point].default}
+
+
+# -- what each probe shows ------------------------------------------------------------------------
+
+
+def test_the_reference_shows_the_default_of_every_point(protocol: Protocol) -> None:
+    run = probed(protocol, None)
+    asked_for = {"R-version", "R-led-id", "R-led-upper-bits"}
+
+    assert set(run.profile.choices.shown) == set(POINTS) - asked_for
+    assert others(run) == {}
+    found = readings(run)
+    assert set(found) == {case.id for case in reading_cases(protocol)} - ASKED
+    assert {result.verdict for result in found.values()} == {PASS}
+
+
+@pytest.mark.parametrize("name", [None, *sorted(SHOWS)])
+def test_each_variant_shows_its_own_choices_and_no_other(
+    protocol: Protocol, name: str | None
+) -> None:
+    variant = variants(protocol)[name] if name else None
+    allow = [variant.allow] if variant and variant.allow else []
+
+    run = probed(protocol, variant.fault if variant else None, *allow)
+
+    wanted = SHOWS[name] if name else {}
+    assert others(run) == wanted
+    for result in readings(run).values():
+        assert result.verdict <= NON_STRICT, (result.id, result.reason)
+    # Each other choice gives its probe the verdict that the readings give it.
+    for point, word in wanted.items():
+        _, where = run.profile.choices.shown[point]
+        choice = POINTS[point].choice(word)
+        assert choice is not None
+        # What the first frames have shown already is settled by them.
+        told = readings(run).values() if where not in readings(run) else [readings(run)[where]]
+        assert max(result.verdict for result in told) >= choice.verdict > PASS
+
+
+def test_a_variant_that_is_a_measured_time_shows_no_choice(protocol: Protocol) -> None:
+    rest = set(variants(protocol)) - set(SHOWS)
+    times = ("R-truncation-timeout", "R-answer-deadline", "R-stop-", "R-unsolicited", "R-power-on")
+
+    assert all(name.startswith((*times, "R-pipelining=no")) for name in rest)
+    for name in sorted(rest - {"R-pipelining=no"}):
+        run = probed(protocol, variants(protocol)[name].fault)
+        assert others(run) == {}, name
+        assert max(r.verdict for r in readings(run).values()) <= INFORMATIONAL, name
+
+
+def test_a_watchdogs_time_is_measured(protocol: Protocol) -> None:
+    run = probed(protocol, variants(protocol)["R-watchdog=stops"].fault)
+
+    assert run.profile.watchdog is not None
+    assert 900 * MS < run.profile.watchdog < 1200 * MS
+
+
+def test_a_choice_that_needs_an_option_is_probed_only_with_it(protocol: Protocol) -> None:
+    for name in ("R-led-upper-bits=ignored", "R-led-id=9", "R-version=1.0"):
+        variant = variants(protocol)[name]
+        assert not set(readings(probed(protocol, variant.fault))) & ASKED
+        assert len(set(readings(probed(protocol, variant.fault, variant.allow))) & ASKED) == 1
+
+
+def test_data_of_an_unused_id_that_are_run_fail_without_the_option(protocol: Protocol) -> None:
+    variant = variants(protocol)["R-drain-unused=run"]
+
+    assert readings(probed(protocol, variant.fault))["reading/drain-unused"].verdict is FAIL
+    allowed = readings(probed(protocol, variant.fault, variant.allow))
+    assert allowed["reading/drain-unused"].verdict is NON_STRICT
+
+
+def test_with_pipelining_no_nothing_is_sent_ahead(protocol: Protocol) -> None:
+    variant = variants(protocol)["R-pipelining=no"]
+
+    found = readings(probed(protocol, variant.fault, variant.allow))
+
+    assert max(result.verdict for result in found.values()) is PASS
+    assert not {i for i in found if i.startswith(("reading/pipelining", "reading/drain"))}
+
+
+def test_each_probe_names_its_reading(protocol: Protocol) -> None:
+    for case in reading_cases(protocol):
+        assert case.reading in READING_IDS, case.id
+    for point in POINTS.values():
+        assert point.reading in READING_IDS
+
+
+def test_who_cannot_look_probes_the_answers_alone(protocol: Protocol) -> None:
+    found = readings(probed(protocol, None, observability=Observability(available=False)))
+    blind = {ident for ident, r in found.items() if r.verdict is INCONCLUSIVE}
+
+    assert {found[i].axes["state"].actual for i in blind} == {""}
+    assert blind == {ident for ident, r in found.items() if "state" in r.axes}
+    assert len(found) - len(blind) > 8
+
+
+# -- devices that keep to nothing -----------------------------------------------------------------
+
+
+def every_second(change: React, matches: Callable[[Event], bool]) -> Fault:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        if not matches(event):
+            return reaction
+        device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
+        return change(device, event, reaction) if turn else reaction
+
+    return Fault("x", "test", "", react=react)
+
+
+def stops(event: Event) -> bool:
+    return event.judgement.frame == b"\0" and event.before.moving
+
+
+def test_a_device_that_shows_two_choices_of_a_state_fails(protocol: Protocol) -> None:
+    found = readings(probed(protocol, every_second(sets(speed=0), stops)))
+
+    assert found["reading/after-stop"].verdict is FAIL
+    assert "more than one choice" in found["reading/after-stop"].reason
+    assert [i for i, r in found.items() if r.verdict is FAIL] == ["reading/after-stop"]
+
+
+def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) -> None:
+    # Only where it stands alone: the probe that sends it in a burst has a point of its own.
+    def alone(event: Event) -> bool:
+        return event.judgement.frame == bytes.fromhex("92 00 00")
+
+    found = readings(probed(protocol, every_second(answers_with(3), alone)))
+
+    assert found["reading/unused-length"].verdict is FAIL
+
+
+@pytest.mark.parametrize("point", ["R-stop-speed=zeroed", "R-unused-length=too-many"])
+def test_a_mixture_of_choices_fails_in_the_probes_or_in_the_suite(
+    protocol: Protocol, point: str
+) -> None:
+    device = Simulator(protocol, find_mixture(protocol, f"mixture:{point}:by-frame"))
+
+    assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "ident", "words"),
+    [
+        (lambda e, r: answers(r, 2), "unused-length", "answered 02 BAD_DATA"),
+        (lambda e, r: answers(r), "unused-length", "answered no answer"),
+        (lambda e, r: answers(r, 1, 1), "unused-length", "answered 01 BAD_HEADER, 01"),
+    ],
+)
+def test_an_answer_that_is_no_choice_of_the_point_fails(
+    protocol: Protocol, change: Any, ident: str, words: str
+) -> None:
+    fault = Fault("x", "test", "", react=lambda d, e, r: (
+        change(e, r) if e.judgement.frame == bytes.fromhex("92 00 00") else r
+    ))  # fmt: skip
+
+    result = readings(probed(protocol, fault))[f"reading/{ident}"]
+
+    assert result.verdict is FAIL
+    assert words in result.reason
+
+
+@pytest.mark.parametrize(
+    ("facets", "word"),
+    [({"speed": 7}, "speed is 7"), ({"steering": 7}, "steering is 7"), ({"led": 3}, "LED is 3")],
+)
+def test_a_state_that_is_no_choice_of_the_point_fails(
+    protocol: Protocol, facets: dict[str, int], word: str
+) -> None:
+    fault = Fault("x", "test", "", react=lambda d, e, r: (
+        replace(r, state=replace(r.state, **facets)) if stops(e) else r
+    ))  # fmt: skip
+
+    found = readings(probed(protocol, fault))
+
+    assert found["reading/after-stop"].verdict is FAIL
+    assert word in found["reading/after-stop"].reason
+
+
+# What six tries of a probe tell, one letter each: a choice, another one, or a line too coarse.
+@pytest.mark.parametrize(
+    ("tries", "verdict", "made"),
+    [
+        ("==", PASS, 2),
+        ("??", INFORMATIONAL, 2),
+        ("=?=", PASS, 3),  # a try that told nothing is made again
+        ("?=?", INFORMATIONAL, 3),
+        ("=!==", INCONCLUSIVE, 4),
+        ("=!=!=", FAIL, 5),
+        ("=!=!?=", INCONCLUSIVE, 6),  # it may have been the line
+        ("=!?!=?", INCONCLUSIVE, 6),
+    ],
+)
+def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
+    protocol: Protocol,
+    monkeypatch: pytest.MonkeyPatch,
+    tries: str,
+    verdict: Verdict,
+    made: int,
+) -> None:
+    point = "R-truncation-timeout"
+    kinds = {
+        "=": Finding(((point, POINTS[point].default),), "one", "one"),
+        "!": Finding(((point, "whole-frame"),), "one", "the other"),
+        "?": Finding(((point, ""),), "one", "", coarse="the line is slow"),
+    }
+    left = list(tries)
+
+    def make(run: RunState) -> Procedure[Finding]:
+        yield from listen(0, 0)
+        return kinds[left.pop(0)]
+
+    probe = Experiment("truncation-timeout", (point,), "it keeps to one", make)
+    monkeypatch.setattr(discovery, "_experiments", lambda protocol: iter([probe]))
+
+    result = readings(probed(protocol, None))["reading/truncation-timeout"]
+
+    assert result.verdict is verdict
+    assert len(tries) - len(left) == made
+    if verdict is INFORMATIONAL or (verdict is INCONCLUSIVE and "?" in tries):
+        assert "the line is slow" in result.reason
+
+
+class Uneven(CountingLink):
+    """A line on which one answer in seven comes later, by so much (ns)."""
+
+    late = 0
+
+    def do(self, ask: Operation) -> int | Received | Observation:
+        reply = super().do(ask)
+        if isinstance(reply, Received) and self.asks % 7 == 0:
+            return Received(
+                tuple((t + self.late, c) for t, c in reply.answers), reply.now + self.late
+            )
+        return reply
+
+
+@pytest.mark.parametrize(("late", "verdict"), [(MS // 2, PASS), (5 * MS, INFORMATIONAL)])
+def test_a_time_out_that_the_line_cannot_resolve_is_not_judged(
+    protocol: Protocol, late: int, verdict: Verdict
+) -> None:
+    class Line(Uneven):
+        pass
+
+    Line.late = late
+    short = Fault("x", "test", "", timeout=6 * MS)
+
+    found = readings(probed(protocol, short, link=Line))["reading/truncation-timeout"]
+
+    assert found.verdict is verdict
+    assert verdict is PASS or "too short for pauses" in found.reason
+
+
+@pytest.mark.parametrize("time", [1, 2])
+def test_a_probe_that_showed_another_thing_once_is_inconclusive(
+    protocol: Protocol, time: int
+) -> None:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        times = device.memory["times"] = device.memory.get("times", 0) + stops(event)
+        # The motions that are seen first are stopped too, and so is what is set up.
+        return zeroed(device, event, reaction) if stops(event) and times == at else reaction
+
+    at, zeroed = 0, sets(speed=0)
+    clean = Simulator(protocol, Fault("x", "test", "", react=react))
+    run_over(CountingLink(clean), protocol, [], discover=True)
+    assert clean.memory["times"] > 10
+
+    verdicts = {}
+    for at in range(1, clean.memory["times"] + 1):
+        run = run_over(
+            CountingLink(Simulator(protocol, Fault("x", "test", "", react=react))),
+            protocol,
+            [],
+            discover=True,
+        ).state
+        verdicts[at] = readings(run)["reading/after-stop"]
+    odd = [r for r in verdicts.values() if r.verdict is not PASS]
+
+    # What the first frames have shown is held against the probe; then the two times it is made.
+    assert [r.verdict for r in odd] == [FAIL, INCONCLUSIVE, INCONCLUSIVE]
+    assert "the first frames after power-on" in odd[0].reason
+    assert "flaky: shown once in 4 tries" in odd[time].reason

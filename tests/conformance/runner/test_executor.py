@@ -1,0 +1,420 @@
+"""The runner leaves the robot at rest on every way out, and each case has exactly one result."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from itertools import count
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, SilentListener, conform
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.dut.fault import Fault, answers
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    Received,
+    Send,
+)
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.homing import watch
+from bilprov.conformance.runner.run import GaveUp, RunState
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import CountingLink, at_rest, cases_of, run_over
+
+MS = 1_000_000
+ONLY = (
+    *("valid/Stop", "valid/Forward", "valid/LED/[67]", "unused-id/9/[01]"),
+    *("wrong-length/Speed/[03]", "bad-data/LED/8", "truncated/LED/0", "recovery/*/Forward"),
+)
+# Cases that the runner itself stands for.
+BEFORE = ("power-on", "link", "timing", "reading", "leave", "line")
+ASKS = 600  # a little more than a whole run asks
+PROBING = 450  # what the probes of the device's own choices ask besides
+
+
+@pytest.fixture(scope="module")
+def cases(protocol: Protocol) -> tuple[Case, ...]:
+    return cases_of(protocol, *ONLY)
+
+
+def require_complete(results: Sequence[CaseResult], cases: Sequence[Case]) -> None:
+    """Every case has one result, and no other case has any."""
+    mine = Counter(r.id for r in results if not r.id.startswith(BEFORE))
+    assert mine == Counter(case.id for case in cases)
+    assert max(Counter(r.id for r in results).values()) == 1
+
+
+def after(asks: int) -> Callable[[], bool]:
+    """Turns true after so many asks and stays so, as Ctrl-C does."""
+    counter = count()
+    return lambda: next(counter) >= asks
+
+
+def test_a_run_that_goes_to_its_end_leaves_the_robot_at_rest(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    device = Simulator(protocol)
+    link = CountingLink(device)
+
+    runner = run_over(link, protocol, cases)
+
+    require_complete(runner.state.results, cases)
+    passed = {r.id for r in runner.state.results if r.verdict is Verdict.PASS}
+    assert passed >= {case.id for case in cases}
+    assert at_rest(device)
+    assert link.asks < ASKS
+    assert link.looks[-1].moving is False
+
+
+def test_the_run_begins_with_a_look_and_then_with_bytes_that_must_not_move_it(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    sent: list[bytes | None] = []
+
+    class Noting(CountingLink):
+        def do(self, ask: Operation) -> int | Received | Observation:
+            if isinstance(ask, Send | Observe):
+                sent.append(ask.data if isinstance(ask, Send) else None)
+            return super().do(ask)
+
+    runner = run_over(Noting(Simulator(protocol)), protocol, cases)
+
+    assert sent[:2] == [None, bytes.fromhex("11 7f")]
+    assert [frame for frame in sent if frame][1:4] == [b"\x90", b"\x10", bytes(16)]
+    assert [result.id for result in runner.state.results[:4]] == [
+        *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few")
+    ]
+
+
+def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
+    protocol: Protocol,
+) -> None:
+    cases = cases_of(protocol, "unused-id/9/0")
+    link = CountingLink(Simulator(protocol))
+
+    run_over(link, protocol, cases)
+
+    motion = cases[0].setup.motion.value
+    mine = [look.motion for look in link.looks[-17:]]  # 13 of the hold, and what is around it
+    assert motion in mine
+    first = mine.index(motion)
+    assert mine[first + 1 :].count(motion) == 1
+    assert mine[first + 1] == "stopped"
+    assert mine[-1] == "stopped"
+
+
+def test_fail_fast_ends_after_the_first_failure_and_skips_the_rest(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    device = Simulator(protocol, fault_bank(protocol)["no-stop-on-unknown-id"])
+
+    runner = run_over(CountingLink(device), protocol, cases, fail_fast=True)
+
+    results = runner.state.results
+    require_complete(results, cases)
+    verdicts = [r.verdict for r in results]
+    assert verdicts.count(Verdict.FAIL) == 1
+    first = verdicts.index(Verdict.FAIL)
+    assert results[first].id == "unused-id/9/0"
+    assert set(verdicts[first + 1 :]) == {Verdict.SKIPPED}
+    assert "--fail-fast" in results[-1].reason
+    assert at_rest(device)
+
+
+@given(asks=st.integers(0, ASKS))
+@example(asks=0)
+@example(asks=1)
+@settings(max_examples=50)
+def test_an_interrupt_at_any_moment_leaves_the_robot_at_rest(
+    protocol: Protocol, cases: tuple[Case, ...], asks: int
+) -> None:
+    device = Simulator(protocol)
+
+    runner = run_over(CountingLink(device), protocol, cases, interrupted=after(asks))
+
+    results = runner.state.results
+    require_complete(results, cases)
+    assert at_rest(device)
+    assert device.deadline() is None  # nothing owed: the line is at a frame boundary
+    assert exit_code(r.verdict for r in results) in (0, 3)
+    if runner.ended:
+        assert not runner.ended.error
+        left = [r for r in results if r.verdict is Verdict.INCONCLUSIVE]
+        assert all(r.reason == "interrupted" for r in left)
+
+
+@given(asks=st.integers(0, ASKS + PROBING), discover=st.booleans())
+@example(asks=ASKS, discover=True)
+@settings(max_examples=60)
+def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
+    protocol: Protocol, cases: tuple[Case, ...], asks: int, discover: bool
+) -> None:
+    def broken(done: int) -> None:
+        if done >= asks:
+            raise Ended("the port is gone", error=True, line_works=False)
+
+    begun: list[str] = []
+    books = RunState(
+        protocol, Timers(), Observability(True), begin=begun.append, report=SilentListener().end
+    )
+    runner = Runner(books, cases, discover=discover)
+    link = CountingLink(Simulator(protocol), broken)
+
+    drive(runner.run(), link, lambda: False)
+
+    require_complete(books.results, cases)
+    assert link.asks <= asks  # nothing more is tried on a line that is gone
+    errors = [r for r in books.results if r.verdict is Verdict.ERROR]
+    left = [r for r in books.results if r.verdict is Verdict.INCONCLUSIVE]
+    if runner.ended is None:
+        assert errors == left == []
+        return
+    assert str(runner.ended) == "the port is gone"
+    assert len(errors) == (1 if left or errors else 0)
+    assert exit_code(r.verdict for r in books.results) in ((2,) if errors else (0,))
+    assert all("the port is gone" in r.reason for r in (*errors, *left))
+    if errors and begun and not begun[-1].startswith(BEFORE):
+        position = [case.id for case in cases].index(errors[0].id)
+        assert errors[0].id == begun[-1] or cases[position - 1].id == begun[-1]
+
+
+@pytest.mark.parametrize(("moving", "in_vain"), [(True, True), (False, False)])
+def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
+    protocol: Protocol, moving: bool, in_vain: bool
+) -> None:
+    nobody = SilentListener()
+    limits = Timers(waiting_budget=99 * MS)
+    run = RunState(protocol, limits, Observability(True), begin=nobody.begin, report=nobody.end)
+    link = CountingLink(Simulator(protocol))
+
+    seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
+
+    assert seen.look.moving is False
+    with pytest.raises(GaveUp) if in_vain else nullcontext():
+        run.check_patience()
+
+
+@given(looks=st.integers(0, 150))
+@settings(max_examples=40)
+def test_a_probe_that_hangs_up_at_any_moment_leaves_the_robot_at_rest(
+    protocol: Protocol, cases: tuple[Case, ...], looks: int
+) -> None:
+    device = Simulator(protocol)
+
+    class Blinded(CountingLink):
+        def do(self, ask: Operation) -> int | Received | Observation:
+            if isinstance(ask, Observe) and len(self.looks) >= looks:
+                raise Ended("the probe hung up", error=True, line_works=True)
+            return super().do(ask)
+
+    runner = run_over(Blinded(device), protocol, cases)
+
+    require_complete(runner.state.results, cases)
+    assert at_rest(device)
+    assert device.deadline() is None
+    if any(r.verdict > Verdict.PASS for r in runner.state.results):
+        assert exit_code(r.verdict for r in runner.state.results) == 2
+
+
+@given(looks=st.integers(0, 100), more=st.integers(0, 12))
+@settings(max_examples=40)
+def test_an_interrupt_right_after_the_probe_hung_up_leaves_the_robot_at_rest(
+    protocol: Protocol, cases: tuple[Case, ...], looks: int, more: int
+) -> None:
+    device = Simulator(protocol)
+    hung_up = False
+    asked = 0
+
+    class Blinded(CountingLink):
+        def do(self, ask: Operation) -> int | Received | Observation:
+            nonlocal hung_up
+            if isinstance(ask, Observe) and len(self.looks) >= looks:
+                hung_up = True
+                raise Ended("the probe hung up", error=True, line_works=True)
+            return super().do(ask)
+
+    def interrupted() -> bool:
+        nonlocal asked
+        asked += hung_up
+        return asked > more
+
+    runner = run_over(Blinded(device), protocol, cases, interrupted=interrupted)
+
+    require_complete(runner.state.results, cases)
+    assert at_rest(device)
+
+
+@pytest.mark.parametrize("frames", [110, 200, 300])
+def test_a_device_that_stops_answering_fails_by_name_and_the_rest_is_not_judged(
+    protocol: Protocol, cases: tuple[Case, ...], frames: int
+) -> None:
+    silent = Fault("x", "test", "", react=lambda d, e, r: answers(r) if e.frames >= frames else r)
+    device = Simulator(protocol, silent)
+
+    runner = run_over(CountingLink(device), protocol, cases)
+
+    results = runner.state.results
+    require_complete(results, cases)
+    assert exit_code(r.verdict for r in results) == 1
+    failed = [r for r in results if r.verdict is Verdict.FAIL]
+    assert len(failed) == 1
+    assert "answer" in failed[0].reason
+    rest = [r for r in results if r.verdict is Verdict.INCONCLUSIVE]
+    assert rest
+    where = "before the first case" if failed[0].id == "line/lost" else f"after {failed[0].id}"
+    assert (where == "before the first case") is (frames == 110)
+    assert all(f"stopped answering {where}" in r.reason for r in rest)
+    assert at_rest(device)
+
+
+class Flooding:
+    """A simulator that from its `frames`-th frame on sends a byte every 0.1 ms for ever."""
+
+    def __init__(self, device: Simulator, frames: int) -> None:
+        self.device = device
+        self._frames = frames
+        self._next: int | None = None
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.device.receive(data, now)
+        if self.device.frames >= self._frames and self._next is None:
+            self._next = now
+
+    def advance(self, now: int) -> bytes:
+        said = bytearray(self.device.advance(now))
+        while self._next is not None and self._next <= now:
+            said.append(0)
+            self._next += MS // 10
+        return bytes(said)
+
+    def deadline(self) -> int | None:
+        times = [t for t in (self._next, self.device.deadline()) if t is not None]
+        return min(times, default=None)
+
+    def look(self, now: int) -> Look:
+        return self.device.look(now)
+
+
+@pytest.mark.parametrize("frames", [3, 60, 200])
+def test_a_device_that_floods_fails_in_bounded_time(
+    protocol: Protocol, cases: tuple[Case, ...], frames: int
+) -> None:
+    device = Flooding(Simulator(protocol), frames)
+    link = CountingLink(device)
+
+    runner = run_over(link, protocol, cases)
+
+    require_complete(runner.state.results, cases)
+    assert exit_code(r.verdict for r in runner.state.results) == 1
+    assert link.asks < 4 * ASKS
+    assert at_rest(device.device)
+
+
+@pytest.mark.parametrize(
+    ("name", "exit_", "words"),
+    [("echo", 2, "echo"), ("dead", 2, "nobody answered"), ("never-moves", 3, "")],
+)
+def test_what_cannot_be_judged_at_all_is_told_in_one_sentence(
+    protocol: Protocol, name: str, exit_: int, words: str
+) -> None:
+    device = Simulator(protocol, fault_bank(protocol)[name])
+
+    report = conform(device, grammar=protocol, options=Options(only=ONLY))
+
+    assert report.exit == exit_
+    assert words in report.unusable
+    assert "\n" not in report.unusable
+    assert bool(report.unusable) is (exit_ == 2)
+    assert at_rest(device)
+
+
+def test_a_robot_that_cannot_be_stopped_is_reported_aloud(protocol: Protocol) -> None:
+    unstoppable = Fault("x", "test", "", react=lambda d, e, r: (
+        r if e.judgement.id in (1, 4, 5, 8) or not e.before.moving
+        else replace(r, state=e.before)
+    ))  # fmt: skip
+    device = Simulator(protocol, unstoppable)
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
+
+    (leaving,) = [r for r in report.results if r.id == "leave/stopped"]
+    assert report.exit == 1
+    assert leaving.reason == "THE ROBOT STILL MOVES"
+
+
+def test_a_late_answer_is_charged_to_the_case_before_and_not_to_the_next(
+    protocol: Protocol,
+) -> None:
+    cases = cases_of(protocol, "unused-id/9/[0-3]", "unused-id/1?/0")
+    late = Fault("x", "test", "", react=lambda d, e, r: (
+        answers(r, 1, delay=1500 * MS) if e.judgement.frame == b"\xa0" else r
+    ))  # fmt: skip
+
+    runner = run_over(CountingLink(Simulator(protocol, late)), protocol, cases)
+
+    failed = [r for r in runner.state.results if r.verdict is Verdict.FAIL]
+    assert [r.id for r in failed] == ["unused-id/10/0"]
+    assert [byte.hex for byte in failed[0].received] == ["01"]
+
+
+def test_two_runs_with_the_same_seed_ask_the_same(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    def asked() -> list[Operation]:
+        asks: list[Operation] = []
+
+        class Noting(CountingLink):
+            def do(self, ask: Operation) -> int | Received | Observation:
+                asks.append(ask)
+                return super().do(ask)
+
+        run_over(Noting(Simulator(protocol)), protocol, cases)
+        return asks
+
+    assert asked() == asked()
+
+
+def test_the_runner_asks_for_nothing_but_send_listen_and_see(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    kinds: Counter[type] = Counter()
+
+    class Noting(CountingLink):
+        def do(self, ask: Operation) -> int | Received | Observation:
+            kinds[type(ask)] += 1
+            return super().do(ask)
+
+    run_over(Noting(Simulator(protocol)), protocol, cases)
+
+    assert set(kinds) == {Send, Listen, Observe}
+
+
+def test_without_eyes_nothing_is_looked_at_and_no_stop_is_vouched_for(
+    protocol: Protocol, cases: tuple[Case, ...]
+) -> None:
+    link = CountingLink(Simulator(protocol))
+
+    runner = run_over(link, protocol, cases, observability=Observability(available=False))
+
+    assert link.looks == []
+    results = {r.id: r for r in runner.state.results}
+    require_complete(runner.state.results, cases)
+    for ident in ("unused-id/9/0", "bad-data/LED/8", "truncated/LED/0"):
+        assert results[ident].axes["answer"].verdict is Verdict.PASS
+        assert results[ident].axes["stop"].verdict is Verdict.INCONCLUSIVE
+        assert "not observable" in results[ident].axes["stop"].reason

@@ -1,0 +1,178 @@
+"""The wire log of each case: what it holds, what it omits, and that it changes nothing else."""
+
+from __future__ import annotations
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.operations import Received
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict, WireEvent
+from bilprov.conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog, joined
+from bilprov.spec.protocol import Protocol
+from tests.support.reports import a_case, a_run
+
+
+class Ears:
+    """A tap that remembers in what order it heard what."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, str]] = []
+
+    def sent(self, data: bytes, t: int) -> None:
+        self.heard.append(("sent", data.hex(" ")))
+
+    def received(self, data: bytes, t: int) -> None:
+        self.heard.append(("received", data.hex(" ")))
+
+    def looked(self, look: Look) -> None:
+        self.heard.append(("look", ""))
+
+
+def came(data: bytes, t: int) -> Received:
+    """One read: bytes that came at `t`."""
+    return Received(tuple((t, code) for code in data), t)
+
+
+def test_a_log_tells_set_up_stimulus_looks_and_homing_in_order(protocol: Protocol) -> None:
+    report = a_run(protocol, "bad-data/LED/9", fault="ok-to-bad-data")
+    (case,) = [result for result in report.results if result.verdict is Verdict.FAIL]
+    kinds = [(event.kind, event.hex) for event in case.log]
+    at = kinds.index(("sent", "81 09"))
+
+    assert case.log[0] == WireEvent(0, "sent", case.log[0].hex)
+    # Answers to a long send come while it still goes: each kind is in order by itself.
+    for received in (True, False):
+        times = [event.t for event in case.log if (event.kind == "received") is received]
+        assert times == sorted(times)
+    before, after = case.log[:at], case.log[at + 1 :]
+    assert [e for e in before if e.kind == "look" and e.look.startswith("moving")]
+    assert (after[0].kind, after[0].hex) == ("received", case.received[0].hex)
+    assert [e for e in after if e.kind == "look"]
+    homing = " ".join(["00"] * protocol.longest_frame)
+    assert ("sent", homing) in kinds[at:]
+    assert kinds[-1] == ("received", "00")
+
+
+def test_a_case_does_not_have_what_was_before_its_begin(protocol: Protocol) -> None:
+    report = a_run(protocol, "valid/LED/1")
+    first, second = report.results[:2]
+
+    assert [(event.kind, event.t) for event in first.log] == [("look", 0)]
+    assert second.log[0].kind == "sent"
+
+
+def test_the_logs_are_what_the_recording_hears_and_the_tap_hears_all(protocol: Protocol) -> None:
+    ears = Ears()
+    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
+    report = conform(
+        Simulator(protocol, fault),
+        grammar=protocol,
+        options=Options(only=("unused-id/9/*",)),
+        tap=ears,
+    )
+    logged = [(e.kind, e.hex) for result in report.results for e in result.log]
+    rest = iter(ears.heard)
+
+    assert report.counts["fail"] > 10
+    assert sum(kind == "sent" for kind, _ in logged) > 50
+    # Each log in turn is in what the tap heard; passing ones have their answers joined.
+    bytes_logged = [(k, b) for k, h in logged if k != "look" for b in h.split()]
+    bytes_heard = ((k, b) for k, h in rest if k != "look" for b in h.split())
+    assert all(one in bytes_heard for one in bytes_logged)
+
+
+def test_a_case_that_never_began_has_no_log(protocol: Protocol) -> None:
+    options = Options(only=("unused-id/*",), fail_fast=True)
+    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
+    report = conform(Simulator(protocol, fault), grammar=protocol, options=options)
+    skipped = [result for result in report.results if result.verdict is Verdict.SKIPPED]
+
+    assert len(skipped) > 5
+    assert all(result.log == () for result in skipped)
+
+
+def test_the_middle_of_an_endless_log_is_left_out_and_counted() -> None:
+    log = WireLog()
+    log.begin("flood")
+    for t in range(10_000):
+        log.heard(came(bytes([t % 256]), t))
+    events = log.attached(a_case("flood", Verdict.FAIL)).log
+
+    assert len(events) == HEAD + TAIL + 1
+    clipped = events[HEAD]
+    assert (clipped.kind, clipped.hex) == ("clipped", "")
+    assert clipped.look == f"{10_000 - HEAD - TAIL} entries are left out here"
+    assert [e.t for e in events[:HEAD]] == list(range(HEAD))
+    assert [e.t for e in events[HEAD + 1 :]] == list(range(10_000 - TAIL, 10_000))
+
+
+def test_a_log_that_just_fits_is_whole() -> None:
+    log = WireLog()
+    log.begin("long")
+    for t in range(HEAD + TAIL):
+        log.sent(b"\0", t)
+
+    events = log.attached(a_case("long", Verdict.FAIL)).log
+
+    assert [event.t for event in events] == list(range(HEAD + TAIL))
+
+
+def test_a_read_that_is_too_long_is_cut_and_says_so() -> None:
+    log = WireLog()
+    log.begin("flood")
+    log.heard(came(bytes(5000), 7))
+
+    first, second = log.attached(a_case("flood", Verdict.FAIL)).log
+
+    assert first == WireEvent(0, "received", " ".join(["00"] * WIDEST))
+    assert second == WireEvent(0, "clipped", look=f"{5000 - WIDEST} bytes more are left out here")
+
+
+def test_answers_in_a_row_are_one_entry_in_a_case_that_passed_and_only_there() -> None:
+    log = WireLog()
+    log.begin("one")
+    log.sent(b"\0\0", 5)
+    log.heard(came(b"\0", 6))
+    log.heard(came(b"\1", 7))
+    log.looked(Look(8, moving=False))
+    log.heard(came(b"\2", 9))
+
+    passed = log.attached(a_case("one", Verdict.PASS)).log
+    failed = log.attached(a_case("one", Verdict.FAIL)).log
+
+    assert [(e.t, e.kind, e.hex) for e in passed] == [
+        (0, "sent", "00 00"),
+        (1, "received", "00 01"),
+        (3, "look", ""),
+        (4, "received", "02"),
+    ]
+    assert len(failed) == 5
+    assert passed == joined(failed)
+
+
+def test_cases_that_begin_before_the_one_before_is_final_keep_their_own_logs() -> None:
+    log = WireLog()
+    log.begin("first")
+    log.sent(b"\1", 1)
+    log.begin("second")
+    log.sent(b"\2", 5)
+
+    first = log.attached(a_case("first", Verdict.PASS)).log
+    log.heard(came(b"\2", 6))
+    second = log.attached(a_case("second", Verdict.PASS)).log
+    log.sent(b"\3", 9)
+
+    assert first == (WireEvent(0, "sent", "01"),)
+    assert second == (WireEvent(0, "sent", "02"), WireEvent(1, "received", "02"))
+    assert log.attached(a_case("second", Verdict.PASS)).log == second
+
+
+def test_a_case_that_is_tried_again_begins_anew() -> None:
+    log = WireLog()
+    log.begin("again")
+    log.sent(b"\1", 1)
+    log.begin("again")
+    log.sent(b"\2", 5)
+
+    assert log.attached(a_case("again", Verdict.PASS)).log == (WireEvent(0, "sent", "02"),)

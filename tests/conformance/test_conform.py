@@ -1,0 +1,774 @@
+"""`bilprov conform` and `simulate` as processes: options, reports, recordings, exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import pytest
+
+from bilprov.analyzer.api import read_capture
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform, conform_port, planned, select_cases
+from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.probes import TcpProbe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.reports import timeless
+from tests.support.robots import PATIENCE, Served, sentence, served_here, simulate
+from tests.support.signals import ignoring
+from tests.vectors import FRAME_COUNTS, READING_IDS
+
+pytestmark = pytest.mark.waits
+
+FEW = ("--only", "unused-id/9/?", "--only", "valid/LED/*")
+VerdictName = Literal[
+    "skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"
+]
+
+# -- the report, as CONTRACT says it --------------------------------------------------------------
+
+
+class AxisForm(msgspec.Struct, forbid_unknown_fields=True):
+    verdict: VerdictName
+    expected: str
+    actual: str
+    reason: str
+    reading: str | None
+
+
+class ByteForm(msgspec.Struct, forbid_unknown_fields=True):
+    hex: str
+    t: float
+
+
+class EntryForm(msgspec.Struct, forbid_unknown_fields=True):
+    t: float
+    kind: Literal["sent", "received", "look", "clipped"]
+    hex: str
+    look: str
+
+
+class CaseForm(msgspec.Struct, forbid_unknown_fields=True):
+    planned_clause: str
+    id: str
+    clause: str
+    requirement: str
+    verdict: VerdictName
+    axes: dict[Literal["answer", "stop", "state"], AxisForm]
+    reading: str | None
+    sent: list[str]
+    received: list[ByteForm]
+    reproduce: str
+    expected_failure: bool
+    log: list[EntryForm]
+
+
+class CountsForm(msgspec.Struct, forbid_unknown_fields=True):
+    done: int
+    of: int
+
+
+class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
+    truncation_timeout_ms: float | None
+    truncated_frames_answered: bool | None
+    latency_median_ms: float | None
+    latency_max_ms: float | None
+    round_trip_ms: float | None
+    jitter_ms: float | None
+    boot_ms: float | None
+    flushes: bool | None
+    whole_frame: bool | None
+    led_id: int | None
+    stop_latency_ms: float | None
+    watchdog_ms: float | None
+    readings: dict[str, str]
+
+
+class ExpectedForm(msgspec.Struct, forbid_unknown_fields=True):
+    file: str
+    expected: int
+    unexpected: int
+    stale: list[str]
+
+
+class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
+    kit: str
+    grammar: dict[Literal["name", "version", "sha256", "file"], str]
+    device: str
+    link: dict[str, Any]
+    options: dict[str, Any]
+    seed: int
+    verdict: VerdictName
+    exit: int
+    unusable: str | None
+    ended: str | None
+    ended_by: Literal["error", "user"] | None
+    counts: dict[VerdictName, int]
+    coverage: dict[str, CountsForm]
+    timing: dict[str, float]
+    dropped: dict[str, int]
+    profile: ProfileForm
+    expected_failures: ExpectedForm | None
+    cases: list[CaseForm]
+    begun: str
+    took_s: float
+    host: str
+    versions: dict[str, str]
+
+
+def report_of(data: bytes) -> ReportForm:
+    """The report, with every key and type of CONTRACT; pure JSON on one object."""
+    assert data.endswith(b"\n")
+    return msgspec.json.decode(data, type=ReportForm, strict=True)
+
+
+def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() -> None:
+    result = command("conform", "sim", *FEW, "--json", "-")
+
+    assert result.returncode == 0
+    report = report_of(result.stdout)
+    assert b"conforms" in result.stderr
+    assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
+    assert report.grammar["name"] == "robot-car"
+    assert report.counts["pass"] == len(report.cases) == 10 + 8 + len(OPENING) + READINGS
+    assert (report.unusable, report.ended, report.ended_by) == (None, None, None)
+    assert (report.dropped, report.expected_failures) == ({}, None)
+    sent = [bytes.fromhex("".join(case.sent)) for case in report.cases]
+    assert report.timing["bytes_sent"] > sum(map(len, sent))
+    assert {name.split()[0] for name in report.profile.readings} <= set(READING_IDS)
+    assert report.profile.readings["R-unused-length"] == "header"
+    assert report.options["only"] == ["unused-id/9/?", "valid/LED/*"]
+    for case in report.cases:
+        assert case.axes
+        assert case.verdict == "pass"
+        assert bytes.fromhex("".join(case.sent)) or case.id == "power-on/at-rest"
+        assert all(len(byte.hex) == 2 for byte in case.received)
+        assert case.reading is None or case.reading in READING_IDS
+        assert case.clause
+        assert case.requirement
+        assert case.id in case.reproduce
+        assert not case.expected_failure
+        assert {entry.kind for entry in case.log} >= ({"sent", "received"} if case.sent else set())
+
+
+def test_the_report_says_what_was_expected_and_what_came(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+
+    result = command(
+        *("conform", "sim", "--fault", "ok-to-bad-data", "--only", "bad-data/LED/9"),
+        *("--json", str(file)),
+    )
+
+    assert result.returncode == 1
+    report = report_of(file.read_bytes())
+    (case,) = [case for case in report.cases if case.verdict == "fail"]
+    assert (case.id, case.sent) == ("bad-data/LED/9", ["81 09"])
+    assert case.axes["answer"].expected == "02 BAD_DATA"
+    assert case.axes["answer"].actual == "00 OK"
+    assert case.axes["answer"].reason
+    assert [byte.hex for byte in case.received] == ["00"]
+    said = result.stdout.decode()
+    assert "bad-data/LED/9" in said
+    assert "02 BAD_DATA" in said
+    assert "00 OK" in said
+    assert "does not conform" in said
+
+
+def test_the_command_that_reproduces_a_case_does_so(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    arguments = ["conform", "sim", "--fault", "accepts-led-bit-3", "--only", "bad-data/LED/1?"]
+    command(*arguments, "--seed", "7", "--json", str(file))
+    failed = [case for case in report_of(file.read_bytes()).cases if case.verdict == "fail"]
+    words = failed[0].reproduce.replace("'", "").split()
+    assert words[0] == "bilprov"
+    if "--fault" not in words:
+        words += ["--fault", "accepts-led-bit-3"]
+
+    again = command(*words[1:], "--json", "-")
+
+    (found,) = [case for case in report_of(again.stdout).cases if case.verdict == "fail"]
+    assert found.id == failed[0].id
+    assert found.sent == failed[0].sent
+
+
+def test_the_command_and_the_import_say_the_same(protocol: Protocol) -> None:
+    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
+    only = ("unused-id/9/?", "valid/LED/*")
+
+    result = command(*("conform", "sim", "--fault", fault.name, *FEW, "--seed", "3", "--json", "-"))
+    mine = conform(Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=3))
+
+    theirs = report_of(result.stdout)
+    assert result.returncode == theirs.exit == mine.exit == 1
+    assert [(c.id, c.verdict) for c in theirs.cases] == [
+        (r.id, r.verdict.label) for r in mine.results
+    ]
+
+
+def test_without_a_file_a_table_tells_how_it_went_without_colours_in_a_pipe() -> None:
+    result = command("conform", "sim", *FEW)
+
+    assert result.returncode == 0
+    assert result.stderr == b""
+    assert b"\x1b" not in result.stdout
+    said = result.stdout.decode()
+    assert "unused-id" in said
+    assert "sim conforms" in said
+    assert "seed 1" in said
+
+
+# -- choosing cases -------------------------------------------------------------------------------
+
+
+# What every run begins with, whatever is chosen.
+OPENING = [
+    *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few", "power-on/Forward"),
+    "timing/truncation-timeout",
+]
+# Then come the probes of what the document leaves open.
+READINGS = 18
+
+
+def listed(*arguments: str) -> list[str]:
+    """The ids that --list names, in their order."""
+    result = command("conform", *arguments, "--list")
+    assert result.returncode == 0
+    return [line.split()[0] for line in result.stdout.decode().splitlines()]
+
+
+def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None:
+    ids = listed("/nowhere/port")
+    sequences = [
+        case for case in level_cases(protocol, "standard", 1) if isinstance(case, SequenceCase)
+    ]
+
+    assert ids[: len(OPENING)] == OPENING
+    assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READINGS])
+    assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
+    assert {sequence.id for sequence in sequences} <= set(ids)
+    singles = sum(FRAME_COUNTS.values()) - 1920 + 240 + 20  # one cut of each frame
+    assert len(ids) == len(set(ids)) == len(OPENING) + READINGS + singles + len(sequences)
+
+
+@pytest.mark.parametrize(
+    ("globs", "count"),
+    [
+        (["unused-id/*"], 112),
+        (["*/Speed/3"], 1 + 1),  # wrong-length/Speed/3 and valid/Speed/3
+        (["valid/LED/?", "bad-data/LED/8"], 9),
+        (["truncated/*"], 240),
+        (["valid/Stop", "valid/S*p"], 1),
+        (["recovery/*Right"], 5),
+        (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1),  # but readings, recoveries, sequences; and dense
+        (["link/*"], 2),
+        (["reading/*"], READINGS),
+        (["reading/watchdog", "power-on/Speed"], 2),
+    ],
+)
+def test_a_glob_crosses_slashes_and_several_add_up(globs: list[str], count: int) -> None:
+    only = [word for glob in globs for word in ("--only", glob)]
+
+    ids = listed("sim", *only)
+
+    assert len(ids) == len(set(ids)) == count
+    assert all(any(fnmatchcase(ident, glob) for glob in globs) for ident in ids)
+
+
+def test_level_deep_lists_every_cut() -> None:
+    assert len(listed("sim", "--level", "deep", "--only", "truncated/*")) == 1920
+
+
+# -- wrong use ------------------------------------------------------------------------------------
+
+
+def test_an_unknown_fault_is_told_with_one_place_to_look() -> None:
+    told = sentence(command("conform", "sim", "--fault", "no-such"))
+
+    assert "simulate --list-faults" in told
+    assert told.count("see ") == 1
+
+
+def test_the_help_names_every_probe() -> None:
+    told = command("conform", "--help").stdout.decode()
+
+    words = " ".join(told.replace("│", " ").split())
+    for probe in ("tcp:HOST:PORT", "exec:COMMAND", "modem:LINE", "ask", "none (", "sim ("):
+        assert probe in words
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["conform"], "missing argument"),
+        (["conform", "sim", "--only", "nothing/*"], "no case matches nothing/*"),
+        (["conform", "sim", "--fault", "no-such"], "there is no fault 'no-such'"),
+        (["conform", "sim", "--fault", "stops"], "stops-late"),
+        (["conform", "sim", "--probe", "ask"], "brings its own probe"),
+        (["conform", "/dev/ttyS9", "--fault", "dead", "--yes"], "--fault is for the target sim"),
+        (["conform", "sim", "--seed", "x"], "seed"),
+        (["conform", "sim", "--deadline", "0"], "deadline"),
+        (["conform", "sim", "--silence", "-1"], "silence"),
+        (["conform", "sim", "--truncation-timeout", "99999"], "truncation-timeout"),
+        (["conform", "sim", "--json", "/nowhere/r.json"], "folder that exists"),
+        (["conform", "sim", "--json", "/tmp"], "folder that exists"),
+        (["conform", "sim", "--record", "/nowhere/r.mcap"], "/nowhere"),
+        (["conform", "/nowhere/tty", "--yes"], "/nowhere/tty"),
+        (["conform", "socket://127.0.0.1:1", "--yes"], "socket://127.0.0.1:1"),
+        (["conform", "socket://127.0.0.1", "--yes"], "not a usable address"),
+        (["simulate", "--fault", "no-such"], "there is no fault"),
+        (["simulate", "--listen", "nowhere"], "nowhere"),
+        (["simulate", "--listen", "127.0.0.1:99999"], "99999"),
+        (["--grammar", "/nowhere/g.py", "conform", "sim"], "/nowhere/g.py"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], words: str) -> None:
+    result = command(*arguments)
+
+    assert result.returncode == 2
+    assert result.stdout == b""
+    assert len(result.stderr.splitlines()) == 1, result.stderr
+    assert words in sentence(result)
+
+
+def test_a_busy_address_is_one_sentence() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        result = command("simulate", "--listen", address)
+
+    assert result.returncode == 2
+    assert "in use" in sentence(result)
+
+
+@pytest.mark.parametrize("pty", [True, False])
+def test_nothing_moves_without_a_word_from_the_user(protocol: Protocol, pty: bool) -> None:
+    device = Simulator(protocol)
+    with served_here(device, pty=pty) as (port, probe):
+        result = command("conform", port, "--probe", probe, *FEW)
+
+    assert result.returncode == 2
+    assert "--yes" in sentence(result)
+    assert "drive" in sentence(result)
+    assert device.frames == 0
+    assert device.deadline() is None
+
+
+def test_a_recording_is_never_overwritten_and_that_is_known_before_anything_moves(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    device, file = Simulator(protocol), tmp_path / "run.mcap"
+    file.write_bytes(b"precious")
+    with served_here(device) as (port, probe):
+        result = command(*("conform", port, "--probe", probe, "--yes", "--record", str(file)), *FEW)
+
+    assert result.returncode == 2
+    assert str(file) in sentence(result)
+    assert file.read_bytes() == b"precious"
+    assert device.frames == 0
+
+
+@pytest.mark.parametrize(("typed", "frames"), [(b"n\n", False), (b"y\n", True)])
+def test_on_a_terminal_it_asks_once(protocol: Protocol, typed: bytes, frames: bool) -> None:
+    device = Simulator(protocol)
+    with served_here(device) as (port, probe), open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        start = [sys.executable, "-m", "bilprov", "conform"]
+        process = subprocess.Popen(
+            [*start, port, "--probe", probe, "--only", "valid/Stop"],
+            stdin=slave,
+            stderr=slave,
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        os.close(slave)
+        told = b""
+        while b"?" not in told:
+            assert select.select([terminal.master], [], [], PATIENCE)[0], told
+            told += os.read(terminal.master, 4096)
+        os.write(terminal.master, typed)
+        out, _ = process.communicate(timeout=PATIENCE)
+
+    assert b"will drive" in told
+    assert (device.frames > 0) is frames
+    assert process.returncode == (0 if frames else 2), out
+
+
+# -- options --------------------------------------------------------------------------------------
+
+
+def test_fail_fast_skips_the_rest() -> None:
+    result = command(
+        *("conform", "sim", "--fault", "ok-to-unknown-id", *FEW, "--fail-fast", "--json", "-")
+    )
+
+    report = report_of(result.stdout)
+    assert result.returncode == 1
+    assert report.counts["skipped"] > 5
+    assert report.counts["fail"] <= 2  # the link check sees it too
+
+
+def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
+    slow = ["--deadline", "100", "--only", "truncated/9/3/*"]
+    # runs-data-of-too-long is non-strict in what it answers to long frames that are cut short
+    fault = ["--fault", "runs-data-of-too-long", "--only", "truncated/LED/15/1?"]
+
+    plain = report_of(command("conform", "sim", *fault, *slow, "--json", "-").stdout)
+    strict = report_of(command("conform", "sim", *fault, *slow, "--strict", "--json", "-").stdout)
+
+    assert plain.counts == strict.counts
+    assert strict.options["strict"] is True
+    if not plain.counts["fail"]:
+        assert (plain.exit, strict.exit) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("deadline", "variant", "label"),
+    [
+        ("50", "R-answer-deadline=60-ms", "non-strict"),
+        ("100", "R-answer-deadline=60-ms", "pass"),
+        ("100", "R-answer-deadline=150-ms", "non-strict"),
+        ("200", "R-answer-deadline=150-ms", "pass"),
+    ],
+)
+def test_the_deadline_decides_what_is_slow_and_the_command_that_tries_again_gives_it(
+    deadline: str, variant: str, label: str
+) -> None:
+    device = ("--variant", variant, "--deadline", deadline)
+    # Single frames, sequences, and what opens every run.
+    few = ("--only", "valid/*/0", "--only", "sequence/tour/001", "--only", "bad-data/LED/8")
+
+    report = report_of(command("conform", "sim", *device, *few, "--json", "-").stdout)
+
+    timed = ("valid/", "bad-data/", "sequence/", "link/", "power-on/Speed")
+    verdicts = {case.id: case.verdict for case in report.cases if case.id.startswith(timed)}
+    assert {"valid/Left/0", "sequence/tour/001", "link/too-few"} <= verdicts.keys()
+    assert set(verdicts.values()) == {label}
+    assert all(f"--deadline {deadline} " in f"{case.reproduce} " for case in report.cases)
+
+
+@pytest.mark.parametrize("timeout", [None, 50.0])
+def test_a_run_counts_as_many_cases_as_were_announced(
+    protocol: Protocol, timeout: float | None
+) -> None:
+    options = Options(level="smoke", truncation_timeout=timeout)
+
+    report = conform(grammar=protocol, options=options)
+
+    assert len(report.results) == planned(protocol, options, select_cases(protocol, options))
+
+
+def test_the_seed_is_reported_and_makes_the_run_the_same_again() -> None:
+    runs = [
+        command("conform", "sim", *FEW, "--seed", seed, "--json", "-").stdout
+        for seed in ("9", "9", "10")
+    ]
+
+    assert report_of(runs[0]).seed == 9
+    assert timeless(runs[0]) == timeless(runs[1])
+    assert timeless(runs[0]) != timeless(runs[2])
+
+
+def test_a_given_time_out_is_not_measured() -> None:
+    arguments = ("conform", "sim", "--only", "truncated/LED/0", "--json", "-")
+
+    given = report_of(command(*arguments, "--truncation-timeout", "60").stdout)
+    measured = report_of(command(*arguments).stdout)
+
+    assert "timing/truncation-timeout" not in {case.id for case in given.cases}
+    assert given.profile.truncation_timeout_ms == 60
+    assert measured.profile.truncation_timeout_ms == pytest.approx(50)
+
+
+# -- recordings -----------------------------------------------------------------------------------
+
+
+def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: Path) -> None:
+    file, report_file = tmp_path / "run.mcap", tmp_path / "run.json"
+
+    result = command(
+        *("conform", "sim", *FEW, "--fault", "no-stop-on-unknown-id"),
+        *("--record", str(file), "--json", str(report_file)),
+    )
+
+    assert result.returncode == 1
+    report = report_of(report_file.read_bytes())
+    capture = open_capture(file)
+    assert not capture.unfinished
+    assert capture.damage == ()
+    marks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/cases"]
+    begun = [mark["id"] for mark in marks if mark["phase"] == "begin"]
+    ended = {mark["id"]: mark["verdict"] for mark in marks if mark["phase"] == "end"}
+    assert ended == {case.id: case.verdict for case in report.cases}
+    assert set(ended) - set(begun) <= set(CONDITIONAL_CASES)  # nothing is sent for these
+    assert len(begun) == len(set(begun))
+    looks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/looks"]
+    assert {look["moving"] for look in looks} == {True, False}
+    assert {"t", "moving", "motion", "speed", "steering", "led", "left", "right"} == set(looks[0])
+    records = list(read_capture(file))
+    sent = [r for r in records if isinstance(r, HostRecord)]
+    answered = [r for r in records if isinstance(r, DeviceRecord)]
+    frames = [bytes.fromhex(r.value.hex) for r in sent]
+    probes = {c.id: bytes.fromhex("".join(c.sent)) for c in report.cases if c.sent}
+    single = {data for ident, data in probes.items() if not ident.startswith("reading/")}
+    assert single <= set(frames)
+    assert [ident for ident, data in probes.items() if data not in b"".join(frames)] == []
+    assert len(answered) == len(sent)
+    assert all(r.value.agrees for r in answered)
+
+
+def test_a_recorded_run_replays_as_jsonl(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    command("conform", "sim", "--only", "truncated/LED/0", "--record", str(file))
+
+    result = command("replay", str(file), "--rate", "0", "--format", "jsonl")
+
+    assert result.returncode == 0, result.stderr
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert {"instruction", "response", "truncated"} <= {line["kind"] for line in lines}
+
+
+# -- ends -----------------------------------------------------------------------------------------
+
+
+class Conforming:
+    """A run on a served simulator that is under way."""
+
+    def __init__(
+        self, robot: Served, *arguments: str, ignored: Sequence[signal.Signals] = ()
+    ) -> None:
+        self.robot = robot
+        with ignoring(*ignored):
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "bilprov", "conform", robot.port, "--yes", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                cwd=ROOT,
+            )
+
+    def wait_until_it_moves(self) -> None:
+        while not self.robot.state()["moving"]:
+            assert self.process.poll() is None
+
+    def end(self) -> tuple[int, str, str]:
+        out, err = self.process.communicate(timeout=PATIENCE)
+        assert b"Traceback" not in err, err.decode()
+        return self.process.returncode, out.decode(), err.decode()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
+    with simulate() as robot:
+        run = Conforming(
+            robot, "--probe", robot.probe, "--json", str(file), "--record", str(capture)
+        )
+        run.wait_until_it_moves()
+        run.process.send_signal(number)
+        code, out, _ = run.end()
+        state = robot.state()
+
+    assert code == 3, out
+    assert state["moving"] is False
+    report = report_of(file.read_bytes())
+    assert report.exit == 3
+    assert len({case.id for case in report.cases}) == len(report.cases) >= 1536
+    assert report.counts["inconclusive"] > 1000
+    assert "interrupted" in out
+    assert not open_capture(capture).unfinished
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_ctrl_c_after_a_failure_ends_with_1(number: signal.Signals) -> None:
+    with simulate("--fault", "ok-to-unknown-id") as robot:
+        run = Conforming(robot, "--probe", robot.probe, "--json", "-")
+        run.wait_until_it_moves()  # the link check has failed by then
+        run.process.send_signal(number)
+        code, out, _ = run.end()
+        state = robot.state()
+
+    assert code == report_of(out.encode()).exit == 1
+    assert state["moving"] is False
+
+
+def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
+    with simulate() as robot:
+        few = ("--only", "unused-id/9/*", "--json", "-")
+        run = Conforming(robot, "--probe", robot.probe, *few, ignored=[signal.SIGHUP])
+        run.wait_until_it_moves()
+        run.process.send_signal(signal.SIGHUP)
+        code, out, _ = run.end()
+
+    report = report_of(out.encode())
+    assert code == report.exit != 1
+    assert report.counts["pass"] > 30
+    assert "interrupted" not in out
+
+
+def test_a_run_in_the_background_is_ended_by_a_signal_that_is_sent_to_it() -> None:
+    with simulate() as robot:
+        run = Conforming(robot, "--probe", robot.probe, ignored=[signal.SIGINT])
+        run.wait_until_it_moves()
+        run.process.send_signal(signal.SIGINT)
+        code, out, _ = run.end()
+        state = robot.state()
+
+    assert code == 3
+    assert "interrupted" in out
+    assert state["moving"] is False
+
+
+@pytest.mark.parametrize("probe", [True, False])
+def test_an_unplug_keeps_what_was_judged(tmp_path: Path, probe: bool) -> None:
+    file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
+    with simulate() as robot:
+        probing = ("--probe", robot.probe) if probe else ()
+        run = Conforming(robot, *probing, "--json", str(file), "--record", str(capture))
+        run.wait_until_it_moves()
+        robot.process.kill()
+        code, out, _ = run.end()
+
+    assert code == 2, out
+    report = msgspec.json.decode(file.read_bytes())
+    report_of(file.read_bytes())
+    assert report["exit"] == 2
+    assert report["ended"]
+    assert report["ended"] in out
+    assert report["counts"]["error"] == 1
+    assert report["counts"]["fail"] == 0
+    assert report["counts"]["inconclusive"] > 1000
+    assert len({case["id"] for case in report["cases"]}) == len(report["cases"])
+    assert any(open_capture(capture).events())
+
+
+def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -> None:
+    file = tmp_path / "report.json"
+    with simulate("--fault", "echo") as robot:
+        run = Conforming(robot, "--json", str(file))
+        code, out, _ = run.end()
+
+    assert code == 2
+    assert "echo" in out
+    report = report_of(file.read_bytes())
+    assert (report.exit, report.verdict, report.cases) == (2, "error", [])
+
+
+# -- simulate -------------------------------------------------------------------------------------
+
+
+def test_the_faults_are_listed_with_family_and_sentence(protocol: Protocol) -> None:
+    result = command("simulate", "--list-faults")
+
+    lines = result.stdout.decode().splitlines()
+    bank = fault_bank(protocol)
+    assert result.returncode == 0
+    named = [line for line in lines if line.startswith("  ") and line.split()[0] in bank]
+    assert sorted(line.split()[0] for line in named) == sorted(bank)
+    assert all(bank[line.split()[0]].doc in line for line in named)
+    families = Counter(fault.family for fault in bank.values())
+    assert {f"{family} ({count})" for family, count in families.items()} <= set(lines)
+
+
+@pytest.mark.parametrize("pty", [True, False])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_simulator_serves_until_it_is_told_to_stop(number: signal.Signals, pty: bool) -> None:
+    with simulate(pty=pty) as robot:
+        assert robot.port.startswith("/dev/" if pty else "socket://127.0.0.1:")
+        assert robot.probe.startswith("tcp:127.0.0.1:")
+        assert robot.state() == {
+            "moving": False,
+            "motion": "stopped",
+            **dict.fromkeys(("speed", "steering", "led", "left", "right"), 0),
+        }
+        robot.process.send_signal(number)
+        out, err = robot.process.communicate(timeout=PATIENCE)
+
+    assert (robot.process.returncode, out, err) == (0, "", "")
+
+
+def test_a_served_fault_misbehaves() -> None:
+    with simulate("--fault", "always-1") as robot:
+        host, port = robot.port.removeprefix("socket://").split(":")
+        with socket.create_connection((host, int(port))) as line:
+            line.sendall(b"\x20")
+            assert line.recv(1) == b"\x01"
+
+
+def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_rest(
+    tmp_path: Path,
+) -> None:
+    """A file size limit stands for a full disk; SIGXFSZ is ignored, as Python does."""
+    file = tmp_path / "run.mcap"
+    with simulate() as served:
+        result = subprocess.run(
+            [
+                *("/bin/sh", "-c", 'ulimit -f 80; exec "$@"', "sh"),
+                *(sys.executable, "-m", "bilprov", "conform", served.port, "--yes"),
+                *("--probe", served.probe, "--only", "valid/*", "--record", str(file)),
+            ],
+            cwd=ROOT,
+            capture_output=True,
+            timeout=60,
+        )
+        state = served.state()
+
+    assert result.returncode == 2, result
+    assert b"Traceback" not in result.stderr
+    assert b"run.mcap" in result.stdout  # it is why the run ended early
+    assert b"interrupted" not in result.stdout
+    assert state["moving"] is False
+    assert open_capture(file).contents.counts["/host/raw"] > 0
+
+
+def test_a_fault_of_the_kit_itself_does_not_leave_the_robot_driving() -> None:
+    class Broken:
+        """A tap that fails when it is told that the robot moves."""
+
+        def sent(self, data: bytes, t: int) -> None: ...
+
+        def received(self, data: bytes, t: int) -> None: ...
+
+        def looked(self, look: Look) -> None:
+            if look.moving:
+                raise ZeroDivisionError
+
+    protocol = load_protocol()
+    options = Options(only=("unused-id/9/*",))
+    with simulate() as served, open_port(served.port) as port, Stopper() as stopper:
+        probe = TcpProbe(served.probe.removeprefix("tcp:"))
+        with pytest.raises(ZeroDivisionError):
+            conform_port(
+                *(port, probe, served.probe),
+                grammar=protocol,
+                options=options,
+                stop=stopper.fileno(),
+                interrupted=lambda: False,
+                tap=Broken(),
+            )
+        probe.close()
+        assert served.state()["moving"] is False

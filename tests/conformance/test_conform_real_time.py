@@ -1,0 +1,247 @@
+"""The suite in real time, over TCP and a pty, gives the same verdicts as in virtual time."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from bilprov.conformance.api import Options, conform, planned, select_cases
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import process
+from tests.support.robots import TIMED_PROBES, served_here, simulate, unwell
+
+pytestmark = pytest.mark.waits
+
+Verdicts = dict[str, str]
+
+
+def judged(output: bytes) -> tuple[int, Verdicts]:
+    """The exit code and the verdicts that a report tells."""
+    report = msgspec.json.decode(output)
+    verdicts = {case["id"]: case["verdict"] for case in report["cases"]}
+    return report["exit"], verdicts
+
+
+class Unswitched:
+    """A device object whose power nobody can switch, as behind a port."""
+
+    def __init__(self, device: Simulator) -> None:
+        self.receive, self.advance = device.receive, device.advance
+        self.deadline, self.look = device.deadline, device.look
+
+
+def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> tuple[int, Verdicts]:
+    device = Unswitched(Simulator(protocol, fault_bank(protocol)[fault] if fault else None))
+    report = conform(device, grammar=protocol, options=Options(only=tuple(only)))
+    return report.exit, {r.id: r.verdict.label for r in report.results}
+
+
+@pytest.mark.timeout(600)
+def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(protocol: Protocol) -> None:
+    """The whole of level standard."""
+    cases = select_cases(protocol, Options())
+    with simulate() as robot:
+        result = process(
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), timeout=500
+        )
+        state = robot.state()
+
+    code, verdicts = judged(result.stdout)
+    verdicts = {k: "pass" if v == "informational" else v for k, v in verdicts.items()}
+    assert result.returncode == code == 0, result.stderr
+    # Without a power switch there is no second power-on to begin with a motion.
+    assert [ident for ident in verdicts if verdicts[ident] != "pass"] == ["power-on/Forward"]
+    assert verdicts["power-on/Forward"] == "skipped"
+    assert {case.id for case in cases} < set(verdicts)
+    count = planned(protocol, Options(), cases)
+    assert f"{count} cases, about".encode() in result.stderr  # the estimate comes first
+    assert state["moving"] is False
+
+
+# One fault of each family (some have more to say), and cases that catch it.
+FAULTS = [
+    ("", ["*/LED/[07]", "recovery/*/Forward"], 0),
+    ("wrong-code-for-unknown-id", ["unused-id/9/[0-4]"], 1),
+    ("late-second-answer", ["wrong-length/LED/*"], 1),
+    ("answers-at-header", ["valid/LED/[0-3]"], 1),
+    ("no-stop-on-bad-data", ["bad-data/LED/1?"], 1),
+    ("no-stop-while-rotate-left", ["wrong-length/LED/*"], 1),
+    ("restarts-by-itself", ["unused-id/9/[0-3]"], 1),
+    ("never-times-out", ["truncated/LED/0"], 1),
+    ("nibbles-swapped", ["valid/Stop", "valid/Forward"], 1),
+    ("runs-data-of-unused", ["unused-id/1?/4"], 1),
+    ("swallows-missing-data", ["wrong-length/S*/0"], 1),
+    ("backward-does-nothing", ["valid/*wa*d", "valid/LED/?"], 1),
+    ("never-moves", ["unused-id/9/[0-3]"], 3),
+    ("led-order-reversed", ["valid/LED/?"], 1),
+    ("no-stop-after-10-faults", ["unused-id/9/*"], 1),
+    ("echo", ["valid/Stop"], 2),
+    ("xon-xoff", ["valid/Speed/1[79]"], 1),
+]
+
+# An answer that comes after its exchange falls to one neighbour or to the other, by microseconds.
+EITHER = {"late-second-answer": ("reading/", "line/"), "answers-at-header": ("line/",)}
+
+
+@pytest.mark.sample(5)
+@pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
+def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
+    protocol: Protocol, fault: str, only: list[str], code: int
+) -> None:
+    globs = [word for glob in only for word in ("--only", glob)]
+    with simulate(*(["--fault", fault] if fault else [])) as robot:
+        result = process(
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), *globs
+        )
+        state = robot.state()
+
+    ended, found = judged(result.stdout)
+    assert result.returncode == ended == code, result.stderr
+    virtual, expected = judged_in_virtual_time(protocol, fault, only)
+    assert virtual == code
+    # On a machine that is busy the link may be too coarse for a timing case, which then says so.
+    unsure = ("informational", "inconclusive")
+    coarse = tuple(ident for ident in TIMED_PROBES if found.get(ident) in unsure)
+    either = (*EITHER.get(fault, ()), *coarse)
+    assert {ident: found[ident] for ident in found if not ident.startswith(either)} == {
+        ident: expected[ident] for ident in expected if not ident.startswith(either)
+    }
+    assert state["moving"] is False
+
+
+def test_a_dead_line_is_given_up_in_one_sentence() -> None:
+    """Nobody may answer for as long as a board takes to boot."""
+    with simulate("--fault", "dead") as robot:
+        result = process("conform", robot.port, "--probe", robot.probe, "--yes")
+
+    assert result.returncode == 2
+    assert b"nobody answered" in result.stdout
+
+
+class Switched(Simulator):
+    """A simulator whose power goes off and on when a file appears, which it then takes away."""
+
+    def __init__(self, protocol: Protocol, switch: Path) -> None:
+        super().__init__(protocol)
+        self._switch = switch
+        self.cycles = 0
+
+    def advance(self, now: int) -> bytes:
+        if self._switch.exists():
+            self.power_cycle(now)
+            self.cycles += 1
+            self._switch.unlink()
+        return super().advance(now)
+
+    def deadline(self) -> int:
+        return min(super().deadline() or sys.maxsize, time.monotonic_ns() + 5_000_000)
+
+
+def test_a_command_switches_the_power_off_and_on(protocol: Protocol, tmp_path: Path) -> None:
+    switch = tmp_path / "switch"
+    device = Switched(protocol, switch)
+    with served_here(device) as (port, probe):
+        power = f"exec:touch {switch}; while [ -e {switch} ]; do sleep 0.01; done"
+        words = ("--probe", probe, "--power", power, "--yes", "--json", "-")
+        result = process("conform", port, *words, "--level", "smoke")
+
+    assert unwell(result) == {}  # nor is anything skipped
+    assert device.cycles > 0
+
+
+def test_a_power_switch_that_does_not_work_is_no_robot_s_fault() -> None:
+    with simulate() as robot:
+        words = ("--probe", robot.probe, "--power", "exec:exit 7", "--yes", "--level", "smoke")
+        result = process("conform", robot.port, *words)
+        state = robot.state()
+
+    assert result.returncode == 2
+    assert b"the power switch 'exit 7' did not work" in result.stdout
+    assert state["moving"] is False
+
+
+PROBE = """\
+import json, socket, sys
+with socket.create_connection(("127.0.0.1", {port})) as probe:
+    probe.sendall(b"state\\n")
+    moving = json.loads(probe.makefile().readline())["moving"]
+print("moving" if moving else "stopped")
+sys.exit(1 if moving else 0)
+"""
+
+# The cases of these that are looked at: each class in each motion comes first of its class.
+DEAR = [
+    ("", ["unused-id/9/[0-5]"], 3),
+    ("no-stop-on-unknown-id", ["unused-id/9/[0-5]"], 1),
+    ("no-stop-while-forward", ["unused-id/9/[0-5]"], 1),
+    ("ok-to-bad-data", ["bad-data/LED/[89]"], 1),
+    ("echo", ["valid/Stop"], 2),
+    ("never-moves", ["unused-id/9/[0-3]"], 3),
+]
+
+
+@pytest.mark.sample(3)
+@pytest.mark.parametrize(("fault", "only", "code"), DEAR, ids=lambda value: str(value)[:30])
+def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time(
+    protocol: Protocol, tmp_path: Path, fault: str, only: list[str], code: int
+) -> None:
+    globs = [word for glob in only for word in ("--only", glob)]
+    probe = tmp_path / "probe.py"
+    with simulate(*(["--fault", fault] if fault else []), pty=True) as robot:
+        probe.write_text(PROBE.format(port=robot.probe.rpartition(":")[2]))
+        shell = f"exec:{sys.executable} -S -E {probe}"
+        result = process("conform", robot.port, "--probe", shell, "--yes", "--json", "-", *globs)
+        state = robot.state()
+
+    found, verdicts = judged(result.stdout)
+    assert result.returncode == found == code, result.stderr
+    assert state["moving"] is False
+    _, expected = judged_in_virtual_time(protocol, fault, only)
+    seen = {ident: v for ident, v in verdicts.items() if v != Verdict.INCONCLUSIVE.label}
+    assert seen == {ident: expected[ident] for ident in seen}
+    if code != 2:
+        assert [ident for ident in seen if not ident.startswith(("power-on", "link"))] or code == 3
+
+
+def test_what_a_command_was_not_asked_about_says_so(tmp_path: Path) -> None:
+    with simulate(pty=True) as robot:
+        probe = tmp_path / "probe.py"
+        probe.write_text(PROBE.format(port=robot.probe.rpartition(":")[2]))
+        result = process(
+            *("conform", robot.port, "--probe", f"exec:{sys.executable} -S -E {probe}", "--yes"),
+            *("--json", "-", "--only", "unused-id/9/?"),
+        )
+
+    report = msgspec.json.decode(result.stdout)
+    blind = [case for case in report["cases"] if case["verdict"] == "inconclusive"]
+    assert blind
+    for case in blind:
+        reasons = [axis["reason"] for axis in case["axes"].values()]
+        assert any("not observable" in reason for reason in reasons)
+        assert case["axes"]["answer"]["verdict"] in ("pass", "skipped")
+
+
+@pytest.mark.parametrize("pty", [True, False])
+def test_without_a_probe_answers_are_judged_and_stops_are_not_observable(pty: bool) -> None:
+    with simulate(pty=pty) as robot:
+        result = process(
+            *("conform", robot.port, "--yes", "--json", "-"),
+            *("--only", "*/LED/[39]", "--truncation-timeout", "50"),
+        )
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 3
+    assert report["counts"]["fail"] == report["counts"]["error"] == 0
+    mine = [case for case in report["cases"] if "LED" in case["id"]]
+    assert {case["axes"]["answer"]["verdict"] for case in mine} == {"pass"}
+    stops = [case["axes"]["stop"] for case in mine if not case["id"].startswith("valid/")]
+    assert stops
+    assert {axis["verdict"] for axis in stops} == {"inconclusive"}
+    assert all("not observable" in axis["reason"] for axis in stops)

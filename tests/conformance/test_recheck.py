@@ -1,0 +1,478 @@
+"""Recheck: a recorded run, judged again from its bytes and looks alone, gives the same result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Message, open_capture
+from bilprov.conformance.api import Options
+from bilprov.conformance.dut.operations import Ended
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.catalogue import find_variant
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.timers import Observability
+from bilprov.conformance.recheck import recheck
+from bilprov.conformance.report.run_report import as_json
+from bilprov.spec.protocol import GrammarError, Protocol, load
+from tests.support import ROOT
+from tests.support.commands import command, process
+from tests.support.recordings import attachments_of, forged, recorded
+from tests.support.robots import FEW_LOOKS, sentence, simulate
+
+SOME = ("bad-data/LED/8", "unused-id/9/*", "wrong-length/*/0", "valid/Speed/25*", "recovery/*")
+
+
+def same(path: Path, report: Any) -> None:
+    """The recheck says the same, and its report is the run's to the last byte."""
+    found = recheck(str(path))
+    assert found.differences == ()
+    assert found.exit == 0
+    assert found.report is not None
+    assert as_json(found.report) == as_json(report) == attachments_of(path)["verdict.json"]
+
+
+# -- the same -------------------------------------------------------------------------------------
+
+
+def test_a_conforming_run_comes_out_the_same_to_the_last_byte(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    report = recorded(tmp_path / "run.mcap", protocol, *SOME)
+
+    assert report.exit == 0
+    same(tmp_path / "run.mcap", report)
+
+
+BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8")))
+
+
+FAMILIES = {fault.family: name for name, fault in BANK.items()}
+FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FEW_OF_EACH)
+def test_a_faulty_device_comes_out_as_faulty_as_it_was(
+    tmp_path: Path, protocol: Protocol, name: str
+) -> None:
+    device = Simulator(protocol, BANK[name])
+    report = recorded(tmp_path / "run.mcap", protocol, *SOME[:3], device=device)
+
+    same(tmp_path / "run.mcap", report)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(only=SOME, seed=7),
+        Options(only=("truncated/LED/0", "timing/*"), truncation_timeout=30.0),
+        Options(only=SOME[:2], strict=True, deadline=20.0, silence=5.0),
+        Options(only=("timing/truncation-timeout",)),
+    ],
+)
+def test_the_options_of_the_run_hold_again(
+    tmp_path: Path, protocol: Protocol, options: Options
+) -> None:
+    same(tmp_path / "run.mcap", recorded(tmp_path / "run.mcap", protocol, options=options))
+
+
+@pytest.mark.parametrize(("deadline", "verdict"), [(200.0, "pass"), (None, "non-strict")])
+def test_a_recheck_takes_the_deadline_of_the_recorded_run(
+    tmp_path: Path, protocol: Protocol, deadline: float | None, verdict: str
+) -> None:
+    slow = find_variant(protocol, "R-answer-deadline=150-ms")
+    options = Options(only=("valid/LED/*",), deadline=deadline)
+    device = Simulator(protocol, slow)
+    report = recorded(tmp_path / "run.mcap", protocol, options=options, device=device)
+
+    (case,) = {result.verdict.label for result in report.results if "valid/LED/" in result.id}
+    assert case == verdict
+    same(tmp_path / "run.mcap", report)
+
+
+@pytest.mark.parametrize("observability", [Observability(available=False), FEW_LOOKS])
+def test_what_could_not_be_seen_cannot_be_seen_again(
+    tmp_path: Path, protocol: Protocol, observability: Observability
+) -> None:
+    report = recorded(tmp_path / "run.mcap", protocol, *SOME, observability=observability)
+
+    assert report.exit == 3
+    same(tmp_path / "run.mcap", report)
+
+
+def test_fail_fast_ends_at_the_same_case(tmp_path: Path, protocol: Protocol) -> None:
+    device = Simulator(protocol, BANK["restarts-by-itself"])
+    options = Options(only=SOME, fail_fast=True)
+    report = recorded(tmp_path / "run.mcap", protocol, options=options, device=device)
+
+    assert report.counts["skipped"] > 0
+    same(tmp_path / "run.mcap", report)
+
+
+@pytest.mark.parametrize("why", [True, "the recording cannot go on: disk full"])
+@pytest.mark.parametrize("after", [0, 3, 60, 200])
+def test_an_interrupted_run_is_interrupted_again(
+    tmp_path: Path, protocol: Protocol, after: int, why: bool | str
+) -> None:
+    asks = iter(range(10_000))
+    report = recorded(
+        tmp_path / "run.mcap",
+        protocol,
+        *SOME,
+        interrupted=lambda: why if next(asks) >= after else False,
+    )
+
+    assert report.ended
+    same(tmp_path / "run.mcap", report)
+    assert "the run ended early" in recheck(str(tmp_path / "run.mcap")).notes[0]
+
+
+@pytest.mark.parametrize("works", [True, False])
+@pytest.mark.parametrize("at", [1, 2, 40, 90])
+def test_a_link_that_fails_fails_again(
+    tmp_path: Path, protocol: Protocol, at: int, works: bool
+) -> None:
+    broken = {at: Ended("the probe went", error=True, line_works=works)}
+    report = recorded(tmp_path / "run.mcap", protocol, *SOME, broken=broken)
+
+    assert report.ended == "the probe went"
+    same(tmp_path / "run.mcap", report)
+
+
+@pytest.mark.slow
+def test_another_grammar_travels_with_the_recording(tmp_path: Path, horn: Protocol) -> None:
+    only = ("valid/Horn/*", "bad-data/Horn/4")
+    report = recorded(tmp_path / "run.mcap", horn, *only, device=Simulator(horn))
+
+    assert {"valid/Horn/3", "bad-data/Horn/4"} <= {result.id for result in report.results}
+    same(tmp_path / "run.mcap", report)
+
+
+@pytest.mark.parametrize("pty", [False, True], ids=["tcp", "pty"])
+def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> None:
+    run, report, again = (tmp_path / name for name in ("run.mcap", "run.json", "again.json"))
+    with simulate(pty=pty) as served:
+        ran = process(
+            *("conform", served.port, "--probe", served.probe, "--yes", "--record", str(run)),
+            *("--json", str(report), "--only", "truncated/LED/0", "--only", "unused-id/9/*"),
+        )
+    assert ran.returncode == 0, ran.stderr
+
+    result = command("recheck", str(run), "--json", str(again))
+
+    count = len(json.loads(report.read_bytes())["cases"])
+    assert result.stdout.decode() == f"the same: {count} cases, verdict pass\n"
+    assert (result.returncode, result.stderr) == (0, b"")
+    made, judged = (json.loads(file.read_bytes()) for file in (report, again))
+    # A recording is judged the same whenever and wherever that is done.
+    assert judged == made | {"begun": None, "took_s": None, "host": None, "versions": {}}
+
+
+@pytest.mark.slow
+def test_the_whole_suite_in_virtual_time_by_the_command(tmp_path: Path) -> None:
+    run = tmp_path / "run.mcap"
+    words = ("--fault", "ignores-led-upper-bits", "--only", "*LED*", "--record", str(run))
+    ran = command("conform", "sim", *words)
+
+    result = command("recheck", str(run), "--json", "-")
+
+    assert (ran.returncode, result.returncode) == (1, 0)
+    assert json.loads(result.stdout)["exit"] == 1
+    assert result.stderr.decode().startswith("the same: ")
+    assert result.stderr.decode().endswith("verdict fail\n")
+
+
+# -- not the same ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> Path:
+    """A recording of a device that fails some cases and passes others."""
+    path = tmp_path_factory.mktemp("faulty") / "run.mcap"
+    device = Simulator(protocol, BANK["restarts-by-itself"])
+    report = recorded(path, protocol, *SOME, device=device)
+    assert {"fail", "pass"} <= {name for name, count in report.counts.items() if count}
+    return path
+
+
+def changed(topic: str, number: int, **values: Any) -> Callable[[Message], Message]:
+    """A change of the so-manieth message of a topic; bytes as `data`."""
+    seen = iter(range(1 << 30))
+
+    def change(message: Message) -> Message:
+        if message.topic != topic or next(seen) != number:
+            return message
+        if isinstance(message.value, bytes):
+            return msgspec.structs.replace(message, value=values["data"])
+        return msgspec.structs.replace(message, value={**message.value, **values})
+
+    return change
+
+
+def test_a_recording_written_anew_without_a_change_is_the_same(
+    faulty: Path, tmp_path: Path
+) -> None:
+    assert recheck(str(forged(faulty, tmp_path / "f.mcap"))).exit == 0
+
+
+@pytest.mark.parametrize(
+    ("number", "case"), [(0, "power-on/Speed"), (1, "link/unused-id"), (2, "link/too-few")]
+)
+def test_a_forged_answer_is_told_by_a_verdict(
+    faulty: Path, tmp_path: Path, number: int, case: str
+) -> None:
+    forgery = changed(topics.DEVICE_RAW, number, data=b"\x09")
+    found = recheck(str(forged(faulty, tmp_path / "f.mcap", forgery)))
+
+    assert found.exit == 1
+    told = {(d.about, d.recorded, d.judged) for d in found.differences}
+    # Judged again, the run may go another way from there: then its case has no verdict at all.
+    assert told & {(case, "pass", "fail"), (case, "pass", "not judged")}
+
+
+def test_a_forged_look_is_told_by_a_verdict(faulty: Path, tmp_path: Path) -> None:
+    found = recheck(str(forged(faulty, tmp_path / "f.mcap", changed(topics.LOOKS, 0, moving=True))))
+
+    assert found.exit == 1
+    assert found.differences[0].about == "power-on/at-rest"
+
+
+def test_forged_host_bytes_are_not_what_the_run_sends(faulty: Path, tmp_path: Path) -> None:
+    found = recheck(
+        str(forged(faulty, tmp_path / "f.mcap", changed(topics.HOST_RAW, 5, data=b"\x99")))
+    )
+
+    assert found.exit == 1
+    assert found.report is None
+    assert "sends 99, the kit now" in found.differences[-1].judged
+
+
+def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
+    marks = list(open_capture(faulty).messages({topics.CASES}))
+    values = [m.value for m in marks if isinstance(m.value, dict)]
+    number = next(i for i, value in enumerate(values) if value["verdict"] == "fail")
+    forgery = changed(topics.CASES, number, verdict="pass", reason="")
+    file = forged(faulty, tmp_path / "f.mcap", forgery)
+
+    result = command("recheck", str(file))
+
+    assert result.returncode == 1
+    line, last = result.stdout.decode().splitlines()
+    assert line == f"{values[number]['id']}: verdict recorded: pass; judged again: fail"
+    assert last == "not the same: 1 difference"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("exit",), 0),
+        (("verdict",), "pass"),
+        (("counts", "fail"), 0),
+        (("profile", "latency_max_ms"), 0.5),
+        (("cases", 3, "axes", "answer", "actual"), "nothing"),
+        (("cases", 3, "received"), []),
+        (("cases", 3, "id"), "no/such/case"),
+    ],
+)
+def test_a_forged_report_is_not_trusted(
+    faulty: Path, tmp_path: Path, path: tuple[Any, ...], value: object
+) -> None:
+    report = json.loads(attachments_of(faulty)["verdict.json"])
+    part = report
+    for name in path[:-1]:
+        part = part[name]
+    assert part[path[-1]] != value
+    part[path[-1]] = value
+    file = forged(faulty, tmp_path / "f.mcap", verdict_json=json.dumps(report).encode())
+
+    found = recheck(str(file))
+
+    assert found.exit == 1
+    about = {difference.about for difference in found.differences}
+    assert about <= {"the report", report["cases"][3]["id"], *(["no/such/case"])} | {
+        json.loads(attachments_of(faulty)["verdict.json"])["cases"][3]["id"]
+    }
+
+
+def test_a_recording_that_goes_on_after_the_run_is_not_the_same(
+    tmp_path: Path, protocol: Protocol, faulty: Path
+) -> None:
+    run = json.loads(attachments_of(faulty)["run.json"])
+    run["options"]["only"] = list(SOME[:1])
+    found = recheck(str(forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())))
+
+    assert found.exit == 1
+
+
+def test_another_version_of_the_kit_is_said(faulty: Path, tmp_path: Path) -> None:
+    run = json.loads(attachments_of(faulty)["run.json"])
+    run["kit"] = "9.9"
+    run["options"]["unheard_of"] = 5
+    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
+
+    result = command("recheck", str(file))
+
+    assert result.returncode == 0
+    assert "recorded by bilprov 9.9" in result.stderr.decode()
+
+
+# -- cut, hostile ---------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_recording_that_was_never_finished_is_judged_as_far_as_it_goes(
+    faulty: Path, tmp_path: Path
+) -> None:
+    content = faulty.read_bytes()
+    path, counts = tmp_path / "cut.mcap", []
+    end = content.index(b"profile.json")
+    for at in range(0, end, end // 60):
+        path.write_bytes(content[:at])
+        with suppress(CaptureError):
+            found = recheck(str(path))
+            assert (found.exit, found.differences) == (3, ()), at
+            assert "never finished" in " ".join(found.notes)
+            counts.append(found.cases)
+
+    assert counts == sorted(counts)
+    assert counts[-1] > counts[0]
+
+    result = command("recheck", str(path))
+    assert result.returncode == 3
+    assert result.stdout.decode().startswith(f"the same: {counts[-1]} cases, verdict fail, as far")
+
+
+def test_a_killed_run_leaves_what_can_be_judged(tmp_path: Path, protocol: Protocol) -> None:
+    class Killed(BaseException):
+        """Nothing in the kit catches it."""
+
+    calls = iter(range(10_000))
+
+    def interrupted() -> bool:
+        if next(calls) > 300:
+            raise Killed
+        return False
+
+    with pytest.raises(Killed):
+        recorded(tmp_path / "run.mcap", protocol, *SOME, interrupted=interrupted)
+    found = recheck(str(tmp_path / "run.mcap"))
+
+    assert (found.exit, found.differences) == (3, ())
+    assert found.cases > 5
+    assert found.notes == ("it ends before its run did: what is there was judged again",)
+
+
+def test_a_grammar_that_does_more_than_declare_is_not_run(
+    faulty: Path, tmp_path: Path, grammar_text: str
+) -> None:
+    witness = tmp_path / "witness"
+    evil = f"{grammar_text}\nopen({str(witness)!r}, 'w')\n"
+    file = forged(faulty, tmp_path / "f.mcap", grammar_py=evil.encode())
+
+    result = command("recheck", str(file))
+
+    assert result.returncode == 2
+    assert "does more than declare" in sentence(result)
+    assert not witness.exists()
+    with pytest.raises(GrammarError):
+        recheck(str(file))
+
+
+@pytest.mark.slow
+def test_a_grammar_that_is_given_is_used_instead(
+    tmp_path: Path, horn: Protocol, horn_text: str
+) -> None:
+    code = load(f"{horn_text}\nlen('more than declarations')\n", "horn.py")
+    run, grammar = tmp_path / "run.mcap", tmp_path / "horn.py"
+    recorded(run, code, "valid/Horn/*", device=Simulator(code))
+    grammar.write_text(code.source, encoding="utf-8")
+
+    refused = command("recheck", str(run))
+    judged = command("--grammar", str(grammar), "recheck", str(run))
+    other = command("--grammar", "spec/grammar.py", "recheck", str(run))
+
+    assert (refused.returncode, judged.returncode) == (2, 0)
+    assert "bilprov --grammar FILE.py recheck" in sentence(refused)
+    assert judged.stdout.startswith(b"the same: ")
+    assert other.returncode == 2
+    assert "no case matches" in sentence(other)
+
+
+HOSTILE = {
+    "no object": b"[]",
+    "no JSON": b"{",
+    "deep": b"[" * 100_000,
+    "empty": b"{}",
+    "other types": b'{"kit":1,"grammar":{},"options":{},"circumstances":{}}',
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
+def test_what_the_run_rests_on_may_be_anything(
+    faulty: Path, tmp_path: Path, content: bytes
+) -> None:
+    for name in ("run_json", "verdict_json"):
+        file = forged(faulty, tmp_path / f"{name}.mcap", **{name: content})
+        with pytest.raises(CaptureError, match="cannot be read"):
+            recheck(str(file))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [{"deadline": 1e308}, {"truncation_timeout": -1e308}, {"only": ["nothing"]}, {"seed": 1 << 62}],
+)
+def test_options_may_be_anything(faulty: Path, tmp_path: Path, options: dict[str, Any]) -> None:
+    run = json.loads(attachments_of(faulty)["run.json"])
+    run["options"] |= options
+    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
+
+    with suppress(CaptureError):
+        assert recheck(str(file)).exit == 1
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"t": 1 << 63},
+        {"t": -(1 << 63)},
+        {"ask": "power"},
+        {"ask": "interrupt"},
+        {"ended": "\x1b[2Jno", "error": True, "line_works": True},
+        {"begun": None},
+    ],
+)
+@pytest.mark.parametrize("number", [0, 1, 40])
+def test_steps_may_be_anything(
+    faulty: Path, tmp_path: Path, number: int, values: dict[str, Any]
+) -> None:
+    file = forged(faulty, tmp_path / "f.mcap", changed(topics.ASKS, number, **values))
+
+    result = command("recheck", str(file))
+
+    assert result.returncode in (0, 1)
+    assert b"Traceback" not in result.stderr
+    assert b"\x1b" not in result.stdout + result.stderr
+
+
+def test_a_capture_of_a_drive_is_no_recording_of_a_run(tmp_path: Path, protocol: Protocol) -> None:
+    run = tmp_path / "run.mcap"
+    recorded(run, protocol, "valid/Speed/1")
+    file = forged(run, tmp_path / "f.mcap", lambda m: m if m.topic == topics.HOST_RAW else None)
+
+    result = command("recheck", str(file))
+
+    assert result.returncode == 2
+    assert "conform PORT --record" in sentence(result)

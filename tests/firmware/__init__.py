@@ -1,0 +1,1 @@
+"""Tests of the reference firmware and of emulated boards."""

@@ -1,0 +1,541 @@
+"""`bilprov emulate`: firmware on a pty in real time, for any program to open."""
+
+from __future__ import annotations
+
+import json
+import select
+import signal
+import socket
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+import serial
+from click.testing import CliRunner
+
+from bilprov import __main__ as front_door
+from bilprov.analyzer.transport.streams import parse_address
+from bilprov.captures.writer import CaptureWriter
+from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command, process
+from tests.support.decoding import conversation
+from tests.support.firmware import AVR, built
+from tests.support.robots import PATIENCE, Served, emulate, sentence, unwell
+from tests.vectors import FRAMES
+
+pytestmark = pytest.mark.waits
+
+MS = 1_000_000
+BYTE = 86_806  # ns, of 10 bits at 115,200 baud
+
+FIRMWARE = """
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/sleep.h>
+#include <util/delay.h>
+
+static uint8_t taken(void)
+{
+    while (!(UCSR0A & _BV(RXC0)));
+#ifdef READS_LATE
+    _delay_us(60);
+#endif
+    return UDR0;
+}
+
+int main(void)
+{
+#ifdef DOUBLE_SPEED
+    UCSR0A = _BV(U2X0); UBRR0 = 16;
+#elif defined DOUBLED_LATER
+    UBRR0 = 16; UCSR0A = _BV(U2X0); /* the emulator has taken the baud in already */
+#else
+    UBRR0 = 8;
+#endif
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+#ifdef TWO_STOP_BITS
+    UCSR0C |= _BV(USBS0);
+    UBRR0 = 8; /* the emulator takes it in with the divider */
+#endif
+    UCSR0B = _BV(RXEN0) | _BV(TXEN0);
+    DDRC = PORTC = 5; DDRD = 0xE0; PORTD = 0xC0; /* red and blue; the left wheel, forward */
+    for (;;) {
+        uint8_t byte = taken();
+        while (!(UCSR0A & _BV(UDRE0)));
+        UDR0 = byte;
+#ifdef SLEEPS_FOR_EVER
+        cli(); sleep_enable(); sleep_cpu();
+#elif defined RUNS_OFF
+        ((void (*)(void))0x3f00)();
+#elif defined HANGS
+        for (;;);
+#endif
+    }
+}
+"""
+
+
+@cache
+def echo(switch: str = "NONE") -> Path:
+    """Firmware that sends each byte back, at 115,200 baud; or not always, as the switch says."""
+    folder = Path(tempfile.mkdtemp(prefix="bilprov-echo-"))
+    (folder / "echo.c").write_text(FIRMWARE)
+    words = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os", f"-D{switch}"]
+    subprocess.run([*words, "-o", "echo.elf", "echo.c"], cwd=folder, check=True)
+    return folder / "echo.elf"
+
+
+# -- in virtual time ------------------------------------------------------------------------------
+
+
+class Bench:
+    """A paced board on a clock that the test moves: what arrives from it, and when (ns)."""
+
+    def __init__(self, firmware: Path, byte_time: int = BYTE) -> None:
+        self.board = SimavrBoard(firmware)
+        self.said: list[str] = []
+        self.device = PacedBoard(self.board, byte_time, self.said.append)
+        self.now = 0
+        self.heard: list[tuple[int, int]] = []
+        self.wait(5 * MS)
+
+    @property
+    def answers(self) -> bytes:
+        return bytes(byte for _, byte in self.heard)
+
+    def send(self, data: bytes) -> None:
+        self.device.receive(data, self.now)
+
+    def wait(self, duration: int, *, step: int | None = None) -> None:
+        """Let time pass as the device wants it, or in steps (ns) of one's own."""
+        until = self.now + duration
+        while self.now < until:
+            due = self.device.deadline() if step is None else self.now + step
+            self.now = until if due is None else min(until, max(due, self.now + 1))
+            self.heard += [(self.now, byte) for byte in self.device.advance(self.now)]
+
+
+@pytest.fixture
+def bench() -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(*arguments: Any, **options: Any) -> Bench:
+        made.append(Bench(*arguments, **options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.board.close()
+
+
+Make = Callable[..., Bench]
+
+
+@AVR
+@pytest.mark.parametrize("step", [None, 7 * MS, 19 * MS], ids=["as wanted", "late", "very late"])
+@pytest.mark.parametrize(
+    "switch", ["NONE", "DOUBLE_SPEED", "DOUBLED_LATER", "TWO_STOP_BITS", "READS_LATE"]
+)
+def test_no_byte_of_a_long_burst_is_lost(bench: Make, switch: str, step: int | None) -> None:
+    line = bench(echo(switch))
+    data = Random(1).randbytes(4096)
+
+    line.send(data)
+    line.wait(900 * MS, step=step)
+
+    assert line.answers == data
+
+
+@AVR
+def test_the_reference_answers_a_long_burst_in_order(bench: Make, protocol: Protocol) -> None:
+    line, (data, codes) = bench(built()), frames(protocol, 2000)
+
+    line.send(data)
+    line.wait(len(data) * 130_000, step=MS)
+
+    assert line.answers == codes
+
+
+@AVR
+def test_bytes_take_their_time_on_the_wire_both_ways(bench: Make) -> None:
+    line = bench(echo())
+    sent = line.now
+    line.send(bytes(50))
+    line.wait(20 * MS)
+    times = [at for at, _ in line.heard]
+
+    assert len(times) == 50
+    assert all(at >= sent + (count + 1) * BYTE for count, at in enumerate(times, 1))
+    assert all(later - at >= BYTE for at, later in pairwise(times))
+    assert times[0] < sent + 4 * BYTE  # and not much longer
+
+
+@AVR
+def test_a_slower_wire_is_slower_both_ways(bench: Make) -> None:
+    line = bench(built(), byte_time=10 * BYTE)
+    sent = line.now
+    line.send(b"\x11\x50\x20")
+    line.wait(20 * MS)
+
+    assert line.answers == b"\x00\x00"
+    # The second and the third byte end there; an answer takes as long again.
+    for (at, _), end in zip(line.heard, (11, 21), strict=True):
+        assert at >= sent + (end + 10) * BYTE
+
+
+@AVR
+def test_a_machine_that_was_busy_skips_no_time(bench: Make) -> None:
+    prompt, late = bench(built()), bench(built())
+    for line, step in ((prompt, None), (late, 10 * MS)):
+        line.send(b"\x11\xff\x20")
+        line.wait(5 * MS)
+        line.send(b"\x81")  # is cut short after 50 ms
+        line.wait(100 * MS, step=step)
+
+    assert prompt.answers == late.answers == b"\x00\x00\x04"
+    assert late.heard[-1][0] - prompt.heard[-1][0] <= 10 * MS
+
+
+@AVR
+def test_after_a_long_stop_it_catches_up_bit_by_bit(bench: Make) -> None:
+    line = bench(built())
+    line.send(b"\x11\xff\x20")
+    line.now += 500 * MS  # as if it had been suspended
+
+    turns = 0
+    while (due := line.device.deadline()) is not None and due <= line.now:
+        line.heard += [(line.now, byte) for byte in line.device.advance(line.now)]
+        turns += 1
+
+    assert line.answers == b"\x00\x00"
+    assert turns >= 10  # so that Ctrl-C is heard meanwhile
+
+
+@AVR
+def test_at_rest_it_is_looked_at_seldom(bench: Make) -> None:
+    line = bench(built())
+    line.send(b"\x00")
+    line.wait(50 * MS)
+
+    due = line.device.deadline()
+
+    assert due is not None
+    assert due - line.now >= MS
+
+
+@AVR
+def test_firmware_that_reads_no_more_loses_bytes_and_holds_up_nobody(bench: Make) -> None:
+    line = bench(echo("HANGS"))
+    line.send(bytes(500))
+    line.wait(300 * MS)
+    assert line.answers == b"\x00"
+
+    line.wait(50 * MS)
+    due = line.device.deadline()
+
+    assert due is not None
+    assert due - line.now >= MS  # nothing waits any more
+    assert line.said == []
+
+
+@AVR
+def test_a_flood_is_cut_and_said_once(bench: Make) -> None:
+    line = bench(echo())
+    for _ in range(3):
+        line.send(bytes(HELD // 2 + 1))
+
+    assert len(line.said) == 1
+    assert f"{HELD} bytes wait" in line.said[0]
+
+
+@AVR
+@pytest.mark.parametrize("busy", [0, 3 * MS], ids=["prompt", "busy"])
+@pytest.mark.parametrize("switch", ["SLEEPS_FOR_EVER", "RUNS_OFF"])
+def test_a_crash_is_said_once_and_its_last_answer_still_arrives(
+    bench: Make, switch: str, busy: int
+) -> None:
+    line = bench(echo(switch))
+    line.send(b"a")
+    line.now += busy
+    line.send(b"bc")
+    line.wait(50 * MS)
+
+    assert line.device.crashed
+    assert line.answers == b"a"
+    assert len(line.said) == 1
+    assert line.said[0].startswith("the firmware crashed 0.005 s after its start")
+    assert line.device.deadline() is None
+    line.send(b"d")
+    line.wait(50 * MS)
+    assert line.answers == b"a"
+    assert line.device.deadline() is None
+    assert json.loads(line.device.probe(line.now))["led"] == 5
+
+
+def frames(protocol: Protocol, count: int) -> tuple[bytes, bytes]:
+    """Whole frames of every kind, and what they are answered."""
+    chance = Random(count)
+    data, codes = bytearray(), bytearray()
+    for _ in range(count):
+        header = chance.choice([0x00, 0x11, 0x20, 0x30, 0x41, 0x51, 0x60, 0x70, 0x81, 0x90, 0x10])
+        frame = bytes([header]) + chance.randbytes(protocol.lengths[header])
+        data += frame
+        codes.append(judge(protocol, frame).response.code)
+    return bytes(data), bytes(codes)
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+def opened(port: str) -> serial.Serial:
+    return serial.Serial(port, 115200, timeout=PATIENCE, write_timeout=PATIENCE)
+
+
+def ended(served: Served, how: signal.Signals = signal.SIGINT) -> tuple[int, str, str]:
+    served.process.send_signal(how)
+    out, err = served.process.communicate(timeout=PATIENCE)
+    return served.process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Served]:
+    """The reference firmware on a pty; each test leaves it between two frames."""
+    with emulate(built()) as served:
+        yield served
+
+
+@AVR
+def test_pyserial_gets_the_answers_of_the_document_from_its_pty(robot: Served) -> None:
+    with opened(robot.port) as port:
+        for vector in FRAMES:
+            port.write(vector.frame)
+            assert port.read(1) == bytes([vector.code]), vector.frame.hex()
+        port.write(b"\x00")
+        assert port.read(1) == b"\x00"
+        assert port.in_waiting == 0
+
+
+@AVR
+def test_a_header_alone_is_answered_when_its_time_is_over(robot: Served) -> None:
+    with opened(robot.port) as port:
+        port.write(b"\x11")
+        assert port.read(1) == b"\x04"
+        port.write(b"\x11\x20")
+        assert port.read(1) == b"\x00"
+
+
+@AVR
+def test_thousands_of_frames_sent_at_once_are_all_answered_in_order(
+    robot: Served, protocol: Protocol
+) -> None:
+    data, codes = frames(protocol, 3000)
+    assert len(data) > 4096
+    with opened(robot.port) as port:
+        port.write(data)
+        assert port.read(len(codes)) == codes
+
+
+@AVR
+def test_its_probe_tells_what_the_pins_show(robot: Served) -> None:
+    with opened(robot.port) as port:
+        for frame in (b"\x00", b"\x11\x80", b"\x81\x05", b"\x51\xff", b"\x20"):
+            port.write(frame)
+            assert port.read(1) == b"\x00"
+        assert robot.state() == {
+            "moving": True,
+            "motion": "forward",
+            "led": 5,
+            "left": 0,
+            "right": 128,
+        }
+        port.write(b"\x90")
+        assert port.read(1) == b"\x01"
+        assert robot.state() == {
+            "moving": False,
+            "motion": "stopped",
+            "led": 5,
+            "left": 0,
+            "right": 0,
+        }
+
+
+@AVR
+def test_the_suite_passes_it_over_its_pty() -> None:
+    with emulate(built()) as served:
+        words = ("--probe", served.probe, "--level", "smoke", "--yes", "--json", "-")
+        result = process("conform", served.port, *words, timeout=110)
+
+    assert unwell(result) == {"power-on/Forward": "skipped"}  # nobody can switch its power
+
+
+@AVR
+@pytest.mark.parametrize(("answer", "code"), [(b"\x01", 0), (b"\x00", 1)])
+def test_a_capture_is_replayed_to_its_pty(
+    robot: Served, tmp_path: Path, answer: bytes, code: int
+) -> None:
+    path = tmp_path / "drive.mcap"
+    talk = [(b"\x11\x7f", b"\0"), (b"\x20", b"\0"), (b"\x81\x05", b"\0"), (b"\x90", answer)]
+    with CaptureWriter(path, start_wall=0, metadata={}, version="0") as writer:
+        for event in conversation(talk):
+            writer.chunk(event)  # type: ignore[arg-type]
+
+    result = command("replay", str(path), "--to", robot.port, "--yes")
+
+    assert result.returncode == code, (result.stdout + result.stderr).decode()
+    assert robot.state()["moving"] is False
+
+
+@AVR
+def test_a_pty_and_tcp_are_served_together(tmp_path: Path) -> None:
+    options = ("--pty", "--listen", "127.0.0.1:0")
+    with emulate(echo(), *options, lines=3) as served:
+        address = parse_address(served.lines[1].removeprefix("socket://"))
+        with socket.create_connection(address) as client:
+            client.sendall(b"\x20")
+            assert client.recv(1) == b"\x20"
+        code, out, _ = ended(served)
+
+    assert (code, out) == (0, "")
+
+
+@AVR
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("listen", [[], ["--listen", "127.0.0.1:0"]], ids=["pty", "tcp"])
+def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, listen: list[str]) -> None:
+    with emulate(built(), *listen) as served:
+        assert served.port.startswith("socket://127.0.0.1:" if listen else "/dev/")
+        assert served.probe.startswith("tcp:127.0.0.1:")
+        assert ended(served, number) == (0, "", "")
+        assert not Path(served.port).exists()
+
+
+@AVR
+def test_firmware_that_crashed_stays_served_and_ends_with_2() -> None:
+    with emulate(echo("RUNS_OFF")) as served:
+        assert served.process.stderr is not None
+        with opened(served.port) as port:
+            port.write(b"abc")
+            assert port.read(1) == b"a"
+            ready, _, _ = select.select([served.process.stderr], [], [], PATIENCE)
+            assert ready, "nobody is told"
+            told = served.process.stderr.readline()
+            port.write(b"d")
+            assert served.state() == {  # it drives on, as a robot would
+                "moving": True,
+                "motion": "forward",
+                "led": 5,
+                "left": 255,
+                "right": 0,
+            }
+            assert port.in_waiting == 0
+        code, out, err = ended(served)
+
+    assert told.startswith("the firmware crashed ")
+    assert (code, out, err) == (2, "", "")
+
+
+@AVR
+def test_the_wire_has_the_baud_of_the_grammar(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, grammar_text: str
+) -> None:
+    slow = tmp_path / "slow.py"
+    slow.write_text(grammar_text.replace("baud=115200", "baud=9600"))
+    times: list[int] = []
+
+    def served(device: PacedBoard, **_: object) -> None:
+        """Stands for the clock, the pty and who opens it."""
+        device.receive(b"a", 0)
+        while not device.advance(due := device.deadline() or 0):
+            pass
+        times.append(due)
+
+    monkeypatch.setattr("bilprov.conformance.cli.emulate.serve", served)
+    for words in ([], ["--grammar", str(slow)]):
+        result = CliRunner().invoke(
+            front_door.front_door, [*words, "emulate", str(echo())], standalone_mode=False
+        )
+        assert result.exception is None
+
+    assert times[1] - times[0] >= 900_000
+
+
+def elf(machine: int) -> bytes:
+    return b"\x7fELF" + bytes(14) + machine.to_bytes(2, "little") + bytes(40)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "cannot be read (No such file or directory)"),
+        (b"", "is no ELF file: give the one that the compiler linked"),
+        (b":100000000C9434000C943E00\n", "is no ELF file: give the one that the compiler linked"),
+        (elf(40), "is for an ARM, and simavr runs only AVR: QEMU takes it, with bilprov conform "),
+        (elf(62), "is not for an AVR, which is all that simavr runs"),
+    ],
+    ids=["missing", "empty", "hex", "ARM", "PC"],
+)
+def test_what_is_no_firmware_for_it_is_one_sentence(
+    tmp_path: Path, content: bytes | None, words: str
+) -> None:
+    file = tmp_path / "firm\x1b[31mware.elf"
+    if content is not None:
+        file.write_bytes(content)
+
+    result = command("emulate", str(file))
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert len(result.stderr.splitlines()) == 1
+    assert words in sentence(result)
+    assert b"\x1b" not in result.stderr
+
+
+def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "arm.elf"
+    file.write_bytes(elf(40))
+
+    assert f"bilprov conform emulator:qemu:{file}" in sentence(command("emulate", str(file)))
+
+
+@AVR
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "missing argument 'FIRMWARE.elf'"),
+        (["{elf}", "{elf}"], "got unexpected extra argument"),
+        (["{elf}", "--listen", "nowhere"], "the address is 'nowhere', allowed is HOST:PORT"),
+        (["{elf}", "--probe-listen", "1:2:3"], "the address is '1:2:3', allowed is HOST:PORT"),
+        (["{elf}", "--listen", "{taken}"], "is in use by another program"),
+        (["{elf}", "--pty", "--probe-listen", "{taken}"], "is in use by another program"),
+        (["{cut}"], "is cut off or damaged"),
+        (["{empty}"], "crashes before it begins: see that the file is whole"),
+    ],
+)
+def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.elf"
+    cut.write_bytes(built().read_bytes()[:60])
+    empty = tmp_path / "empty.elf"  # its headers, and no instruction but "do nothing"
+    empty.write_bytes(built().read_bytes()[:148].ljust(1 << 16, b"\0"))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        taken = f"127.0.0.1:{listener.getsockname()[1]}"
+        given = [word.format(elf=built(), taken=taken, cut=cut, empty=empty) for word in arguments]
+        result = command("emulate", *given)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert len(result.stderr.splitlines()) == 1
+    assert words in sentence(result)
+
+
+def test_the_help_is_enough_to_use_it() -> None:
+    told = " ".join(command("emulate", "--help").stdout.decode().split())
+    for part in ("FIRMWARE.elf", "--pty", "probe tcp:HOST:PORT", "Ctrl-C", "emulator:simavr:"):
+        assert part in told
+    assert "emulate" in command("--help").stdout.decode()

@@ -1,0 +1,298 @@
+"""The reference firmware on an emulated Arduino Uno: the kit tests a device that is not its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from random import Random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.boards import uno
+from bilprov.conformance.dut.boards.elf import flash
+from bilprov.conformance.dut.boards.libsimavr import Avr
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.codec import judge
+from bilprov.spec.motion import State, wheels
+from bilprov.spec.protocol import Protocol
+from tests.support.firmware import AVR, BUGS, built
+from tests.vectors import FRAMES
+
+pytestmark = AVR
+
+MS = 1_000_000
+BYTE = 86_806  # ns, of 10 bits at 115,200 baud
+PAUSE = 70 * MS  # ends a frame that lacks data
+
+
+class Bench:
+    """A board on a virtual line: what is sent to it, what it answers, what its pins do."""
+
+    def __init__(self, switches: str = "") -> None:
+        self.board = SimavrBoard(built(switches))
+        self._link = VirtualLink(self.board, BYTE)
+
+    def send(self, data: bytes, *, wait: int = 5 * MS, answers: int | None = 1) -> bytes:
+        """The answers to some bytes, listened for at most so long (ns)."""
+        self._link.do(Send(data))
+        heard = self._link.do(Listen(answers, wait))
+        assert isinstance(heard, Received)
+        return bytes(heard.codes)
+
+    def look(self) -> Look:
+        """What the pins and the PWM registers say."""
+        seen = self._link.do(Observe())
+        assert isinstance(seen, Observation)
+        return seen.look
+
+    def direction(self) -> bool:
+        """Whether a direction pin (D7 to D10) is high: what the README's probe is soldered to."""
+        return bool(self.board.memory(0x2B) & 0x80 or self.board.memory(0x25) & 0x07)
+
+    def home(self) -> None:
+        """Between two frames, stopped."""
+        self.send(bytes(16), wait=PAUSE, answers=None)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.board.close()
+
+
+def test_it_is_at_rest_after_power_on_and_answers_the_first_instruction(bench: Bench) -> None:
+    bench.board.power_cycle(0)
+    fresh = Bench()
+
+    assert fresh.look().motion == "stopped"
+    assert fresh.look().led == 0
+    assert fresh.send(b"\x11\x7f") == b"\x00"
+
+
+@pytest.mark.parametrize("vector", FRAMES, ids=lambda vector: vector.frame.hex())
+def test_it_answers_the_frames_of_the_document(bench: Bench, vector: object) -> None:
+    bench.home()
+
+    assert bench.send(vector.frame, wait=PAUSE) == bytes([vector.code])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("fill", [0x00, 0x07, 0xFF])
+def test_every_header_with_all_its_data_is_answered_as_the_grammar_judges(
+    bench: Bench, protocol: Protocol, fill: int
+) -> None:
+    bench.home()
+    wrong = []
+    for header in range(256):
+        frame = bytes([header]) + bytes([fill]) * protocol.lengths[header]
+        answers = bench.send(frame, answers=None)
+        if answers != bytes([judge(protocol, frame).response.code]):
+            wrong.append((frame.hex(), answers.hex()))
+
+    assert wrong == []
+
+
+def agrees(look: Look, state: State, full: int) -> bool:
+    """Whether the pins show the state: the wheels' signs, which is faster, and the diode."""
+    left, right = wheels(state, full)
+    assert look.left is not None
+    assert look.right is not None
+
+    def order(one: int, other: int) -> tuple[int, int, int]:
+        return (one > 0) - (one < 0), (other > 0) - (other < 0), (one > other) - (one < other)
+
+    return order(look.left, look.right) == order(left, right) and look.led == state.led
+
+
+@pytest.mark.slow
+@given(st.data())
+@settings(max_examples=300)
+def test_its_pins_follow_the_motion_model(
+    bench: Bench, protocol: Protocol, data: st.DataObject
+) -> None:
+    lengths = protocol.lengths
+    good = [protocol.header_bytes[spec.id, spec.length] for spec in protocol.instructions]
+    header = st.one_of(st.sampled_from(good), st.integers(0, 255))
+    frames = data.draw(
+        st.lists(
+            header.flatmap(
+                lambda h: st.binary(min_size=lengths[h], max_size=lengths[h]).map(
+                    lambda rest: bytes([h]) + rest
+                )
+            ),
+            max_size=12,
+        )
+    )
+    bench.home()
+    bench.send(b"\x11\x00")
+    bench.send(b"\x81\x00")
+    state = State(speed=0)
+    _, full = protocol.limits["steering"]
+    for frame in frames:
+        judgement = judge(protocol, frame)
+        assert bench.send(frame) == bytes([judgement.response.code])
+        effect = judgement.instruction.effect if judgement.valid and judgement.instruction else None
+        state = (effect or protocol.on_fault).apply(state, dict(judgement.fields))
+        assert agrees(bench.look(), state, full), (frame.hex(), state, bench.look())
+        assert bench.direction() == bench.look().moving
+
+
+@pytest.mark.parametrize("frame", ["90", "10", "4200", "81 08", "e3"])
+def test_it_stands_still_within_a_millisecond_of_the_byte_that_makes_it_faulty(
+    bench: Bench, frame: str
+) -> None:
+    bench.home()
+    bench.send(b"\x11\xff")
+    bench.send(b"\x20")
+    assert bench.look().moving
+
+    bench.send(bytes.fromhex(frame), wait=MS)
+
+    assert bench.look().moving is False
+
+
+def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) -> None:
+    bench.home()
+    bench.send(b"\x11\xff")
+    bench.send(b"\x20")
+
+    assert bench.send(b"\x81", wait=48 * MS) == b""
+    assert bench.look().moving
+    # 50 ms by a clock of one millisecond, whose phase is unknown here, and the answer's own byte.
+    assert bench.send(b"", wait=4 * MS, answers=None) == b"\x04"
+    assert bench.look().moving is False
+
+
+def test_a_damaged_byte_stops_it_and_what_comes_is_no_frame_until_a_pause(bench: Bench) -> None:
+    bench.home()
+    bench.send(b"\x11\x20")
+    bench.send(b"\x20")
+    assert bench.send(b"\x41", wait=MS) == b""
+    assert bench.look().moving
+
+    bench.board.spoil(0x99, bench.board.deadline())
+    bench.send(b"", wait=MS)
+
+    assert bench.look().moving is False
+    # It may be data, or Forward: nobody can tell.
+    assert bench.send(b"\x20\x20", wait=45 * MS, answers=None) == b""
+    assert bench.send(b"\x20", wait=48 * MS) == b""
+    assert bench.send(b"", wait=5 * MS, answers=None) == b"\x04"
+    assert bench.look().moving is False
+    assert bench.send(b"\x20") == b"\x00"
+    assert (bench.look().moving, bench.look().left) == (True, 0x20)
+
+
+def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Bench) -> None:
+    bench.home()
+    bench.send(b"\x11\x20")
+    bench.send(b"\x20")
+
+    bench.board.spoil(0x11, bench.board.deadline())
+
+    assert bench.send(b"\x20", wait=PAUSE, answers=None) == b""  # the data of that header
+    assert bench.look().moving is False
+    assert bench.send(b"\x90") == b"\x01"
+
+
+def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Bench) -> None:
+    bench.home()
+    sent = bench.board.deadline()
+    for byte in b"\x90\x10\x00":
+        bench.board.receive(bytes([byte]), sent)
+    bench.board.spoil(0x20, sent)
+
+    assert bench.send(b"", wait=PAUSE, answers=None) == b"\x01\x04\x00"
+
+
+def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:
+    bench.home()
+    for frame in (b"\x11\xff", b"\x81\x07", b"\x20"):
+        bench.send(frame)
+    again = Bench()
+    again.send(b"\x11\xff")
+    again.send(b"\x81\x05")
+    again.board.power_cycle(again.board.deadline())
+
+    assert again.look().led == 0
+    assert again.send(b"\x20") == b"\x00"
+    assert again.look().moving is False
+
+
+def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> None:
+    avr, draw = Avr(flash(built(), uno.FLASH), uno.CHIP, uno.FREQUENCY, print), Random(1)
+    late = set()
+    for turn in range(2000):
+        cycle = avr.cycle + draw.randrange(1, 40_000)
+        avr.run_until(cycle)
+        late.add(avr.cycle - cycle)
+        if turn % 10 == 0:
+            avr.receive(draw.randrange(256))
+    avr.close()
+
+    assert min(late) >= 0
+    assert max(late) <= 8  # cycles: an instruction, or the way into an interrupt
+
+
+def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still() -> None:
+    bench = Bench("-DBUG_HANGS_AT_FULL_SPEED")
+    bench.home()
+    for frame in (b"\x81\x07", b"\x11\x80", b"\x20"):
+        assert bench.send(frame) == b"\x00"
+    assert bench.send(b"\x11\xff", wait=100 * MS) == b""
+    assert bench.look().moving
+
+    bench.send(b"", wait=30 * MS)
+
+    assert (bench.look().moving, bench.look().led) == (False, 0)
+    assert bench.send(b"\x20") == b"\x00"
+    assert bench.look().moving is False  # no speed was told since
+    bench.board.close()
+
+
+# -- the suite ------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_suite_passes_the_clean_build() -> None:
+    board = SimavrBoard(built())
+    report = conform(board, options=Options(level="standard"), name="uno")
+    board.close()
+
+    assert report.exit == 0
+    assert {result.verdict for result in report.results} == {Verdict.PASS}
+
+
+@pytest.mark.sample(8)
+@pytest.mark.slow
+@pytest.mark.parametrize("bug", BUGS)
+def test_the_suite_finds_every_planted_bug(bug: str) -> None:
+    board = SimavrBoard(built(f"-D{bug}"))
+    report = conform(board, options=Options(level="standard", fail_fast=True), name=bug)
+    board.close()
+
+    assert report.exit == 1, report.counts
+
+
+def test_there_are_enough_bugs_and_each_makes_another_firmware() -> None:
+    images = {built(f"-D{bug}").with_suffix(".hex").read_bytes() for bug in BUGS}
+
+    assert len(images) == len(BUGS) >= 25
+    assert built().with_suffix(".hex").read_bytes() not in images
+
+
+@pytest.mark.slow
+def test_the_same_run_twice_is_the_same_to_the_last_nanosecond() -> None:
+    def run() -> object:
+        board = SimavrBoard(built())
+        report = conform(board, options=Options(level="smoke"), name="uno")
+        board.close()
+        return [(result.id, result.received) for result in report.results]
+
+    assert run() == run()

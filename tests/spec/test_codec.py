@@ -1,0 +1,337 @@
+"""Codec: frames are judged and built as the document says, and the nearest valid one is found."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+from construct import ValidationError
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.spec.codec import (
+    all_data,
+    bad_data,
+    bit_names,
+    build,
+    judge,
+    nearest,
+    raw_frame,
+    spaced,
+)
+from bilprov.spec.fields import Outcome
+from bilprov.spec.grammar import FRAME
+from bilprov.spec.protocol import Protocol
+from tests.vectors import (
+    COLOURS,
+    FRAME_COUNTS,
+    FRAMES,
+    HEADERS,
+    RESPONSES,
+    VALID_FRAMES,
+    FrameVector,
+    InstructionRow,
+)
+
+by_bytes = pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))
+
+
+@by_bytes
+def test_a_frame_is_judged_as_the_document_says(protocol: Protocol, vector: FrameVector) -> None:
+    judgement = judge(protocol, vector.frame)
+    name = judgement.instruction.name if judgement.instruction else None
+
+    assert judgement.response.code == vector.code, vector.clause
+    assert (name, judgement.fields) == (vector.name, vector.fields)
+    assert judgement.valid == (vector.code == 0)
+
+
+@by_bytes
+def test_a_judgement_says_what_came_and_gives_a_reason_unless_it_is_valid(
+    protocol: Protocol, vector: FrameVector
+) -> None:
+    judgement = judge(protocol, vector.frame)
+    identity, length = vector.frame[0] >> 4, vector.frame[0] & 0b1111
+
+    assert judgement.frame == vector.frame
+    assert (judgement.id, judgement.length) == (identity, length)
+    assert judgement.truncated == (len(vector.frame) <= length)
+    assert bool(judgement.reason) == (vector.code != 0)
+    assert judgement.clause.startswith("section ")
+
+
+DATA_BYTES = {row.id: row.length for row in HEADERS}
+
+
+def _judged_by_hand(frame: bytes) -> tuple[int, str]:
+    """Response code and class of a frame, in the order header, length, data."""
+    identity, length = frame[0] >> 4, frame[0] & 0b1111
+    arrived = len(frame) - 1
+    cut = arrived < length
+    if identity not in DATA_BYTES:
+        return 1, "truncated" if cut else "unused"
+    if cut:
+        return 4, "truncated"
+    if length > DATA_BYTES[identity]:
+        return 3, "wrong length"
+    if length < DATA_BYTES[identity]:
+        return 4, "wrong length"
+    if identity == 8 and frame[1] & 0b11111000:
+        return 2, "bad data"
+    return 0, "valid"
+
+
+def _every_header_cut_everywhere() -> Iterator[bytes]:
+    """All 256 headers, with each number of data bytes up to the announced, in three fills."""
+    for header in range(256):
+        chance = random.Random(header)
+        for arrived in range((header & 0b1111) + 1):
+            for fill in (bytes(15), b"\xff" * 15, chance.randbytes(15)):
+                yield bytes([header]) + fill[:arrived]
+
+
+def test_every_header_with_every_number_of_data_is_judged_as_by_hand(protocol: Protocol) -> None:
+    frames = list(_every_header_cut_everywhere())
+    wrong = [f for f in frames if judge(protocol, f).response.code != _judged_by_hand(f)[0]]
+
+    assert len(frames) == 3 * (256 + 16 * 120)
+    assert wrong == []
+
+
+def test_every_single_frame_there_is_is_judged_as_by_hand(protocol: Protocol) -> None:
+    counts: Counter[str] = Counter()
+    for header in range(256):
+        length = header & 0b1111
+        known = DATA_BYTES.get(header >> 4) == length == 1
+        whole = [bytes([b]) for b in range(256)] if known else [bytes(length)]
+        for data in (*whole, *(bytes(arrived) for arrived in range(length))):
+            code, kind = _judged_by_hand(bytes([header]) + data)
+            counts[kind] += 1
+            assert judge(protocol, bytes([header]) + data).response.code == code
+
+    assert counts == FRAME_COUNTS
+
+
+def _frames_of_right_length() -> Iterator[bytes]:
+    for row in HEADERS:
+        header = bytes([row.id << 4 | row.length])
+        yield from (header + bytes([b]) for b in range(256)) if row.length else [header]
+
+
+def test_construct_itself_agrees_on_every_frame_of_right_length(protocol: Protocol) -> None:
+    frames = list(_frames_of_right_length())
+    assert len(frames) == 5 + 4 * 256
+
+    for frame in frames:
+        judgement = judge(protocol, frame)
+        try:
+            parsed = FRAME.parse(frame)
+        except ValidationError:
+            assert judgement.outcome is Outcome.BAD_DATA, spaced(frame)
+        else:
+            assert judgement.outcome is Outcome.VALID, spaced(frame)
+            assert (parsed.header.id, parsed.header.length) == (judgement.id, judgement.length)
+            data = {name: value for name, value in parsed.data.items() if name[0] != "_"}
+            assert data == dict(judgement.fields)
+
+
+def test_no_bytes_cannot_be_judged(protocol: Protocol) -> None:
+    with pytest.raises(ValueError, match="at least a header byte"):
+        judge(protocol, b"")
+
+
+def test_more_bytes_than_announced_are_not_one_frame(protocol: Protocol) -> None:
+    with pytest.raises(ValueError, match=r"^frame 20 ff has 1 data byte, its header says 0$"):
+        judge(protocol, b"\x20\xff")
+
+
+@pytest.mark.parametrize(
+    ("frame", "reason"),
+    [
+        ("81 09", "LED.rgb is 9, allowed are 0 to 7 (frame 81 09, byte 1)"),
+        ("91 02", "no instruction has ID 9, used are 0, 1, 2, 3, 4, 5, 6, 7, 8"),
+        ("12 ff ff", "Speed takes 1 data byte, the header says 2"),
+        ("40", "Right takes 1 data byte, the header says 0"),
+        ("21 00", "Forward takes 0 data bytes, the header says 1"),
+        ("41", "Right: 1 data byte announced, 0 came"),
+        ("43 01", "Right: 3 data bytes announced, 1 came"),
+    ],
+)
+def test_a_reason_says_what_came_and_what_was_allowed(
+    protocol: Protocol, frame: str, reason: str
+) -> None:
+    assert judge(protocol, bytes.fromhex(frame)).reason == reason
+
+
+@pytest.mark.parametrize(
+    ("frame", "text"),
+    [
+        ("00", "Stop"),
+        ("11 ff", "Speed speed=255"),
+        ("51 00", "Left strength=0"),
+        ("81 05", "LED rgb=5 (R B)"),
+        ("81 02", "LED rgb=2 (G)"),
+        ("81 07", "LED rgb=7 (R G B)"),
+        ("81 00", "LED rgb=0 (off)"),
+        ("81 09", "LED rgb=9"),
+        ("91 02", "unused 9, 1 data byte"),
+        ("92 00 00", "unused 9, 2 data bytes"),
+        ("f0", "unused 15, 0 data bytes"),
+        ("93 00", "unused 9, 1 of 3 data bytes"),
+        ("12 ff ff", "Speed, 2 data bytes"),
+        ("40", "Right, 0 data bytes"),
+        ("41", "Right, 0 of 1 data byte"),
+        ("0d", "Stop, 0 of 13 data bytes"),
+    ],
+)
+def test_a_frame_is_described_in_words(protocol: Protocol, frame: str, text: str) -> None:
+    assert judge(protocol, bytes.fromhex(frame)).describe() == text
+
+
+@pytest.mark.parametrize(("value", "names"), COLOURS.items())
+def test_the_bits_of_the_led_are_red_green_and_blue(
+    protocol: Protocol, value: int, names: tuple[str, ...]
+) -> None:
+    (field,) = protocol.by_name["LED"].fields
+
+    assert bit_names(field, value) == names
+
+
+def test_bytes_are_shown_in_hex_with_spaces() -> None:
+    assert spaced(b"\x81\x05") == "81 05"
+
+
+@pytest.mark.parametrize("vector", VALID_FRAMES, ids=lambda v: v.frame.hex(" "))
+def test_what_is_built_is_what_the_document_sends(protocol: Protocol, vector: FrameVector) -> None:
+    assert vector.name is not None
+    for name in (vector.name, vector.name.lower(), vector.name.upper()):
+        assert build(protocol, name, dict(vector.fields)) == vector.frame
+
+
+@pytest.mark.parametrize("row", HEADERS, ids=lambda r: r.name)
+def test_what_is_built_is_judged_valid_and_gives_its_fields_back(
+    protocol: Protocol, row: InstructionRow
+) -> None:
+    spec = protocol.by_id[row.id]
+    for data in all_data(spec):
+        judgement = judge(protocol, raw_frame(protocol, spec.id, spec.length, data))
+
+        assert judgement.valid
+        assert build(protocol, spec.name, dict(judgement.fields)) == judgement.frame
+
+
+def test_all_data_are_every_valid_value_and_bad_data_every_other(protocol: Protocol) -> None:
+    every = [bytes([value]) for value in range(256)]
+    for row in HEADERS:
+        spec = protocol.by_id[row.id]
+        good, bad = list(all_data(spec)), list(bad_data(spec))
+        if not row.length:
+            assert (good, bad) == ([b""], [])
+            continue
+        allowed = 8 if row.name == "LED" else 256
+        assert (good, bad) == (every[:allowed], every[allowed:])
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "sentence"),
+    [
+        (
+            "Fly",
+            {},
+            "there is no instruction 'Fly'; there are Stop, Speed, Forward, Backward, Right, Left, "
+            "RotateRight, RotateLeft, LED",
+        ),
+        ("Speed", {}, "Speed needs speed=0..255, for example Speed speed=255"),
+        ("LED", {"rgb": 8}, "LED.rgb is 8, allowed are 0 to 7"),
+        ("LED", {"rgb": -1}, "LED.rgb is -1, allowed are 0 to 7"),
+        ("Right", {"strength": 256}, "Right.strength is 256, allowed are 0 to 255"),
+        ("Speed", {"speed": 1.5}, "Speed.speed is 1.5, allowed are whole numbers from 0 to 255"),
+        ("LED", {"rgb": "5"}, "LED.rgb is '5', allowed are whole numbers from 0 to 7"),
+        ("Left", {"force": 1, "strength": 2}, "Left has no field force; it takes strength"),
+        ("Stop", {"now": 1, "soon": 0}, "Stop has no field now, soon; it takes no fields"),
+    ],
+)
+def test_what_cannot_be_built_is_said_in_a_sentence(
+    protocol: Protocol, name: str, fields: dict[str, int], sentence: str
+) -> None:
+    with pytest.raises(ValueError) as raised:
+        build(protocol, name, fields)
+
+    assert str(raised.value) == sentence
+
+
+def test_building_leaves_the_given_fields_alone(protocol: Protocol) -> None:
+    given = {"speed": 3}
+    build(protocol, "Speed", given)
+
+    assert given == {"speed": 3}
+
+
+def test_a_header_may_lie_about_its_data(protocol: Protocol) -> None:
+    assert raw_frame(protocol, 4, 0, b"\xff") == bytes([0b01000000, 0b11111111])
+    assert raw_frame(protocol, 15, 15) == b"\xff"
+
+
+@pytest.mark.parametrize(("identity", "length"), [(16, 0), (0, 16), (-1, 0), (0, -1)])
+def test_a_header_carries_no_more_than_its_bits(
+    protocol: Protocol, identity: int, length: int
+) -> None:
+    with pytest.raises(ValueError) as raised:
+        raw_frame(protocol, identity, length)
+
+    assert str(raised.value) == (
+        f"no header carries ID {identity} with length {length}; IDs go to 15, lengths to 15"
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "following", "meant"),
+    [
+        ("40", "ff", "41 ff"),  # E3
+        ("91 02", "", "81 02"),  # E5
+        ("90", "", "81 00"),
+        ("a0", "", "20"),
+        ("40", "", "41 00"),
+        ("11", "", "11 00"),
+        ("12 ff 00", "", "11 ff"),
+        ("21 07", "", "20"),
+        ("81 0a", "", "81 02"),
+        ("81 ff", "", "81 07"),
+        ("00", "11", "00"),
+    ],
+)
+def test_the_nearest_valid_frame_is_what_was_most_likely_meant(
+    protocol: Protocol, frame: str, following: str, meant: str
+) -> None:
+    found = nearest(protocol, bytes.fromhex(frame), bytes.fromhex(following))
+
+    assert spaced(found) == meant
+
+
+@given(data=st.binary(min_size=1, max_size=16), following=st.binary(max_size=3))
+def test_the_nearest_frame_is_valid_and_is_nearest_to_itself(
+    protocol: Protocol, data: bytes, following: bytes
+) -> None:
+    frame = data[: 1 + (data[0] & 0b1111)]
+    found = nearest(protocol, frame, following)
+
+    assert judge(protocol, found).valid
+    assert nearest(protocol, found, following) == found
+    if judge(protocol, frame).valid:
+        assert found == frame
+
+
+@given(data=st.binary(min_size=1, max_size=16))
+def test_a_known_instruction_is_never_taken_for_another(protocol: Protocol, data: bytes) -> None:
+    frame = data[: 1 + (data[0] & 0b1111)]
+    judgement = judge(protocol, frame)
+
+    if judgement.instruction:
+        assert judge(protocol, nearest(protocol, frame)).instruction == judgement.instruction
+
+
+def test_every_outcome_has_a_vector(protocol: Protocol) -> None:
+    assert {judge(protocol, v.frame).outcome for v in FRAMES} == set(Outcome)
+    assert {v.code for v in FRAMES} == {row.code for row in RESPONSES}

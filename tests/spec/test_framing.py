@@ -1,0 +1,199 @@
+"""Framing: every byte comes out once and in order, however the stream is cut or paused."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.spec.framing import Framed, Framer
+from tests.vectors import FRAMES, STREAMS, FrameVector, StreamVector
+
+# Section 2: the last four bits of the header say how many data bytes follow.
+LENGTHS = bytes(header & 0b1111 for header in range(256))
+TIMEOUT = 50
+
+chunks = st.lists(st.tuples(st.binary(max_size=20), st.integers(0, 2 * TIMEOUT)), max_size=12)
+
+
+def _all(chunks: list[tuple[bytes, int]], timeout: int | None) -> tuple[list[Framed], int]:
+    """The records of chunks that each come some time after the one before, and the last time."""
+    framer, now = Framer(LENGTHS, timeout), 0
+    records: list[Framed] = []
+    for data, pause in chunks:
+        now += pause
+        records += framer.feed(data, now)
+    return [*records, *framer.drop(now, "truncated")], now
+
+
+def _one_by_one(chunks: list[tuple[bytes, int]], timeout: int | None) -> list[bytes]:
+    """The same frames, found the slow way: each byte with its time."""
+    frames: list[bytes] = []
+    now = last = missing = 0
+    for data, pause in chunks:
+        now += pause
+        for byte in data:
+            if missing and (timeout is None or now - last < timeout):
+                frames[-1] += bytes([byte])
+                missing -= 1
+            else:
+                frames.append(bytes([byte]))
+                missing = byte & 0b1111
+            last = now
+    return frames
+
+
+@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
+def test_every_byte_comes_out_once_and_in_order(
+    chunks: list[tuple[bytes, int]], timeout: int | None
+) -> None:
+    records, _ = _all(chunks, timeout)
+
+    assert b"".join(r.data for r in records) == b"".join(data for data, _ in chunks)
+
+
+@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
+def test_the_frames_are_those_found_byte_by_byte(
+    chunks: list[tuple[bytes, int]], timeout: int | None
+) -> None:
+    records, _ = _all(chunks, timeout)
+
+    assert [r.data for r in records] == _one_by_one(chunks, timeout)
+
+
+@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
+def test_a_record_has_the_size_and_the_times_of_its_kind(
+    chunks: list[tuple[bytes, int]], timeout: int | None
+) -> None:
+    records, last = _all(chunks, timeout)
+
+    for index, record in enumerate(records):
+        announced = 1 + LENGTHS[record.data[0]]
+        assert record.start <= record.end <= record.known
+        if record.kind == "instruction":
+            assert len(record.data) == announced
+            assert record.known == record.end
+        else:
+            assert record.kind == "truncated"
+            assert len(record.data) < announced
+            at_the_end = index == len(records) - 1 and record.known == last
+            assert at_the_end or (timeout is not None and record.known == record.end + timeout)
+    assert [r.start for r in records] == sorted(r.start for r in records)
+
+
+@given(data=st.binary(max_size=60), now=st.integers(0, 10**18))
+def test_a_chunk_gives_the_same_records_whole_and_byte_by_byte(data: bytes, now: int) -> None:
+    whole, cut = Framer(LENGTHS, TIMEOUT), Framer(LENGTHS, TIMEOUT)
+
+    together = list(whole.feed(data, now))
+    singly = [record for byte in data for record in cut.feed(bytes([byte]), now)]
+
+    assert singly == together
+    assert cut.held == whole.held
+    assert cut.deadline == whole.deadline
+
+
+@pytest.mark.parametrize("stream", STREAMS, ids=lambda s: f"{s.clause}: {s.title}")
+def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    records = list(framer.feed(stream.data, 7))
+
+    assert tuple(r.data for r in records) == stream.frames
+    assert {r.kind for r in records} == {"instruction"}
+    assert framer.held == stream.rest
+
+
+@pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))
+def test_a_frame_is_whole_with_its_last_announced_byte(vector: FrameVector) -> None:
+    frame = vector.frame
+    framer = Framer(LENGTHS, TIMEOUT)
+    announced = LENGTHS[frame[0]]
+    records = [list(framer.feed(bytes([byte]), 0)) for byte in frame]
+
+    whole = len(frame) == 1 + announced
+    assert [bool(found) for found in records] == [False] * (len(frame) - 1) + [whole]
+    assert framer.missing == 1 + announced - len(frame)
+
+
+def test_the_time_out_cuts_at_exactly_the_deadline() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x42", 100)) == []
+    assert framer.deadline == 150
+
+    assert list(framer.advance(149)) == []
+    assert list(framer.advance(150)) == [Framed("truncated", 100, 100, 150, b"\x42")]
+    assert framer.deadline is None
+    assert framer.held == b""
+
+
+def test_the_time_out_counts_from_the_last_byte_not_from_the_first() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x43\x01", 100)) == []
+    assert list(framer.feed(b"\x02", 149)) == []
+
+    assert framer.deadline == 199
+    assert list(framer.feed(b"\x03", 198)) == [
+        Framed("instruction", 100, 198, 198, b"\x43\x01\x02\x03")
+    ]
+
+
+def test_a_byte_just_before_the_deadline_belongs_to_the_frame() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x41", 100)) == []
+
+    assert list(framer.feed(b"\x20", 149)) == [Framed("instruction", 100, 149, 149, b"\x41\x20")]
+
+
+def test_a_byte_at_the_deadline_is_the_next_header() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x41", 100)) == []
+
+    assert list(framer.feed(b"\x20", 150)) == [
+        Framed("truncated", 100, 100, 150, b"\x41"),
+        Framed("instruction", 150, 150, 150, b"\x20"),
+    ]
+
+
+def test_a_frame_cut_short_is_known_at_its_deadline_however_late_one_looks() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x41", 100)) == []
+
+    assert [record.known for record in framer.advance(10_000)] == [150]
+
+
+def test_between_frames_nothing_is_held_missing_or_due() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert len(list(framer.feed(b"\x20\x11\xff", 3))) == 2
+
+    assert (framer.held, framer.missing, framer.deadline) == (b"", 0, None)
+    assert list(framer.advance(10**18)) == []
+
+
+def test_without_a_time_out_a_frame_waits_for_ever() -> None:
+    framer = Framer(LENGTHS, timeout=None)
+    assert list(framer.feed(b"\x41", 0)) == []
+
+    assert framer.deadline is None
+    assert list(framer.advance(10**18)) == []
+    assert list(framer.feed(b"\x07", 10**18)) == [
+        Framed("instruction", 0, 10**18, 10**18, b"\x41\x07")
+    ]
+
+
+def test_dropping_gives_up_the_frame_begun_and_the_next_byte_is_a_header() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x43\x01", 5)) == []
+
+    assert list(framer.drop(9)) == [Framed("garbage", 5, 5, 9, b"\x43\x01")]
+    assert [record.data for record in framer.feed(b"\x20", 9)] == [b"\x20"]
+
+
+def test_dropping_between_frames_gives_nothing() -> None:
+    assert list(Framer(LENGTHS, TIMEOUT).drop(9)) == []
+
+
+def test_the_kind_of_what_is_dropped_can_be_told() -> None:
+    framer = Framer(LENGTHS, TIMEOUT)
+    assert list(framer.feed(b"\x43", 5)) == []
+
+    assert [record.kind for record in framer.drop(9, "truncated")] == ["truncated"]

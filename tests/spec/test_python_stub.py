@@ -1,0 +1,152 @@
+"""The stub beside `robot.py`: a type checker sees the instructions of the grammar."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.client.write_stub import STUB
+from bilprov.spec.emit.python_stub import RENEW, python_stub
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.python_names import method_names, parameter_names, snake_case
+from tests.support import ROOT
+
+
+def test_the_committed_stub_is_what_the_grammar_gives(protocol: Protocol) -> None:
+    written = STUB.read_text(encoding="utf-8")
+
+    assert written == python_stub(protocol), f"the grammar has changed: run `{RENEW}`"
+
+
+def test_the_command_that_the_stub_names_writes_it(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from bilprov.analyzer.client import write_stub as robot_stub
+
+    monkeypatch.setattr(robot_stub, "STUB", tmp_path / "robot.pyi")
+    robot_stub.main()
+
+    assert f"python -m {robot_stub.__name__}" == RENEW
+    assert (tmp_path / "robot.pyi").read_text(encoding="utf-8") == python_stub(protocol)
+
+
+def signatures(stub: str) -> dict[str, list[str]]:
+    """Each method of the stub with its parameters, as Python reads them."""
+    return {
+        node.name: [argument.arg for argument in node.args.args[1:]]
+        for node in ast.walk(ast.parse(stub))
+        if isinstance(node, ast.FunctionDef)
+    }
+
+
+def test_the_stub_of_another_grammar_has_its_instructions(horn: Protocol) -> None:
+    assert signatures(python_stub(horn))["horn"] == ["sound"]
+
+
+HOSTILE = 'A "quoted" \\\\ end, """ and \\n\\n more ' + "word " * 40 + "\\\\"
+
+
+def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
+    horn_text: str, tmp_path: Path
+) -> None:
+    text = horn_text.replace("Sounds the horn.", HOSTILE.replace('"', '\\"'))
+    many = "".join(f'"which one {n}" / Ranged(Byte, 0, 3) * "sound",\n' for n in range(15))
+    text = text.replace(
+        '"sound" / Ranged(Byte, 0, 3) * "which of the four sounds, 0 is silence",', many
+    )
+    stub = python_stub(load(text))
+    file = tmp_path / "robot.pyi"
+    file.write_text(stub, encoding="utf-8")
+    style = ["--isolated", "--line-length", "100"]
+    ruff = [sys.executable, "-m", "ruff"]
+
+    assert signatures(stub)["horn"] == [f"which_one_{n}" for n in range(15)]
+    done = subprocess.run([*ruff, "format", "--diff", *style, file], capture_output=True)
+    assert done.returncode == 0, done.stdout
+    done = subprocess.run([*ruff, "check", "--select", "E,F,W", *style, file], capture_output=True)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("RotateLeft", "rotate_left"),
+        ("LED", "led"),
+        ("LEDOn", "led_on"),
+        ("Speed2", "speed2"),
+        ("Speed2Fast", "speed2_fast"),
+        ("go round", "go_round"),
+        ("Go-Round", "go_round"),
+        ("BackaÅt", "backa_åt"),
+        ("Ａ", "a"),
+        ("3rd", "do_3rd"),
+        ("!", "do_"),
+        ("_private", "do_private"),
+    ],
+)
+def test_names_are_written_as_python_writes_them(name: str, word: str) -> None:
+    assert snake_case(name, "do_") == word
+    assert word.isidentifier()
+
+
+def test_no_two_instructions_or_fields_have_one_name_and_none_is_a_keyword(horn_text: str) -> None:
+    text = horn_text.replace('9: "Horn"', '9: "Rotate Left"').replace(
+        '"sound" / Ranged(Byte, 0, 3) * "which of the four sounds, 0 is silence",',
+        '"self" / Ranged(Byte, 0, 3), "a b" / Ranged(Byte, 0, 1), "a_b" / Ranged(Byte, 0, 1), '
+        '"if" / Ranged(Byte, 0, 1),',
+    )
+    protocol = load(text)
+    names = method_names(protocol)
+
+    assert names["rotate_left"].id == 7
+    assert names["rotate_left_"].id == 9
+    assert list(parameter_names(names["rotate_left_"])) == ["self_", "a_b", "a_b_", "if_"]
+
+
+SEEN = """\
+from bilprov import Robot
+from bilprov.conformance.pytest_plugin.robot_client import Client
+
+def drive(robot: Robot, client: Client) -> float:
+    robot.speed(127)
+    robot.led(rgb=5)
+    client.rotate_left()
+    robot.speed("x")  # refused: arg-type
+    robot.stop(1)  # refused: call-arg
+    robot.speed()  # refused: call-arg
+    robot.sped(1)  # refused: attr-defined
+    client.led(rgb=None)  # refused: arg-type
+    return robot.speed(speed=3).latency
+"""
+
+
+def test_a_type_checker_sees_the_methods_and_refuses_what_is_wrong(tmp_path: Path) -> None:
+    code, settings = tmp_path / "drive.py", tmp_path / "mypy.ini"
+    code.write_text(SEEN)
+    settings.write_text(
+        "[mypy]\nstrict = true\n[mypy-construct.*]\nignore_missing_imports = true\n"
+    )
+    options = ("--config-file", settings, "--cache-dir", tmp_path / "cache")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", *options, code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    found = [
+        (int(line.split(":")[1]), line.rsplit("[", 1)[1].rstrip("]"))
+        for line in done.stdout.splitlines()
+        if ": error:" in line
+    ]
+    wanted = [
+        (at, line.split("refused: ")[1])
+        for at, line in enumerate(SEEN.splitlines(), 1)
+        if "refused" in line
+    ]
+    assert found == wanted, done.stdout + done.stderr

@@ -1,0 +1,149 @@
+"""Errata and readings are complete, and the grammar alone finds the errata in the examples."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bilprov.spec.codec import judge, raw_frame
+from bilprov.spec.errata import check
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Example, Reading
+from tests.support import ROOT
+from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS
+
+PRODUCT = sorted(
+    path
+    for folder in ("spec", "captures", "analyzer", "conformance")
+    for path in (ROOT / folder).rglob("*.py")
+)
+VERDICTS = ("informational", "non-strict", "fail", "as R-")
+
+
+def _named(text: str) -> set[str]:
+    return set(re.findall(r"\bR-[a-z]+(?:-[a-z]+)*", text))
+
+
+def test_every_reading_is_there_and_no_id_stands_twice() -> None:
+    assert sorted(r.id for r in READINGS) == sorted(READING_IDS)
+
+
+def test_every_erratum_is_there_and_no_id_stands_twice() -> None:
+    assert [e.id for e in ERRATA] == list(ERRATUM_IDS)
+
+
+def test_names_of_readings_are_found_in_a_text() -> None:
+    assert _named("as R-led-id; R-line. See R-... or R-") == {"R-led-id", "R-line"}
+
+
+@pytest.mark.parametrize("path", PRODUCT, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_reading_that_a_file_names_exists(path: Path) -> None:
+    assert _named(path.read_text(encoding="utf-8")) <= set(READING_IDS)
+
+
+def test_every_reading_that_a_judgement_rests_on_exists(protocol: Protocol) -> None:
+    frames = [
+        raw_frame(protocol, identity, length, bytes(arrived))
+        for identity in protocol.ids
+        for length in protocol.data_lengths
+        for arrived in (0, length)
+    ]
+    named = {judge(protocol, frame).reading for frame in frames}
+
+    assert named - {""} <= set(READING_IDS)
+    assert {"R-truncated-known", "R-truncated-unused", "R-truncated-long"} <= named
+    assert {"R-unused-length", "R-known-length"} <= named
+
+
+@pytest.mark.parametrize("reading", READINGS, ids=lambda r: r.id)
+def test_a_reading_says_its_point_its_default_and_what_another_choice_gets(
+    reading: Reading,
+) -> None:
+    assert reading.clause
+    assert reading.point
+    assert reading.default
+    for choice, verdict in reading.others:
+        assert choice
+        assert verdict.startswith(VERDICTS)
+
+
+def test_the_grammar_finds_exactly_the_errata_that_show_in_the_bytes(protocol: Protocol) -> None:
+    found = [
+        (f.erratum.id if f.erratum else None, f.example.section, f.example.line, f.sent, f.meant)
+        for f in check(protocol)
+    ]
+
+    assert found == list(ERRATA_IN_BYTES)
+
+
+def test_an_erratum_about_a_line_of_an_example_quotes_the_bits_of_that_line() -> None:
+    bits = {(example.section, example.line): example.bits for example in EXAMPLES}
+    about_lines = [erratum for erratum in ERRATA if erratum.example]
+
+    assert about_lines
+    for erratum in about_lines:
+        assert erratum.example in bits
+        assert bits[erratum.example] in erratum.quote
+
+
+def test_what_an_erratum_means_is_what_the_grammar_takes_for_meant(protocol: Protocol) -> None:
+    for finding in check(protocol):
+        assert finding.erratum is not None
+        assert finding.erratum.shows == "the grammar"
+        assert bytes.fromhex(finding.erratum.meant) == finding.meant
+
+
+def test_a_finding_says_what_came_and_what_was_allowed(protocol: Protocol) -> None:
+    right, led = check(protocol)
+
+    assert right.reason == (
+        "Right takes 1 data byte, the header says 0; 1 byte more in the line, read as a new header"
+    )
+    assert led.reason == "no instruction has ID 9, used are 0, 1, 2, 3, 4, 5, 6, 7, 8"
+
+
+def test_the_errata_come_from_the_grammar_and_not_from_the_list(grammar_text: str) -> None:
+    led_at_9 = load(grammar_text.replace('8: "LED"', '9: "LED"'))
+    right_without_data = load(
+        grammar_text.replace(
+            '"strength" / Ranged(Byte, 0, 255) * "steering strength",\n        document="Höger"',
+            'document="Höger"',
+        ).replace('From("strength")),', "255),")
+    )
+
+    assert [f.erratum.id for f in check(led_at_9) if f.erratum] == ["E3"]
+    # Right takes no data now; the byte after it is still one too many.
+    assert right_without_data.by_id[4].length == 0
+    (right, led) = check(right_without_data)
+    assert right.meant == b"\x40"
+    assert right.reason == "Right; 1 byte more in the line, read as a new header"
+    assert led.meant == b"\x81\x02"
+
+
+def test_a_fault_that_nobody_wrote_down_is_found_without_an_erratum(protocol: Protocol) -> None:
+    (finding,) = check(protocol, (Example("6.1", 1, "10000001 00001000", "LED"),))
+
+    assert finding.erratum is None
+    assert finding.sent == b"\x81\x08"
+
+
+def test_examples_without_fault_give_no_finding(protocol: Protocol) -> None:
+    faulty = {(section, line) for _, section, line, _, _ in ERRATA_IN_BYTES}
+    good = tuple(e for e in EXAMPLES if (e.section, e.line) not in faulty)
+
+    assert len(good) == len(EXAMPLES) - len(ERRATA_IN_BYTES)
+    assert check(protocol, good) == ()
+
+
+def test_a_line_that_is_cut_short_is_a_finding(protocol: Protocol) -> None:
+    (finding,) = check(protocol, (Example("6.1", 1, "01000001", "Right"),))
+
+    assert finding.reason == "Right: 1 data byte announced, 0 came"
+
+
+def test_bytes_left_over_are_counted(protocol: Protocol) -> None:
+    (finding,) = check(protocol, (Example("6.1", 1, "00100000 00100000 00100000", "x"),))
+
+    assert finding.reason == "Forward; 2 bytes more in the line, read as a new header"

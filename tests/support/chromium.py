@@ -1,0 +1,223 @@
+"""Drives a headless Chromium for tests by DevTools messages over a pipe, without a network."""
+
+from __future__ import annotations
+
+import base64
+import fcntl
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+PATIENCE = 60.0  # s; a test that waits longer hangs
+INSTALL = "no Chromium: apt-get install chromium"
+_FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--remote-debugging-pipe",
+)
+# Chromium reads from descriptor 3 and writes to 4.
+_ONTO_3_AND_4 = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
+    "os.execv(sys.argv[3], sys.argv[3:])"
+)
+
+
+def chromium() -> str | None:
+    """Where the browser is, None where there is none."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+
+
+class Page:
+    """One tab. `requests` are the addresses it asked for, `complaints` what its console said."""
+
+    def __init__(self, browser: Browser, session: str) -> None:
+        self._browser = browser
+        self._session = session
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        return self._browser.call(method, parameters, self._session)
+
+    def heard(self, event: dict[str, Any]) -> None:
+        told = event.get("params", {})
+        if event["method"] == "Network.requestWillBeSent":
+            self.requests.append(told["request"]["url"])
+        elif event["method"] == "Runtime.exceptionThrown":
+            self.complaints.append(str(told["exceptionDetails"]))
+        elif event["method"] == "Log.entryAdded":
+            self.complaints.append(told["entry"]["text"])
+        elif event["method"] == "Page.javascriptDialogOpening":
+            self.complaints.append(f"a dialog opened: {told['message']}")
+
+    def size(self, width: int, height: int = 900) -> None:
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=height, deviceScaleFactor=1, mobile=False,
+        )  # fmt: skip
+
+    def scheme(self, name: str) -> None:
+        """A light or a dark page; nothing glides, so that a click meets what it aims at."""
+        self.call(
+            "Emulation.setEmulatedMedia",
+            features=[
+                {"name": "prefers-color-scheme", "value": name},
+                {"name": "prefers-reduced-motion", "value": "reduce"},
+            ],
+        )
+
+    def open(self, address: str) -> None:
+        self.call("Page.navigate", url=address)
+        self.wait("document.readyState === 'complete'")
+
+    def eval(self, expression: str) -> Any:
+        """The value of an expression in the page."""
+        answer = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def wait(self, expression: str) -> None:
+        """Until an expression is true."""
+        until = time.monotonic() + PATIENCE
+        while not self.eval(f"!!({expression})"):
+            assert time.monotonic() < until, f"never: {expression}"
+            time.sleep(0.02)
+
+    def click(self, selector: str) -> None:
+        """A click of the mouse in the middle of what can be seen of an element."""
+        spot = self.eval(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            "e.scrollIntoView({block: 'center', behavior: 'instant'});"
+            "const r = e.getBoundingClientRect();"
+            "return [r.x + r.width / 2, r.y + r.height / 2] })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call(
+                "Input.dispatchMouseEvent",
+                type=kind, x=spot[0], y=spot[1], button="left", clickCount=1,
+            )  # fmt: skip
+
+    def type(self, text: str) -> None:
+        self.call("Input.insertText", text=text)
+
+    def press(self, key: str, code: int, text: str = "") -> None:
+        """A key of the keyboard."""
+        for kind in ("keyDown", "keyUp"):
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind, key=key, code=key, windowsVirtualKeyCode=code,
+                **({"text": text} if text and kind == "keyDown" else {}),
+            )  # fmt: skip
+
+    def picture(self, *, whole: bool = False) -> bytes:
+        """What the page looks like now, as PNG."""
+        answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        return base64.b64decode(answer["data"])
+
+
+class Browser:
+    """A Chromium that runs."""
+
+    def __init__(self, to_browser: int, from_browser: int) -> None:
+        self._to = to_browser
+        self._from = from_browser
+        self._held = b""
+        self._count = 0
+        self._pages: dict[str, Page] = {}
+
+    def call(
+        self, method: str, parameters: dict[str, Any], session: str | None = None
+    ) -> dict[str, Any]:
+        self._count += 1
+        message = {"id": self._count, "method": method, "params": parameters}
+        if session:
+            message["sessionId"] = session
+        data = json.dumps(message).encode() + b"\0"
+        while data:
+            data = data[os.write(self._to, data) :]
+        while True:
+            answer = self._next()
+            if answer.get("id") == message["id"]:
+                assert "error" not in answer, (method, answer["error"])
+                result = answer["result"]
+                assert isinstance(result, dict)
+                return result
+            page = self._pages.get(answer.get("sessionId", ""))
+            if page and "method" in answer:
+                page.heard(answer)
+
+    def _next(self) -> dict[str, Any]:
+        while b"\0" not in self._held:
+            ready, _, _ = select.select([self._from], [], [], PATIENCE)
+            assert ready, "Chromium does not answer"
+            data = os.read(self._from, 1 << 16)
+            assert data, "Chromium has ended"
+            self._held += data
+        message, _, self._held = self._held.partition(b"\0")
+        answer = json.loads(message)
+        assert isinstance(answer, dict)
+        return answer
+
+    @contextmanager
+    def page(self) -> Iterator[Page]:
+        """A new tab."""
+        target = self.call("Target.createTarget", {"url": "about:blank"})["targetId"]
+        attached = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})
+        page = Page(self, attached["sessionId"])
+        self._pages[attached["sessionId"]] = page
+        yield page
+        self.call("Target.closeTarget", {"targetId": target})
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[Browser]:
+    """Start Chromium with its profile in an empty folder, and end it."""
+    program = chromium()
+    assert program is not None
+    commands, write = os.pipe()
+    read, events = os.pipe()
+    inside = [fcntl.fcntl(fd, fcntl.F_DUPFD, 10) for fd in (commands, events)]
+    with subprocess.Popen(
+        [
+            *(sys.executable, "-c", _ONTO_3_AND_4, *map(str, inside)),
+            *(program, *_FLAGS, f"--user-data-dir={folder}"),
+        ],
+        pass_fds=inside,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as process:
+        for fd in (commands, events, *inside):
+            os.close(fd)
+        try:
+            browser = Browser(write, read)
+            yield browser
+            browser.call("Browser.close", {})
+            process.wait(PATIENCE)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            os.close(write)
+            os.close(read)

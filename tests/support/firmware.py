@@ -1,0 +1,72 @@
+"""Builds the reference firmware for tests, once for each set of planted bugs and switches."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.support import ROOT
+
+FIRMWARE = ROOT / "firmware"
+BUGS = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.MULTILINE)
+
+
+def _has_simavr() -> bool:
+    try:
+        ctypes.CDLL("libsimavr.so.2")
+    except OSError:
+        return False
+    return True
+
+
+def needs(*programs: str, simavr: bool = False, package: str) -> pytest.MarkDecorator:
+    """Skips where a program, or libsimavr, is not installed, with the line that brings it."""
+    missing = [p for p in programs if shutil.which(p) is None]
+    missing += ["libsimavr"] if simavr and not _has_simavr() else []
+    reason = f"no {', '.join(missing)}: apt-get install {package}"
+    return pytest.mark.skipif(bool(missing), reason=reason)
+
+
+AVR = needs("avr-gcc", "make", simavr=True, package="make gcc-avr avr-libc simavr")
+QEMU = needs("avr-gcc", "make", "qemu-system-avr", package="make gcc-avr avr-libc qemu-system-misc")
+
+
+def emulator_of(kit: int) -> int | None:
+    """The process of the QEMU that a process of the kit has started, None before it has."""
+    for child in Path(f"/proc/{kit}/task/{kit}/children").read_text().split():
+        with suppress(FileNotFoundError):
+            if Path(f"/proc/{child}/comm").read_text().startswith("qemu-system"):
+                return int(child)
+    return None
+
+
+def make(out: Path, target: str, *words: str) -> None:
+    """Build a target into a folder by the firmware's own Makefile."""
+    bilprov = f"{sys.executable} -m bilprov"
+    fixed = ["make", "-s", "-C", str(FIRMWARE), target, f"OUT={out}", f"BILPROV={bilprov}"]
+    done = subprocess.run(
+        [*fixed, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@cache
+def built(switches: str = "", target: str = "uno") -> Path:
+    """The ELF file, built once with these `-D` switches."""
+    out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
+    make(out, target, f"BUGS={switches}")
+    return out / f"{target}.elf"

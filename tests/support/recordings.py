@@ -1,0 +1,127 @@
+"""Recordings for tests: runs recorded in virtual time, and forged copies of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.reader import make_reader
+
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.recorder import session_metadata
+from bilprov.captures import topics
+from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+from bilprov.conformance.api import Options, run_on
+from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.oracle.timers import Observability
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.environment import Environment
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import BYTE_TIME, MS
+
+WALL = 1_790_000_000_000_000_000
+
+
+class Marks:
+    """A watcher that passes the marks on, as the command does."""
+
+    def __init__(self, recorder: RunRecorder) -> None:
+        self._recorder = recorder
+
+    def begin(self, ident: str) -> None:
+        self._recorder.begin(ident)
+
+    def end(self, result: CaseResult) -> None:
+        self._recorder.end(result)
+
+
+class BreakingLink:
+    """A link over a device in virtual time that cannot do the ask of a number, with this."""
+
+    def __init__(self, link: VirtualLink, broken: dict[int, Ended]) -> None:
+        self._link = link
+        self._broken = broken
+        self._asks = 0
+
+    def do(self, ask: Operation) -> int | Received | Observation:
+        self._asks += 1
+        if self._asks in self._broken:
+            raise self._broken[self._asks]
+        return self._link.do(ask)
+
+
+def recorded(
+    path: Path,
+    protocol: Protocol,
+    *only: str,
+    device: Any = None,
+    options: Options | None = None,
+    interrupted: Callable[[], bool | str] = lambda: False,
+    broken: dict[int, Ended] | None = None,
+    observability: Observability | None = None,
+) -> Report:
+    """Record a run in virtual time into a new file; gives what came out of it."""
+    device = device or Simulator(protocol)
+    timeout = 50 * MS
+    about = session_metadata(
+        protocol, ports={}, line="115200 8N1", timeout=timeout, skew=0, heard=("host", "device")
+    )
+    session = Session(protocol, timeout=timeout, skew=0)
+    with RunRecorder(str(path), session, WALL, about) as recorder:
+        return run_on(
+            BreakingLink(VirtualLink(device, BYTE_TIME, recorder), broken or {}),
+            Environment(
+                virtual=True,
+                observability=observability or Observability(hasattr(device, "look")),
+                power=hasattr(device, "power_cycle"),
+                device="sim",
+                link={"kind": "virtual", "probe": "sim"},
+            ),
+            grammar=protocol,
+            options=options or Options(only=only),
+            listener=Marks(recorder),
+            interrupted=interrupted,
+            tap=recorder,
+        )
+
+
+def attachments_of(path: Path) -> dict[str, bytes]:
+    """What is attached, as the official reader reads it."""
+    with path.open("rb") as file:
+        return {a.name: a.data for a in make_reader(file).iter_attachments()}
+
+
+def forged(
+    path: Path,
+    to: Path,
+    change: Callable[[Message], Message | None] = lambda message: message,
+    **attached: bytes,
+) -> Path:
+    """The same recording written anew, hash and all, with messages or attachments changed."""
+    capture = open_capture(path)
+    kinds = {topic.name: topic.value for topic in topics.TOPICS}
+    metadata = {k: v for k, v in capture.metadata.items() if k != topics.START_KEY}
+    others = attachments_of(path) | {n.replace("_", "."): data for n, data in attached.items()}
+    with CaptureWriter(to, start_wall=capture.start, metadata=metadata, version="0.1.0") as out:
+        for name, data in others.items():
+            if data:
+                out.attach(name, "", data, 0)
+        for was in capture.messages():
+            message = change(was)
+            if message is None:
+                continue
+            if isinstance(message.value, bytes):
+                side = "host" if message.topic == topics.HOST_RAW else "device"
+                out.chunk(Chunk(message.t, side, message.value))  # type: ignore[arg-type]
+            else:
+                value = msgspec.convert(message.value, kinds[message.topic])
+                out.write(value, message.t)
+    return to

@@ -1,0 +1,104 @@
+"""Reports for tests of the writers: a real run with every verdict, and a hostile report."""
+
+from __future__ import annotations
+
+import re
+
+from msgspec.structs import replace
+
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
+
+EVIL = (
+    "<script>window.hit=1</script>",
+    "<img src=x onerror=window.hit=1>",
+    "</script><script>window.hit=1</script>",
+    "\"' onmouseover=window.hit=1 x='",
+    "]]><a href='javascript:window.hit=1'>x</a>",
+    "| a | `b` ```\n# c\n- [d](javascript:e) @everyone www.example.org <!--",
+    "[x](evil) ![y](evil.png) **z** ~~w~~ [v](http://evil.example/)",
+    "\x00\x1b[31m\x9b\u202e\u2028\ufffe\udcff",
+    "${7*7}{{7*7}}%s\\",
+)
+
+_STOPPED = Axis(Verdict.PASS, "stopped", "stopped")
+
+
+def a_run(protocol: Protocol, *only: str, fault: str = "", seed: int = 1) -> Report:
+    device = Simulator(protocol, fault_bank(protocol)[fault]) if fault else Simulator(protocol)
+    options = Options(only=only, seed=seed)
+    return conform(device, grammar=protocol, options=options, fault=fault or None)
+
+
+def a_case(ident: str, verdict: Verdict, reason: str = "a reason", reading: str = "") -> CaseResult:
+    """A case that ended so, with a short log."""
+    return CaseResult(
+        id=ident,
+        clause="section 4, table 2",
+        requirement="answers as the table says",
+        verdict=verdict,
+        axes={"answer": Axis(verdict, "00 OK", "01 BAD_HEADER", reason, reading)}
+        | ({} if verdict is Verdict.SKIPPED else {"stop": _STOPPED}),
+        reading=reading,
+        sent=("11 7f",),
+        received=(AnswerByte("01", 400_000),),
+        log=(
+            WireEvent(0, "sent", "11 7f"),
+            WireEvent(574_000, "received", "01"),
+            WireEvent(20_574_000, "look", look="moving forward, speed 127"),
+            WireEvent(20_600_000, "clipped", look="7 entries are left out here"),
+        ),
+    )
+
+
+def every_verdict(protocol: Protocol, *, strict: bool = False) -> Report:
+    """A report with each verdict once, and three failures."""
+    results = [a_case(f"made/{verdict.label}", verdict) for verdict in Verdict]
+    results += [a_case(f"more/{n}", Verdict.FAIL, f"reason {n}", "R-led-id") for n in (1, 2)]
+    base = a_run(protocol, "valid/LED/1")
+    options = base.options | {"strict": strict}
+    return replace(base, results=tuple(results), options=options, exit=1)
+
+
+def hostile(protocol: Protocol, evil: str) -> Report:
+    """A report in which every text that can come from outside is hostile."""
+    case = a_case(f"{evil}/{evil}", Verdict.FAIL)
+    case = replace(
+        case,
+        clause=evil,
+        requirement=evil,
+        axes={"answer": Axis(Verdict.FAIL, evil, evil, evil, evil)},
+        reading=evil,
+        log=(WireEvent(0, "sent", "11 7f"), WireEvent(1, "look", look=evil)),
+        reproduce=evil,
+    )
+    unsure = replace(case, id=f"unsure/{evil}", verdict=Verdict.INCONCLUSIVE)
+    base = a_run(protocol, "valid/LED/1")
+    return replace(
+        base,
+        device=evil,
+        kit=evil,
+        grammar=dict.fromkeys(base.grammar, evil) | {"sha256": protocol.sha256},
+        link={"kind": "virtual", "line": evil, "probe": evil, "fault": evil, evil: evil},
+        options={"only": [evil], evil: {evil: [evil]}},
+        profile={evil: evil, "deep": {evil: [evil, {evil: evil}]}, "readings": {evil: evil}},
+        coverage={evil: (1, 2)},
+        ended=evil,
+        results=(case, unsure),
+        exit=1,
+    )
+
+
+_WHEN = re.compile(
+    rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00"
+    rb"|(?<=took)(?:_s\": |\" value=\"| `|</dt><dd>| )[0-9.]+"
+)
+
+
+def timeless(written: bytes) -> bytes:
+    """A report in any form without when it was made and how long the run took."""
+    return _WHEN.sub(b"", written)

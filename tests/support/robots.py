@@ -1,0 +1,273 @@
+"""Devices and links for tests of the suite: runs in virtual time, and served simulators."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.streams import parse_address
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import SilentListener
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.run import RunState
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.signals import ignoring
+
+MS = 1_000_000
+BYTE_TIME = 86_806  # ns at 115,200 8N1
+PATIENCE = 60.0  # s; a test that waits longer hangs
+
+# The probes that pause for a part of the device's time-out.
+TIMED_PROBES = ("reading/answer-point", "reading/truncation-timeout")
+
+ALL_SEEING = Observability(available=True)
+FEW_LOOKS = Observability(available=True, costly=True)
+
+
+class CountingLink:
+    """Virtual time; counts what it is asked. `broken` is asked before each ask and may raise."""
+
+    def __init__(self, device: Any, broken: Callable[[int], None] = lambda asks: None) -> None:
+        self.asks = 0
+        self.looks: list[Look] = []
+        self._link = VirtualLink(device, BYTE_TIME)
+        self._broken = broken
+
+    def do(self, ask: Operation) -> int | Received | Observation:
+        self._broken(self.asks)
+        self.asks += 1
+        reply = self._link.do(ask)
+        if isinstance(ask, Observe):
+            assert isinstance(reply, Observation)
+            self.looks.append(reply.look)
+        return reply
+
+
+def cases_of(
+    protocol: Protocol, *only: str, seed: int = 1, every_cut: bool = False
+) -> tuple[Case, ...]:
+    """The single-frame cases, or those of them that the globs name."""
+    cases = all_cases(protocol, seed, every_cut=every_cut)
+    return tuple(case for case in cases if not only or matching(case.id, only))
+
+
+def case_of(protocol: Protocol, ident: str, seed: int = 1) -> Case:
+    (case,) = cases_of(protocol, ident, seed=seed, every_cut=True)
+    return case
+
+
+def run_over(
+    link: CountingLink,
+    protocol: Protocol,
+    cases: Sequence[Case],
+    *,
+    observability: Observability = ALL_SEEING,
+    timers: Timers | None = None,
+    fail_fast: bool = False,
+    discover: bool = False,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Runner:
+    """Run cases over a link to the end; the results are in `runner.books`.
+
+    Without `discover` the device is taken to read the document as the kit does.
+    """
+    nobody = SilentListener()
+    state = RunState(
+        protocol, timers or Timers(), observability, begin=nobody.begin, report=nobody.end
+    )
+    runner = Runner(state, cases, fail_fast=fail_fast, discover=discover)
+    drive(runner.run(), link, interrupted)
+    return runner
+
+
+def failing(results: Sequence[CaseResult]) -> set[str]:
+    return {result.id for result in results if result.verdict is Verdict.FAIL}
+
+
+def matching(ident: str, globs: Sequence[str]) -> bool:
+    return any(fnmatchcase(ident, glob) for glob in globs)
+
+
+def unwell(result: subprocess.CompletedProcess[bytes]) -> dict[str, str]:
+    """The cases that did not pass in a report on standard output, and their verdicts.
+
+    In real time, on a machine that is busy, a pause does not measure the same twice, and is too
+    short or too long for some probes: the one case may be inconclusive, those informational or,
+    where a stretched pause looks like another choice of the time-out, non-strict.
+    """
+    report = json.loads(result.stdout)
+    found = {c["id"]: c["verdict"] for c in report["cases"] if c["verdict"] != "pass"}
+    for ident in TIMED_PROBES:
+        if found.get(ident) in ("informational", "non-strict"):
+            del found[ident]
+    coarse = found.get("timing/truncation-timeout") == "inconclusive"
+    if coarse:
+        del found["timing/truncation-timeout"]
+    bad = {"fail", "error", "inconclusive"} & set(found.values())
+    assert bad or result.returncode == report["exit"] == (3 if coarse else 0), result.stderr
+    return found
+
+
+def sentence(result: subprocess.CompletedProcess[bytes]) -> str:
+    """The last line on standard error, where what went wrong stands; no traceback before it."""
+    told = result.stderr.decode()
+    assert "Traceback" not in told, told
+    return told.splitlines()[-1]
+
+
+class Served:
+    """A robot that is served by the command: its line, which was announced first, and its probe."""
+
+    def __init__(self, process: subprocess.Popen[str], lines: list[str]) -> None:
+        self.process = process
+        self.lines = lines
+        self.port = lines[0]
+        self.probe = lines[-1].removeprefix("probe ")
+
+    def state(self) -> dict[str, Any]:
+        """What its probe tells now."""
+        if self.process.poll() is not None:
+            assert self.process.stderr is not None
+            raise AssertionError(
+                f"the robot ended ({self.process.returncode}): {self.process.stderr.read()}"
+            )
+        host, port = parse_address(self.probe.removeprefix("tcp:"))
+        with socket.create_connection((host, port), timeout=PATIENCE) as probe:
+            probe.sendall(b"state\n")
+            line = b""
+            while not line.endswith(b"\n"):
+                data = probe.recv(4096)
+                assert data, "the probe hung up"
+                line += data
+        state = json.loads(line)
+        assert isinstance(state, dict)
+        return state
+
+
+def simulate(
+    *arguments: str, pty: bool = False, grammar: str = ""
+) -> AbstractContextManager[Served]:
+    """Serve the simulator in a process of its own, on TCP or a pty, with its probe on TCP."""
+    line = [] if pty else ["--listen", "127.0.0.1:0"]
+    before = ["--grammar", grammar] if grammar else []
+    return _serving(*before, "simulate", *line, *arguments)
+
+
+def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextManager[Served]:
+    """Serve an emulated board so; `lines` are what it announces."""
+    return _serving("emulate", str(firmware), *arguments, lines=lines)
+
+
+@contextmanager
+def _serving(*words: str, lines: int = 2) -> Iterator[Served]:
+    with ignoring():
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", *words, "--probe-listen", "127.0.0.1:0"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+    with process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        try:
+            announced = [process.stdout.readline().strip() for _ in range(lines)]
+            assert all(announced), process.stderr.read()
+            yield Served(process, announced)
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+
+
+def at_rest(device: Simulator) -> bool:
+    return not device.state.moving
+
+
+@contextmanager
+def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
+    """Serve a device of this process, with its probe; gives the port's and the probe's names."""
+    lines: list[str] = []
+    ready = threading.Semaphore(0)
+
+    def announce(line: str) -> None:
+        lines.append(line)
+        ready.release()
+
+    with Stopper() as stopper:
+        thread = threading.Thread(
+            target=serve,
+            args=(device,),
+            kwargs={
+                "pty": pty,
+                "listen": None if pty else "127.0.0.1:0",
+                "probe_listen": "127.0.0.1:0",
+                "announce": announce,
+                "stop": stopper,
+            },
+        )
+        thread.start()
+        try:
+            for _ in range(2):
+                assert ready.acquire(timeout=PATIENCE)
+            yield lines[0], lines[1].removeprefix("probe ")
+        finally:
+            stopper.stop()
+            thread.join(PATIENCE)
+
+
+class ProbeServer:
+    """The other side of `--probe tcp:`; `answers` are given one a request, the last for ever.
+
+    None is no answer, b"" hangs up. `requests` are the lines that came.
+    """
+
+    def __init__(self, *answers: bytes | None) -> None:
+        self.requests: list[bytes] = []
+        self._answers = list(answers)
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.name = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        with suppress(OSError):  # nobody came, or whoever came has gone
+            peer, _ = self._listener.accept()
+            with peer, peer.makefile("rb") as lines:
+                for line in lines:
+                    self.requests.append(line)
+                    answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+                    if answer == b"":
+                        return
+                    if answer is not None:
+                        peer.sendall(answer)
+
+    def __enter__(self) -> ProbeServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self._thread.join(PATIENCE)

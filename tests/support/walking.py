@@ -1,0 +1,99 @@
+"""Builds sequences by hand and runs single ones, for the tests of sequences and retries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.runner.homing import home, see_motions
+from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.sequence import run_sequence
+from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import ALL_SEEING, MS, CountingLink
+
+CLAUSE, REQUIREMENT = "the walk's own clause", "the walk's own requirement"
+SAFETY, INSTRUCTIONS, RESPONSES = "section 2", "section 3, table 1", "section 4, table 2"
+
+
+def step(protocol: Protocol, hexed: str) -> Step:
+    """A frame in hex as a step; one that is shorter than it announces is cut."""
+    frame = bytes.fromhex(hexed)
+    identity, length = protocol.headers[frame[0]]
+    if len(frame) - 1 < length:
+        return truncated_frame(protocol, identity, length, frame[1:])
+    return complete_frame(protocol, frame[0], frame[1:])
+
+
+def burst(protocol: Protocol, *frames: str, **more: Any) -> Burst:
+    return Burst(tuple(step(protocol, frame) for frame in frames), **more)
+
+
+def hand_made(
+    protocol: Protocol, *bursts: Burst | str, setup: tuple[str, ...] = ()
+) -> SequenceCase:
+    """A walk of bursts; a frame in hex is a burst of its own."""
+    made = tuple(b if isinstance(b, Burst) else burst(protocol, b) for b in bursts)
+    before = tuple(step(protocol, frame) for frame in setup)
+    return SequenceCase("sequence/hand-made", CLAUSE, REQUIREMENT, before, made)
+
+
+def at_frame(hexed: str, change: React) -> Fault:
+    """A device that reacts otherwise to one frame, and behaves well else."""
+    frame = bytes.fromhex(hexed)
+
+    def react(device: Any, event: Event, reaction: Reaction) -> Reaction:
+        return change(device, event, reaction) if event.judgement.frame == frame else reaction
+
+    return Fault("x", "test", "", react=react)
+
+
+@dataclass
+class Walked:
+    """What came of walking once: the books, what went wrong, and the case's result."""
+
+    run: RunState
+    mismatch: Mismatch | None
+    result: CaseResult
+    link: CountingLink
+
+
+def run_once(
+    device: Any,
+    protocol: Protocol,
+    case: SequenceCase,
+    *,
+    observability: Observability = ALL_SEEING,
+    timers: Timers | None = None,
+    profile: Profile | None = None,
+    link: type[CountingLink] = CountingLink,
+) -> Walked:
+    """Home, walk, and home again, which makes the result final."""
+    line = link(device)
+    run = RunState(
+        protocol,
+        timers or Timers(),
+        observability,
+        begin=lambda ident: None,
+        report=lambda result: None,
+        profile=profile or Profile(truncation_timeout=50 * MS),
+    )
+
+    def script() -> Procedure[Mismatch | None]:
+        yield from home(run)
+        yield from see_motions(run)
+        found = yield from run_sequence(run, case)
+        yield from home(run)
+        return found
+
+    mismatch = drive(script(), line, lambda: False)
+    (result,) = [r for r in run.results if r.id == case.id]
+    return Walked(run, mismatch, result, line)

@@ -1,0 +1,139 @@
+"""Real lines for tests: ptys to sniff, a robot on a pty, and the command while it runs."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.spec.codec import judge
+from bilprov.spec.framing import Framer
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.signals import ignoring
+
+PATIENCE = 20.0  # s; a test that waits longer hangs
+
+
+def json_lines(output: bytes) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in output.splitlines()]
+
+
+class Running:
+    """The command while it runs."""
+
+    def __init__(self, *arguments: str) -> None:
+        with ignoring():
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "bilprov", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                cwd=ROOT,
+            )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self.stdout, self.stderr = self.process.stdout, self.process.stderr
+
+    def wait_for(self, path: Path) -> None:
+        """Wait until the capture exists: from then on the ports are open."""
+        give_up = time.monotonic() + PATIENCE
+        while not path.exists():
+            assert self.process.poll() is None, self.stderr.read().decode()
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+
+    def end(self, how: signal.Signals = signal.SIGINT) -> tuple[int, bytes, bytes]:
+        """Stop it; gives exit code, standard output and standard error."""
+        self.process.send_signal(how)
+        return self.result()
+
+    def result(self) -> tuple[int, bytes, bytes]:
+        """Wait for its end."""
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, out, err
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Running]:
+    command = Running(*arguments)
+    try:
+        yield command
+    finally:
+        if command.process.poll() is None:
+            command.process.kill()
+        command.process.wait()
+        command.stdout.close()
+        command.stderr.close()
+
+
+class PtyRobot:
+    """A device that judges by the protocol; `wrong` maps frames to other answers."""
+
+    def __init__(self, protocol: Protocol, wrong: dict[bytes, int] | None = None) -> None:
+        self.frames: list[bytes] = []
+        self._protocol = protocol
+        self._wrong = wrong or {}
+        self._framer = Framer(protocol.lengths, 50_000_000)
+        self._answers = bytearray()
+
+    def receive(self, data: bytes, now: int) -> None:
+        self._take(self._framer.feed(data, now))
+
+    def advance(self, now: int) -> bytes:
+        self._take(self._framer.advance(now))
+        answers = bytes(self._answers)
+        self._answers.clear()
+        return answers
+
+    def deadline(self) -> int | None:
+        return self._framer.deadline
+
+    def probe(self, now: int) -> bytes:
+        return b"{}"
+
+    def _take(self, records: Any) -> None:
+        for record in records:
+            self.frames.append(record.data)
+            code = judge(self._protocol, record.data).response.code
+            self._answers.append(self._wrong.get(record.data, code))
+
+
+@contextmanager
+def served(robot: PtyRobot) -> Iterator[str]:
+    """Serve a robot on a pty; gives the pty's name."""
+    names: list[str] = []
+    ready = threading.Event()
+
+    def announce(name: str) -> None:
+        names.append(name)
+        ready.set()
+
+    with Stopper() as stopper:
+        thread = threading.Thread(
+            target=serve,
+            args=(robot,),
+            kwargs={
+                "pty": True,
+                "listen": None,
+                "probe_listen": None,
+                "announce": announce,
+                "stop": stopper,
+            },
+        )
+        thread.start()
+        try:
+            assert ready.wait(PATIENCE)
+            yield names[0]
+        finally:
+            stopper.stop()
+            thread.join(PATIENCE)
