@@ -14,6 +14,7 @@ def moves(spec: InstructionSpec) -> bool:
     return spec.effect.motion not in (None, Motion.STOPPED)
 
 
+@lru_cache(maxsize=1 << 8)
 def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
     """Return the instruction without data that sets this kind of motion, None if there is none."""
     return next(
@@ -39,6 +40,7 @@ def setting(protocol: Protocol, variable: str, value: int) -> bytes:
     return b""
 
 
+@lru_cache(maxsize=1 << 4)
 def moving_motions(protocol: Protocol) -> tuple[Motion, ...]:
     """Return the kinds of motion, except stopped, that an instruction without data sets."""
     found = {spec.effect.motion for spec in protocol.instructions if not spec.fields}
@@ -54,6 +56,7 @@ def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
     )
 
 
+@lru_cache(maxsize=1 << 4)
 def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
     """Return the instructions without data that set the robot moving."""
     return tuple(s for s in protocol.instructions if not s.fields and moves(s))

@@ -13,14 +13,13 @@ from itertools import cycle
 from bilprov.conformance.cases.steps import (
     FrameClass,
     Step,
-    bad_data_frame,
+    bad_data_frames,
     truncated_frame,
     unused_id_frame,
-    valid_frame,
+    valid_frames,
     wrong_length_frame,
 )
 from bilprov.spec.by_effect import movers
-from bilprov.spec.codec import all_data, bad_data
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 TOO_MANY, TOO_FEW = "too-many", "too-few"
@@ -48,10 +47,9 @@ class Inputs:
         few = [(s.id, n) for s in protocol.instructions for n in lengths if n < s.length]
         self._add(TOO_MANY, many)
         self._add(TOO_FEW, few)
-        bads = [(s, data) for s in protocol.instructions for data in bad_data(s)]
-        if bads:
-            steps = [bad_data_frame(protocol, spec, data) for spec, data in bads]
-            self._supplies[FrameClass.BAD_DATA] = cycle(self._shuffled(steps))
+        bad = [step for s in protocol.instructions for step in bad_data_frames(protocol, s.name)]
+        if bad:
+            self._supplies[FrameClass.BAD_DATA] = cycle(self._shuffled(bad))
         self.kinds = tuple(self._supplies)
         self._supplies[FrameClass.TRUNCATED] = cycle(self._shuffled(list(self._cuts())))
         self.valid_kinds = tuple(spec.name for spec in protocol.instructions)
@@ -72,17 +70,19 @@ class Inputs:
         return self._draw.sample(values, len(values))
 
     def _valid(self, spec: InstructionSpec) -> Iterator[Step]:
-        values = [
-            {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
-            for data in all_data(spec)
+        steps = valid_frames(self._protocol, spec.name)
+        limits = {f.name: (f.low, f.high) for f in spec.fields}
+        ends = [
+            step
+            for step in steps
+            if all(value in limits[name] for name, value in step.frame_effect.values.items())
         ]
-        ends = [v for v in values if all(v[f.name] in (f.low, f.high) for f in spec.fields)]
         # The ends of a range come more often than the rest: counters and signs turn over there.
         while True:
-            for index, value in enumerate(self._draw.sample(values, len(values))):
-                yield valid_frame(self._protocol, spec, value)
-                if index % 6 == 5 and len(values) > 2 * len(ends):
-                    yield valid_frame(self._protocol, spec, self._draw.choice(ends))
+            for index, step in enumerate(self._draw.sample(steps, len(steps))):
+                yield step
+                if index % 6 == 5 and len(steps) > 2 * len(ends):
+                    yield self._draw.choice(ends)
 
     def _add(self, kind: str, headers: list[tuple[int, int]]) -> None:
         if headers:

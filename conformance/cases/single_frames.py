@@ -15,14 +15,14 @@ from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.steps import (
     FrameClass,
     Step,
-    bad_data_frame,
+    bad_data_frames,
     truncated_frame,
     unused_id_frame,
-    valid_frame,
+    valid_frames,
     wrong_length_frame,
 )
 from bilprov.spec.by_effect import moving_motions
-from bilprov.spec.codec import all_data, bad_data, raw_frame, spaced
+from bilprov.spec.codec import raw_frame, spaced
 from bilprov.spec.motion import WHEELS, Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -99,13 +99,12 @@ def _mark_thorough(found: list[Case]) -> Iterator[Case]:
 
 def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     for spec in protocol.instructions:
-        for data in all_data(spec):
-            values = {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
+        for step in valid_frames(protocol, spec.name):
+            values = step.frame_effect.values
             for _ in range(3):
                 setup = setups.next()
                 if spec.effect.apply(setup, values) != setup:
                     break  # an instruction that changes nothing could not be observed
-            step = valid_frame(protocol, spec, values)
             tail = "".join(f"/{value}" for value in values.values())
             yield Case(
                 id=f"{FrameClass.VALID}/{spec.name}{tail}",
@@ -171,10 +170,10 @@ def _wrong_lengths(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
 
 def _bad_data(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     for spec in protocol.instructions:
-        for data in bad_data(spec):
+        for step in bad_data_frames(protocol, spec.name):
+            data = step.frame[1:]
             raw = int.from_bytes(data, "big")
             what = f"{spec.name} does not take the data {spaced(data)}"
-            step = bad_data_frame(protocol, spec, data)
             yield _faulty(protocol, setups.next(), f"{spec.name}/{raw}", step, what)
 
 
@@ -234,9 +233,7 @@ def _one_of_each(protocol: Protocol) -> dict[str, Step]:
         faults[str(FrameClass.TRUNCATED)] = truncated_frame(
             protocol, carrying.id, carrying.length, b""
         )
-    limited = next((s for s in protocol.instructions if any(True for _ in bad_data(s))), None)
-    if limited:
-        faults[str(FrameClass.BAD_DATA)] = bad_data_frame(
-            protocol, limited, next(iter(bad_data(limited)))
-        )
+    bad = [step for s in protocol.instructions for step in bad_data_frames(protocol, s.name)[:1]]
+    if bad:
+        faults[str(FrameClass.BAD_DATA)] = bad[0]
     return faults

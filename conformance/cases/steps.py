@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import lru_cache
 
 from bilprov.conformance.oracle.choices import POINTS
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
-from bilprov.spec.codec import build, raw_frame
+from bilprov.spec.codec import all_data, bad_data, build, raw_frame
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
@@ -74,6 +75,25 @@ def valid_frame(protocol: Protocol, spec: InstructionSpec, values: Mapping[str, 
     return Step(frame, FrameClass.VALID, accepted, FrameEffect(spec.effect, dict(values)), clause)
 
 
+@lru_cache(maxsize=1 << 6)
+def valid_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
+    """The instruction with valid data, over the whole range of each field."""
+    spec = protocol.by_name[name]
+    every = (
+        {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
+        for data in all_data(spec)
+    )
+    return tuple(valid_frame(protocol, spec, values) for values in every)
+
+
+@lru_cache(maxsize=1 << 6)
+def bad_data_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
+    """The instruction with data of the right length, one field of which is out of its range."""
+    spec = protocol.by_name[name]
+    return tuple(bad_data_frame(protocol, spec, data) for data in bad_data(spec))
+
+
+@lru_cache(maxsize=1 << 12)
 def unused_id_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """An unused ID with `length` data bytes, all of which follow."""
     others = _others(protocol, "R-unused-length", Outcome.TOO_MANY, Outcome.TOO_FEW)
@@ -89,6 +109,7 @@ def unused_id_frame(protocol: Protocol, identity: int, length: int, data: bytes)
     )
 
 
+@lru_cache(maxsize=1 << 12)
 def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, data: bytes) -> Step:
     """A known instruction that announces another length than its own; all `length` bytes follow."""
     many = length > spec.length
@@ -128,6 +149,7 @@ def bad_data_frame(protocol: Protocol, spec: InstructionSpec, data: bytes) -> St
     )
 
 
+@lru_cache(maxsize=1 << 13)
 def truncated_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """A frame of which only `data` arrive, fewer bytes than the `length` it announces."""
     spec = protocol.by_id.get(identity)

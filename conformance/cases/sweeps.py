@@ -9,9 +9,14 @@ from typing import TypeVar
 from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
 from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import Step, bad_data_frame, complete_frame, valid_frame
+from bilprov.conformance.cases.steps import (
+    Step,
+    bad_data_frames,
+    complete_frame,
+    valid_frame,
+    valid_frames,
+)
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
-from bilprov.spec.codec import all_data, bad_data
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -27,11 +32,7 @@ def data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
         for spec in protocol.instructions:
             if spec.effect.sets("motion") or not spec.fields:
                 continue
-            values = [
-                {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
-                for data in all_data(spec)
-            ]
-            bursts = [Burst((valid_frame(protocol, spec, value),)) for value in values]
+            bursts = [Burst((step,)) for step in valid_frames(protocol, spec.name)]
             what = f"{spec.name} takes every value while the robot moves ({motion.value})"
             name = f"sequence/data/{spec.name}-{motion.value}"
             yield from _sequences(protocol, name, what, motion, bursts)
@@ -42,7 +43,7 @@ def bad_data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     for motion in moving_motions(protocol):
         mover = moving_to(protocol, motion)
         for spec in protocol.instructions:
-            steps = [bad_data_frame(protocol, spec, data) for data in bad_data(spec)]
+            steps = bad_data_frames(protocol, spec.name)
             if steps and mover is not None:
                 what = f"{spec.name} refuses what is out of range, and stops ({motion.value})"
                 name = f"sequence/bad-data/{spec.name}-{motion.value}"

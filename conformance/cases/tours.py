@@ -39,7 +39,7 @@ class Tours:
         self._protocol = protocol
         self._draw = random.Random(f"tours {seed}")
         self._inputs = Inputs(protocol, seed)
-        self._met: set[tuple[object, ...]] = set()
+        self._met: dict[tuple[object, ...], set[str]] = {}  # the kinds met in each context
         limits = protocol.limits
         self._fast = limits.get("speed", (0, 0))[1]
         self._leds = limits.get("led", (0, 0))
@@ -72,11 +72,12 @@ class Tours:
         """The next frame of a left-alone sequence: a kind that is new in this motion, if any is."""
         kinds = (*self._inputs.kinds, CUT)
         motion = where.state.visible_motion
-        new = [k for k in kinds if (8, k, motion) not in self._met]
+        met = self._met.setdefault((8, motion), set())
+        new = [k for k in kinds if k not in met]
         if not new and motion is Motion.STOPPED and self._inputs.movers:
             new = list(self._inputs.movers)
         kind = self._draw.choice(new or kinds)
-        self._met.add((8, kind, motion))
+        met.add(kind)
         return self._go(where, self._inputs.next(kind), kind)
 
     def _cut(self, where: _Where) -> Step:
@@ -140,7 +141,8 @@ class Tours:
 
     def _go(self, where: _Where, step: Step, kind: str) -> Step:
         effect = step.frame_effect.effect or self._protocol.on_fault
-        self._met.update(self._tuples(where, kind))
+        for met in self._kinds_met(where):
+            met.add(kind)
         where.state = effect.apply(where.state, dict(step.frame_effect.values))
         where.before, where.last = where.last, kind
         return step
@@ -157,8 +159,9 @@ class Tours:
         if draw.random() < _RANDOM:
             return draw.choice(inputs.kinds)
         best, most = inputs.kinds[0], -1.0
+        contexts = self._kinds_met(where)
         for kind in inputs.kinds:
-            gain = draw.random() + len([t for t in self._tuples(where, kind) if t not in self._met])
+            gain = draw.random() + len([met for met in contexts if kind not in met])
             if gain > most:
                 best, most = kind, gain
         return best
@@ -166,20 +169,22 @@ class Tours:
     def _sets_speed(self, kind: str) -> bool:
         return self._protocol.by_name[kind].effect.sets("speed")
 
-    def _tuples(self, where: _Where, kind: str) -> tuple[tuple[object, ...], ...]:
+    def _kinds_met(self, where: _Where) -> list[set[str]]:
+        """The kinds of frames met so far in each context of this position."""
         state = where.state
         motion, moving = state.motion, state.moving
         side = (state.steering > 0) - (state.steering < 0)
-        return (
-            (0, kind, motion, moving),
-            (1, kind, where.last),
-            (2, kind, where.last, motion),
-            (3, kind, side, motion),
-            (4, kind, state.led),
-            (5, kind, where.last, where.before),
-            (6, kind, state.led, motion),
-            (7, kind, 2 * state.speed > self._fast, side),
+        contexts = (
+            (0, motion, moving),
+            (1, where.last),
+            (2, where.last, motion),
+            (3, side, motion),
+            (4, state.led),
+            (5, where.last, where.before),
+            (6, state.led, motion),
+            (7, 2 * state.speed > self._fast, side),
         )
+        return [self._met.setdefault(context, set()) for context in contexts]
 
 
 def _as_step(protocol: Protocol, frame: bytes) -> Step:
