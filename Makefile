@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
+# Without its cache of compiled files each start of Python would take two seconds, not a half.
+export PYTHONDONTWRITEBYTECODE :=
 PYTEST_ARGS ?= -n 3 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \

@@ -82,7 +82,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_wheel_holds_one_package_and_all_of_it(site: Path) -> None:
+def holds_one_package_and_all_of_it(site: Path) -> None:
     code = "import bilprov.conformance.report.html as h; print(h.__path__[0])"
     page = Path(run(site / "venv/bin/python", "-c", code, cwd=site / "project").strip())
 
@@ -100,24 +100,24 @@ def test_the_wheel_holds_one_package_and_all_of_it(site: Path) -> None:
         assert (installed / data).exists()
 
 
-def test_the_command_runs(site: Path) -> None:
+def runs_the_command(site: Path) -> None:
     for start in (["venv/bin/bilprov"], ["venv/bin/python", "-m", "bilprov"]):
         out = run(site / start[0], *start[1:], "decode", "11", "ff", cwd=site / "project")
         assert "Speed speed=255" in out
 
 
-def test_a_script_runs_beside_the_users_own_modules(site: Path) -> None:
+def runs_a_script(site: Path) -> None:
     assert run(site / "venv/bin/python", "drive.py", cwd=site / "project") == "LED\n"
 
 
-def test_a_script_is_type_checked(site: Path) -> None:
+def type_checks_a_script(site: Path) -> None:
     mypy = (sys.executable, "-m", "mypy", "--strict", "--no-incremental")
     python = f"--python-executable={site / 'venv/bin/python'}"
 
     assert "Success" in run(*mypy, python, "drive.py", cwd=site / "project")
 
 
-def test_the_pytest_plugin_runs_beside_the_users_own_tests(site: Path) -> None:
+def runs_the_users_tests(site: Path) -> None:
     pytested = (
         "-m",
         "pytest",
@@ -133,3 +133,13 @@ def test_the_pytest_plugin_runs_beside_the_users_own_tests(site: Path) -> None:
     out = run(site / "venv/bin/python", *pytested, *only, cwd=site / "project")
 
     assert "passed" in out
+
+
+@pytest.mark.timeout(300)
+def test_the_installed_wheel_works_beside_the_users_own_modules(site: Path) -> None:
+    # One test, so that no second process builds the wheel again.
+    holds_one_package_and_all_of_it(site)
+    runs_the_command(site)
+    runs_a_script(site)
+    type_checks_a_script(site)
+    runs_the_users_tests(site)

@@ -109,8 +109,8 @@ def _left_alone(run: RunState, due: int, sent: int) -> Procedure[Received]:
 def _judge(run: RunState, step: Step, code: int | None) -> Mismatch | None:
     codes = () if code is None else (code,)
     match = next((a for a in step.accepted if a.codes == codes), None)
-    expected = answer_words(run.protocol, step.accepted[0].codes)
     if match is None:
+        expected = answer_words(run.protocol, step.accepted[0].codes)
         if code is None:
             return _wrong(run, step, expected, codes, "no answer came")
         unused = "" if code in run.protocol.codes else ", a code that no device sends"
@@ -120,6 +120,7 @@ def _judge(run: RunState, step: Step, code: int | None) -> Mismatch | None:
         word = match.word or POINTS[step.point].default
         contradicts = run.profile.choices.record(step.point, word, run.open_id)
         if contradicts:
+            expected = answer_words(run.protocol, step.accepted[0].codes)
             reading = POINTS[step.point].reading
             return _wrong(run, step, expected, codes, contradicts, reading)
     _rests(run, match)

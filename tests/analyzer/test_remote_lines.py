@@ -134,6 +134,7 @@ def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> Non
 
 
 @AVR
+@pytest.mark.sample(2)
 @lines
 def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
     with emulate(built()) as served, behind(served.port, tmp_path) as url:
@@ -143,6 +144,7 @@ def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
 
 
 @AVR
+@pytest.mark.sample(2)
 @lines
 def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path: Path) -> None:
     firmware = built("-DBUG_STOP_KEEPS_PWM")
@@ -166,6 +168,7 @@ def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
     assert result.returncode in codes, (result.stdout + result.stderr).decode()
 
 
+@pytest.mark.sample(2)
 @lines
 def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> None:
     faulty = simulate("--fault", "ok-to-bad-data", pty=True)

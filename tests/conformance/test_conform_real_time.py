@@ -90,7 +90,7 @@ FAULTS = [
 EITHER = {"late-second-answer": ("reading/", "line/"), "answers-at-header": ("line/",)}
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
 def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
     protocol: Protocol, fault: str, only: list[str], code: int
@@ -187,7 +187,7 @@ DEAR = [
 ]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("fault", "only", "code"), DEAR, ids=lambda value: str(value)[:30])
 def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time(
     protocol: Protocol, tmp_path: Path, fault: str, only: list[str], code: int

@@ -301,7 +301,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize(("arguments", "words"), WRONG)
 def test_wrong_use_is_one_sentence(
     run: pytest.Pytester, arguments: tuple[str, ...], words: str

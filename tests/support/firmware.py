@@ -65,8 +65,17 @@ def make(out: Path, target: str, *words: str) -> None:
 
 
 @cache
+def _header() -> Path:
+    """The C header of the grammar, which every firmware includes."""
+    out = Path(tempfile.mkdtemp(prefix="bilprov-header-"))
+    make(out, f"{out}/protocol.h")
+    return out / "protocol.h"
+
+
+@cache
 def built(switches: str = "", target: str = "uno") -> Path:
     """The ELF file, built once with these `-D` switches."""
     out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
+    shutil.copy2(_header(), out)
     make(out, target, f"BUGS={switches}")
     return out / f"{target}.elf"

@@ -186,7 +186,7 @@ def test_what_shows_only_after_power_on_fails_the_cases_that_are_meant_to_catch_
     assert {ident for ident in failed if not matching(ident, fault.caught_by)} == set()
 
 
-@pytest.mark.sample(16)
+@pytest.mark.sample(10)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, fault in BANK.items() if by_single_frames(fault)])
 def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, name: str) -> None:
@@ -223,6 +223,7 @@ def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, 
     assert at_rest(device) or name in ("stop-does-nothing", "restarts-by-itself")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_reference_passes_everything_and_nothing_is_inconclusive(

@@ -26,13 +26,10 @@ pytestmark = pytest.mark.slow
 FEW = ("ok-to-bad-data", "sent-ahead-merged", "echo", "never-moves", "no-stop-after-65536-frames")
 
 
-@pytest.fixture(scope="module")
-def few(protocol: Protocol) -> Score:
-    return score(protocol, chosen_faults(protocol, 0, FEW), most=2000)
-
-
-@pytest.mark.slow
-def test_each_fault_is_caught_as_it_must_be(few: Score) -> None:
+def test_each_fault_is_caught_as_it_must_be_and_the_groups_that_fail_are_named(
+    protocol: Protocol,
+) -> None:
+    few = score(protocol, chosen_faults(protocol, 0, FEW), most=2000)
     (level,) = few.levels
     caught = {name: result.caught for name, result in few.at(level).items()}
 
@@ -43,10 +40,6 @@ def test_each_fault_is_caught_as_it_must_be(few: Score) -> None:
     assert few.soak == ("no-stop-after-65536-frames",)
     assert few.reference == {level: "pass"}
     assert few.bytes[level] > 10_000
-
-
-def test_the_groups_that_fail_are_named(few: Score) -> None:
-    (level,) = few.levels
     result = few.at(level)["ok-to-bad-data"]
 
     assert result.groups == ("bad-data", "recovery")
