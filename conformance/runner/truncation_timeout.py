@@ -65,6 +65,10 @@ def measure_timeout(run: RunState) -> Procedure[None]:
     best = alike[0]
     times = [one.timeout for one in alike if one.timeout is not None]
     run.profile.truncation_timeout = min(times) if times else None
+    every = [one.timeout for one in made if one.timeout is not None]
+    spread = max(every, default=0) - min(every, default=0)
+    if spread > _JITTER:  # pauses come out longer by that much too
+        run.profile.jitter = max(spread, run.profile.jitter or 0)
     run.profile.truncation_answered = bool(best.result.received)
     result = best.result
     if len(alike) < len(made) or (best.failed and len(alike) <= _TWICE):

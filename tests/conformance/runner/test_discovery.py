@@ -378,6 +378,36 @@ def test_a_time_out_that_the_line_cannot_resolve_is_not_judged(
     assert verdict is PASS or "too short for pauses" in found.reason
 
 
+class OneLate(CountingLink):
+    """A line on which the first answer to a truncated frame comes later, by 40 ms."""
+
+    sent = 0
+    late = 40 * MS
+
+    def do(self, ask: Operation) -> int | Received | Observation:
+        reply = super().do(ask)
+        if isinstance(reply, int):
+            self.sent = reply
+        elif isinstance(reply, Received) and reply.answers:
+            late = self.late if reply.answers[0][0] - self.sent > 30 * MS else 0
+            self.late -= late
+            answers = tuple((t + late, code) for t, code in reply.answers)
+            return Received(answers, reply.now + late)
+        return reply
+
+
+def test_where_the_time_out_is_not_measured_twice_alike_pauses_inside_it_tell_nothing(
+    protocol: Protocol,
+) -> None:
+    run = probed(protocol, None, link=OneLate)
+
+    (measured,) = [r for r in run.results if r.id == "timing/truncation-timeout"]
+    assert measured.verdict is INCONCLUSIVE
+    found = readings(run)["reading/truncation-timeout"]
+    assert found.verdict is INFORMATIONAL
+    assert "too short for pauses" in found.reason
+
+
 @pytest.mark.parametrize("time", [1, 2])
 def test_a_probe_that_showed_another_thing_once_is_inconclusive(
     protocol: Protocol, time: int
