@@ -15,9 +15,15 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import dropped, within
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.duration import before_the_cases, seconds
-from bilprov.conformance.cases.levels import LEVELS, AnyCase, level_cases
+from bilprov.conformance.cases.levels import (
+    LEVELS,
+    SEQUENCE_PREFIXES,
+    AnyCase,
+    level_cases,
+    single_cases,
+)
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, share
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, reaches, share
 from bilprov.conformance.dut.checked_device import CheckedDevice
 from bilprov.conformance.dut.link import Device, Link, LinkListener, drive
 from bilprov.conformance.dut.port_link import PortLink
@@ -100,7 +106,10 @@ def select_cases(
     if None. Raises ValueError when `only` matches none of these cases and none of the opening ones,
     and for a shard that there is not.
     """
-    cases = level_cases(grammar, options.level, options.seed, options.soak)
+    if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
+        cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
+    else:
+        cases = level_cases(grammar, options.level, options.seed, options.soak)
     if options.only:
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))

@@ -95,19 +95,29 @@ DEEP = Level(
 LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP)}
 
 
+SEQUENCE_PREFIXES = ("sequence/", "pipelined/", "split/")
+"""What the id of a sequence begins with."""
+
+
 @lru_cache(maxsize=8)
 def level_cases(protocol: Protocol, name: str, seed: int, soaked: int = 0) -> tuple[AnyCase, ...]:
     """All cases of a level, in the order in which they run.
 
     `soaked` is how many faults more to send at the end.
     """
+    return (
+        *single_cases(protocol, name, seed),
+        *_sequences(protocol, LEVELS[name], seed),
+        *(soak(protocol, seed, soaked) if soaked else ()),
+    )
+
+
+@lru_cache(maxsize=8)
+def single_cases(protocol: Protocol, name: str, seed: int) -> tuple[Case, ...]:
+    """The cases of a level that are no sequences: they come first, and are soon made."""
     level = LEVELS[name]
-    found: list[AnyCase] = []
     singles = all_cases(protocol, seed, every_cut=level.singles == "all")
-    found += _few(singles) if level.singles == "few" else singles
-    found += _sequences(protocol, level, seed)
-    found += soak(protocol, seed, soaked) if soaked else ()
-    return tuple(found)
+    return tuple(_few(singles)) if level.singles == "few" else singles
 
 
 def _few(singles: Sequence[Case]) -> Iterator[Case]:

@@ -23,6 +23,7 @@ CONDITIONAL_CASES = (
 """Cases that a run has only where they fail, or where an option asks for them."""
 
 _WILD = frozenset("*?[")
+_WILD_FROM = re.compile(r"[*?[]")
 _SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")
 
 
@@ -35,6 +36,12 @@ def matching(globs: Iterable[str]) -> Callable[[str], bool]:
     exact = frozenset(words)
     wild = tuple(word for word in words if _WILD.intersection(word))
     return lambda ident: ident in exact or any(fnmatchcase(ident, glob) for glob in wild)
+
+
+def reaches(globs: Iterable[str], prefixes: Iterable[str]) -> bool:
+    """Whether one of the globs may match an id that begins with one of the prefixes."""
+    heads = [_WILD_FROM.split(glob, maxsplit=1)[0] for glob in globs]
+    return any(p.startswith(head) or head.startswith(p) for p in prefixes for head in heads)
 
 
 def shard_named(text: str) -> tuple[int, int]:

@@ -305,7 +305,7 @@ def test_only_the_first_violations_are_listed_and_all_are_counted(protocol: Prot
 SHIFTING = ("R-drain", "R-pipelining=lost", "R-truncation-timeout=whole", "R-unsolicited=banner")
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in variants(DOCUMENT) if not n.startswith(SHIFTING)])
 def test_no_legal_variant_is_accused(name: str, protocol: Protocol) -> None:
@@ -327,7 +327,7 @@ OTHERS = ("stays-dead-after-fault", "moves-at-power-on", "bad-data-shown", "stee
 SHOWN_BY_ONE_FRAME = ("answer", "stop", "parsing", "motion", "setting", "line")
 
 
-@pytest.mark.sample(20)
+@pytest.mark.sample(12)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, f in BANK.items() if f.family in SHOWN_BY_ONE_FRAME])
 def test_a_faulty_device_is_found_by_its_answers_and_its_stops(

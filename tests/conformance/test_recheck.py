@@ -59,6 +59,7 @@ FAMILIES = {fault.family: name for name, fault in BANK.items()}
 FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
 
 
+@pytest.mark.sample(16)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEW_OF_EACH)
 def test_a_faulty_device_comes_out_as_faulty_as_it_was(

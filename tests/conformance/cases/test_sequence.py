@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 
 import pytest
 
-from bilprov.conformance.cases.levels import LEVELS, level_cases
+from bilprov.conformance.api import Options, select_cases
+from bilprov.conformance.cases.levels import (
+    LEVELS,
+    SEQUENCE_PREFIXES,
+    level_cases,
+    single_cases,
+)
+from bilprov.conformance.cases.selection import reaches
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak
@@ -331,6 +339,40 @@ def test_each_level_holds_the_ids_of_the_one_before(protocol: Protocol) -> None:
     )
 
     assert smoke < standard < deep
+
+
+def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol: Protocol) -> None:
+    for level in LEVELS:
+        cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)
+
+        assert cases[: len(singles)] == singles
+        assert all(isinstance(case, SequenceCase) for case in cases[len(singles) :])
+        ids = [case.id for case in cases if case.id.startswith(SEQUENCE_PREFIXES)]
+        assert ids == [case.id for case in cases[len(singles) :]]
+
+
+@pytest.mark.parametrize(
+    ("glob", "reached"),
+    [
+        ("valid/LED/1", False),
+        ("valid/*", False),
+        ("bad-data/LED/?", False),
+        ("split/tour/001", True),
+        ("split/*", True),
+        ("*/tour/00[12]", True),
+        ("[p]ipelined/tour/*", True),
+        ("s*", True),
+    ],
+)
+def test_a_glob_chooses_the_same_whether_or_not_the_sequences_are_made(
+    protocol: Protocol, glob: str, reached: bool
+) -> None:
+    every = [case for case in level_cases(protocol, "standard", 1) if fnmatchcase(case.id, glob)]
+
+    chosen = select_cases(protocol, Options(only=(glob,)))
+
+    assert list(chosen) == every != []
+    assert reaches([glob], SEQUENCE_PREFIXES) is reached
 
 
 def test_the_same_seed_makes_the_same_walks(protocol: Protocol, grammar_text: str) -> None:
