@@ -6,7 +6,7 @@ STAMP := $(VENV)/.ready
 SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
 # Without its cache of compiled files each start of Python would take two seconds, not a half.
 export PYTHONDONTWRITEBYTECODE :=
-PYTEST_ARGS ?= -n 3 --dist worksteal
+PYTEST_ARGS ?= -n 4 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
 	gcc-arm-none-eabi qemu-system-arm ser2net socat

@@ -250,6 +250,7 @@ QUIET = [
 ]
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("arguments", QUIET, ids=lambda words: words[0])
 def test_any_other_command_ends_quietly_when_nobody_reads(arguments: tuple[str, ...]) -> None:
     both, alone = (

@@ -220,7 +220,7 @@ def test_every_subcommand_is_where_the_table_says(name: str) -> None:
 
 @pytest.mark.parametrize("name", front_door.COMMANDS)
 def test_every_subcommand_explains_itself(name: str) -> None:
-    result = process(name, "--help")
+    result = command(name, "--help")
     assert (result.returncode, result.stderr) == (0, b"")
     shown = result.stdout.decode()
     assert f"Usage: bilprov {name}" in shown

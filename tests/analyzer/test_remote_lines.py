@@ -154,6 +154,7 @@ def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path:
     assert result.returncode == 1, (result.stdout + result.stderr).decode()
 
 
+@pytest.mark.sample(1)
 @AVR
 @pytest.mark.parametrize(("bug", "codes"), [("", (0, 3)), ("-DBUG_STOP_KEEPS_PWM", (1, 3))])
 @pytest.mark.timeout(200)
