@@ -134,7 +134,7 @@ def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> Non
 
 
 @AVR
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @lines
 def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
     with emulate(built()) as served, behind(served.port, tmp_path) as url:
@@ -144,7 +144,7 @@ def test_a_board_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
 
 
 @AVR
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @lines
 def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path: Path) -> None:
     firmware = built("-DBUG_STOP_KEEPS_PWM")

@@ -579,6 +579,7 @@ class Conforming:
         return self.process.returncode, out.decode(), err.decode()
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     tmp_path: Path, number: signal.Signals
@@ -603,6 +604,7 @@ def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     assert not open_capture(capture).unfinished
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_ctrl_c_after_a_failure_ends_with_1(number: signal.Signals) -> None:
     with simulate("--fault", "ok-to-unknown-id") as robot:

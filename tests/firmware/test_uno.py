@@ -260,9 +260,10 @@ def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still()
 
 
 @pytest.mark.slow
-def test_the_suite_passes_the_clean_build() -> None:
+def test_the_suite_passes_the_clean_build(pytestconfig: pytest.Config) -> None:
     board = SimavrBoard(built())
-    report = conform(board, options=Options(level="standard"), name="uno")
+    level = "standard" if pytestconfig.getoption("--whole") else "smoke"
+    report = conform(board, options=Options(level=level), name="uno")
     board.close()
 
     assert report.exit == 0

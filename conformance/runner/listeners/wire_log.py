@@ -14,7 +14,9 @@ log); it packs to 0.3 MB.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from itertools import groupby
+from operator import itemgetter
 
 import msgspec
 
@@ -31,30 +33,32 @@ WIDEST = 64
 """Bytes that are kept of one write or read."""
 
 
+Entry = tuple[int, str, bytes | str]
+"""The link's time (ns), the kind, and the bytes or words of an entry."""
+
+
 class _Log:
-    """The log of one case, its middle left out where it is too long. Times are the link's (ns)."""
+    """The log of one case, its middle left out where it is too long."""
 
     def __init__(self) -> None:
-        self._head: list[WireEvent] = []
-        self._tail: deque[WireEvent] = deque(maxlen=TAIL)
+        self._head: list[Entry] = []
+        self._tail: deque[Entry] = deque(maxlen=TAIL)
         self._late = 0
 
-    def add(self, event: WireEvent) -> None:
+    def add(self, entry: Entry) -> None:
         if len(self._head) < HEAD:
-            self._head.append(event)
+            self._head.append(entry)
         else:
-            self._tail.append(event)
+            self._tail.append(entry)
             self._late += 1
 
-    def events(self) -> tuple[WireEvent, ...]:
-        """The entries, their times counted from the first one."""
-        events = [*self._head, *self._tail]
+    def entries(self) -> list[Entry]:
+        """The entries that were kept, and one that says how many were not."""
         left_out = self._late - len(self._tail)
-        if left_out:
-            words = f"{left_out} entries are left out here"
-            events.insert(HEAD, WireEvent(self._head[-1].t, "clipped", look=words))
-        start = events[0].t if events else 0
-        return tuple(WireEvent(max(e.t - start, 0), e.kind, e.hex, e.look) for e in events)
+        if not left_out:
+            return [*self._head, *self._tail]
+        words = f"{left_out} entries are left out here"
+        return [*self._head, (self._head[-1][0], "clipped", words), *self._tail]
 
 
 class WireLog:
@@ -62,7 +66,7 @@ class WireLog:
 
     def __init__(self) -> None:
         self._open: _Log | None = None
-        self._logs: dict[str, _Log | tuple[WireEvent, ...]] = {}
+        self._logs: dict[str, _Log | list[Entry]] = {}
 
     def over(self, link: Link) -> Link:
         """The same link, logged."""
@@ -74,13 +78,13 @@ class WireLog:
 
     def heard(self, heard: Received) -> None:
         """Bytes that came from it; those that came together are one entry."""
-        for t, entries in groupby(heard.answers, key=lambda entry: entry[0]):
-            self._bytes("received", bytes(code for _, code in entries), t)
+        for t, entries in groupby(heard.answers, key=itemgetter(0)):
+            self._bytes("received", bytes([code for _, code in entries]), t)
 
     def looked(self, look: Look) -> None:
         """A reading of the probe."""
         if self._open:
-            self._open.add(WireEvent(look.t, "look", look=look_words(look)))
+            self._open.add((look.t, "look", look_words(look)))
 
     def begin(self, ident: str) -> None:
         """A case begins: what follows belongs to it. One that is tried again begins anew."""
@@ -88,20 +92,19 @@ class WireLog:
 
     def attached(self, result: CaseResult) -> CaseResult:
         """The result with its log: the case is final. One that never began has an empty log."""
-        log = self._logs.get(result.id, ())
+        log = self._logs.get(result.id, [])
         if isinstance(log, _Log):
-            log = self._logs[result.id] = log.events()  # what comes later belongs to no case
-        if result.verdict is Verdict.PASS:
-            log = joined(log)
-        return msgspec.structs.replace(result, log=log)
+            log = self._logs[result.id] = log.entries()  # what comes later belongs to no case
+        kept = _joined(log) if result.verdict is Verdict.PASS else log
+        return msgspec.structs.replace(result, log=_events(kept))
 
     def _bytes(self, kind: str, data: bytes, t: int) -> None:
         if not self._open:
             return
-        self._open.add(WireEvent(t, kind, spaced(data[:WIDEST])))
+        self._open.add((t, kind, data[:WIDEST]))
         if len(data) > WIDEST:
             words = f"{len(data) - WIDEST} bytes more are left out here"
-            self._open.add(WireEvent(t, "clipped", look=words))
+            self._open.add((t, "clipped", words))
 
 
 class _Logged:
@@ -121,14 +124,30 @@ class _Logged:
         return reply
 
 
-def joined(log: tuple[WireEvent, ...]) -> tuple[WireEvent, ...]:
+def _joined(log: Iterable[Entry]) -> list[Entry]:
     """The log with answers that follow each other joined to one entry, at the first one's time."""
-    events: list[WireEvent] = []
-    for is_answer, run in groupby(log, key=lambda event: event.kind == "received"):
-        if is_answer:
-            first, *others = run
-            words = " ".join([first.hex, *(event.hex for event in others)])
-            events.append(WireEvent(first.t, first.kind, words))
+    entries: list[Entry] = []
+    answers: list[bytes] = []
+    for entry in log:
+        _, kind, what = entry
+        if kind != "received" or not isinstance(what, bytes):
+            answers = []
+        elif answers:
+            answers.append(what)
+            entries[-1] = (entries[-1][0], kind, b"".join(answers))
+            continue
         else:
-            events += run
-    return tuple(events)
+            answers = [what]
+        entries.append(entry)
+    return entries
+
+
+def _events(log: Sequence[Entry]) -> tuple[WireEvent, ...]:
+    """The log for a report: bytes as hex, times counted from the first entry."""
+    start = log[0][0] if log else 0
+    return tuple(
+        WireEvent(max(t - start, 0), kind, spaced(what))
+        if isinstance(what, bytes)
+        else WireEvent(max(t - start, 0), kind, look=what)
+        for t, kind, what in log
+    )

@@ -105,6 +105,7 @@ def test_a_walk_is_made_as_short_as_it_can_be(protocol: Protocol) -> None:
     assert [symbol.words.split()[0] for symbol in sequence[1:]] == ["LED", "Stop"]
 
 
+@pytest.mark.sample(5)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "word"),
