@@ -86,6 +86,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = _sampled(items, config.getoption("--sample-seed"))
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     waiting = [item for item in items if item.get_closest_marker("waits")]
+    waiting.sort(key=lambda item: not item.get_closest_marker("timeout"))  # the longest first
     others = iter([item for item in items if not item.get_closest_marker("waits")])
     size, takers = len(items) // workers, (workers + 1) // 2
     items.clear()

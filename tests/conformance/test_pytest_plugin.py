@@ -453,6 +453,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
     assert moving is False
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     run: pytest.Pytester, number: signal.Signals

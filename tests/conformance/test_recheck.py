@@ -59,7 +59,7 @@ FAMILIES = {fault.family: name for name, fault in BANK.items()}
 FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
 
 
-@pytest.mark.sample(16)
+@pytest.mark.sample(10)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEW_OF_EACH)
 def test_a_faulty_device_comes_out_as_faulty_as_it_was(
@@ -338,7 +338,7 @@ def test_a_recording_that_was_never_finished_is_judged_as_far_as_it_goes(
     content = faulty.read_bytes()
     path, counts = tmp_path / "cut.mcap", []
     end = content.index(b"profile.json")
-    for at in range(0, end, end // 60):
+    for at in range(0, end, end // 25):
         path.write_bytes(content[:at])
         with suppress(CaptureError):
             found = recheck(str(path))
@@ -455,7 +455,7 @@ def test_options_may_be_anything(faulty: Path, tmp_path: Path, options: dict[str
         {"begun": None},
     ],
 )
-@pytest.mark.parametrize("number", [0, 1, 40])
+@pytest.mark.parametrize("number", [0, 40])
 def test_steps_may_be_anything(
     faulty: Path, tmp_path: Path, number: int, values: dict[str, Any]
 ) -> None:

@@ -186,7 +186,7 @@ def test_what_shows_only_after_power_on_fails_the_cases_that_are_meant_to_catch_
     assert {ident for ident in failed if not matching(ident, fault.caught_by)} == set()
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(6)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, fault in BANK.items() if by_single_frames(fault)])
 def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, name: str) -> None:
