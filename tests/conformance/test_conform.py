@@ -38,7 +38,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.reports import timeless
-from tests.support.robots import PATIENCE, Served, sentence, served_here, simulate
+from tests.support.robots import PATIENCE, Served, judged_exit, sentence, served_here, simulate
 from tests.support.signals import ignoring
 from tests.vectors import FRAME_COUNTS, READING_IDS
 
@@ -391,13 +391,15 @@ def test_a_recording_is_never_overwritten_and_that_is_known_before_anything_move
 
 
 @pytest.mark.parametrize(("typed", "frames"), [(b"n\n", False), (b"y\n", True)])
-def test_on_a_terminal_it_asks_once(protocol: Protocol, typed: bytes, frames: bool) -> None:
-    device = Simulator(protocol)
+def test_on_a_terminal_it_asks_once(
+    protocol: Protocol, typed: bytes, frames: bool, tmp_path: Path
+) -> None:
+    device, file = Simulator(protocol), tmp_path / "report.json"
     with served_here(device) as (port, probe), open_pty() as terminal:
         slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
         start = [sys.executable, "-m", "bilprov", "conform"]
         process = subprocess.Popen(
-            [*start, port, "--probe", probe, "--only", "valid/Stop"],
+            [*start, port, "--probe", probe, "--only", "valid/Stop", "--json", str(file)],
             stdin=slave,
             stderr=slave,
             stdout=subprocess.PIPE,
@@ -413,7 +415,10 @@ def test_on_a_terminal_it_asks_once(protocol: Protocol, typed: bytes, frames: bo
 
     assert b"will drive" in told
     assert (device.frames > 0) is frames
-    assert process.returncode == (0 if frames else 2), out
+    if frames:
+        assert judged_exit(process.returncode, json.loads(file.read_bytes())) == 0, out
+    else:
+        assert (process.returncode, file.exists()) == (2, False), out
 
 
 # -- options --------------------------------------------------------------------------------------

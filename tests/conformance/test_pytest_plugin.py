@@ -34,7 +34,8 @@ Result = pytest.RunResult
 # How -rs lists a case of the time-out that a real line is too coarse for when the machine is busy.
 COARSE = re.compile(
     r"SKIPPED \[(\d+)\] conformance:1: "
-    r"(?:informational|inconclusive): .*(?:time-out|whole-frame|tries do not tell the same)"
+    r"(?:informational|inconclusive): "
+    r".*(?:time-out|whole-frame|between-bytes|tries do not tell the same)"
 )
 
 

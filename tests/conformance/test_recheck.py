@@ -26,7 +26,7 @@ from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.recordings import attachments_of, forged, recorded
-from tests.support.robots import FEW_LOOKS, sentence, simulate
+from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate
 
 SOME = ("bad-data/LED/8", "unused-id/9/*", "wrong-length/*/0", "valid/Speed/25*", "recovery/*")
 
@@ -167,12 +167,13 @@ def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> Non
             *("conform", served.port, "--probe", served.probe, "--yes", "--record", str(run)),
             *("--json", str(report), "--only", "truncated/LED/0", "--only", "unused-id/9/*"),
         )
-    assert ran.returncode == 0, ran.stderr
+    verdict = json.loads(report.read_bytes())["verdict"]
+    assert judged_exit(ran.returncode, json.loads(report.read_bytes())) == 0, ran.stderr
 
     result = command("recheck", str(run), "--json", str(again))
 
     count = len(json.loads(report.read_bytes())["cases"])
-    assert result.stdout.decode() == f"the same: {count} cases, verdict pass\n"
+    assert result.stdout.decode() == f"the same: {count} cases, verdict {verdict}\n"
     assert (result.returncode, result.stderr) == (0, b"")
     made, judged = (json.loads(file.read_bytes()) for file in (report, again))
     # A recording is judged the same whenever and wherever that is done.

@@ -153,7 +153,8 @@ def test_the_choice_of_faults(protocol: Protocol) -> None:
 
 def test_the_command_scores_on_several_processes_and_writes_json() -> None:
     words = [word for name in ("ok-to-bad-data", "echo", "random:1") for word in ("--only", name)]
-    result = command("score", *words, "--random", "1", "--level", "smoke", "--jobs", "2", "--json", "-")
+    words += ("--random", "1", "--level", "smoke")
+    result = command("score", *words, "--jobs", "2", "--json", "-")
 
     told = msgspec.json.decode(result.stdout, type=Score)
     assert [r.name for r in told.results] == ["ok-to-bad-data", "echo", "random:1"]
