@@ -12,6 +12,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.port import Port
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import printable
 from bilprov.conformance.cases.budget import dropped, within
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.duration import before_the_cases, seconds
@@ -104,8 +105,14 @@ def select_cases(
 
     `line` are the line's settings, which decide what a budget and a shard hold; the grammar's own
     if None. Raises ValueError when `only` matches none of these cases and none of the opening ones,
-    and for a shard that there is not.
+    for a glob with characters that no id has, and for a shard that there is not.
     """
+    for glob in options.only:
+        if not glob.isprintable():
+            raise ValueError(
+                f"{printable(glob)} is no glob of case ids, which are letters, digits, - and /; "
+                "see them with --list"
+            )
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
         cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
     else:
