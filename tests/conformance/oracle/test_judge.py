@@ -38,7 +38,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     when,
 )
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state
+from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
@@ -210,6 +210,15 @@ def test_a_slow_answer_of_another_reading_keeps_the_readings_name(
     )
 
     assert (axis.verdict, axis.reading) == (NON_STRICT, "R-unused-length")
+
+
+def test_an_instruction_that_was_lost_keeps_a_verdict_that_is_as_bad_already() -> None:
+    slow = Axis(NON_STRICT, "00 OK", "00 OK", "slow", "R-answer-deadline")
+
+    assert lost(slow) is slow
+    assert lost(Axis(FAIL, "", "", "wrong")).reason == "wrong"
+    told = lost(Axis(PASS, "00 OK", "00 OK"))
+    assert (told.verdict, told.reading) == (NON_STRICT, "R-drain-known")
 
 
 # -- the state axis -------------------------------------------------------------------------------
