@@ -14,6 +14,7 @@ from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import Observation, Operation, Procedure, Received, listen
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_mixture
+from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.faults.vocabulary import answers_with, sets
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import POINTS, Choices, parse_allowed
@@ -245,6 +246,18 @@ def test_a_device_that_shows_two_choices_of_a_state_fails(protocol: Protocol) ->
     assert found["reading/after-stop"].verdict is FAIL
     assert "more than one choice" in found["reading/after-stop"].reason
     assert [i for i, r in found.items() if r.verdict is FAIL] == ["reading/after-stop"]
+
+
+@pytest.mark.parametrize(
+    ("name", "ident"),
+    [("stop-does-nothing", "after-stop"), ("no-stop-on-unknown-id", "after-fault")],
+)
+def test_a_device_that_still_moves_is_told_though_it_loses_nothing(
+    protocol: Protocol, name: str, ident: str
+) -> None:
+    result = readings(probed(protocol, fault_bank(protocol)[name]))[f"reading/{ident}"]
+
+    assert (result.verdict, result.reason) == (FAIL, "still moves")
 
 
 def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) -> None:

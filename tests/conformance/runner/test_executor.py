@@ -118,6 +118,15 @@ def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
     assert mine[-1] == "stopped"
 
 
+def test_what_a_valid_frame_sets_is_looked_at(protocol: Protocol) -> None:
+    device = Simulator(protocol, fault_bank(protocol)["led-order-reversed"])
+
+    results = run_over(CountingLink(device), protocol, cases_of(protocol, "valid/LED/1")).state
+
+    (led,) = [result for result in results.results if result.id == "valid/LED/1"]
+    assert led.axes["state"].verdict is Verdict.FAIL
+
+
 def test_fail_fast_ends_after_the_first_failure_and_skips_the_rest(
     protocol: Protocol, cases: tuple[Case, ...]
 ) -> None:

@@ -8,6 +8,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 
@@ -110,3 +111,24 @@ def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protoco
     left = {r.id for r in report.results if r.verdict is Verdict.INCONCLUSIVE}
     assert len(whole) > 1500
     assert whole - left == {r.id for r in report.results if r.verdict is Verdict.FAIL} & whole
+
+
+@pytest.mark.parametrize(
+    ("switched", "verdict", "reason"),
+    [
+        (True, Verdict.FAIL, "loses one of the first instructions after power-on"),
+        (False, Verdict.INCONCLUSIVE, "it takes --power to tell noise from a fault"),
+    ],
+)
+def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_shows_it(
+    protocol: Protocol, switched: bool, verdict: Verdict, reason: str
+) -> None:
+    device = Simulator(protocol, fault_bank(protocol)["second-frame-unanswered"])
+
+    report = conform(
+        device if switched else WithoutPowerSwitch(device), grammar=protocol, options=FEW
+    )
+
+    (lost,) = [result for result in report.results if result.id == "power-on/lost"]
+    assert lost.verdict is verdict
+    assert lost.reason.endswith(reason)
