@@ -148,7 +148,7 @@ class Port(Closing):
         try:
             return bool(getattr(self._handle, {"dcd": "cd"}.get(line, line)))
         except (*FAULTS, NotImplementedError, AttributeError):
-            return None
+            return None  # pyserial's ways to say that this kind of URL has no such line
 
     def close(self) -> None:
         """Close the port. Never raises; further calls do nothing."""

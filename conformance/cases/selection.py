@@ -22,8 +22,7 @@ CONDITIONAL_CASES = (
 )
 """Cases that a run has only where they fail, or where an option asks for them."""
 
-_WILD = frozenset("*?[")
-_WILD_FROM = re.compile(r"[*?[]")
+_WILD = re.compile(r"[*?[]")
 _SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")
 
 
@@ -34,13 +33,13 @@ def matching(globs: Iterable[str]) -> Callable[[str], bool]:
     """
     words = tuple(globs)
     exact = frozenset(words)
-    wild = tuple(word for word in words if _WILD.intersection(word))
+    wild = tuple(word for word in words if _WILD.search(word))
     return lambda ident: ident in exact or any(fnmatchcase(ident, glob) for glob in wild)
 
 
 def reaches(globs: Iterable[str], prefixes: Iterable[str]) -> bool:
     """Whether one of the globs may match an id that begins with one of the prefixes."""
-    heads = [_WILD_FROM.split(glob, maxsplit=1)[0] for glob in globs]
+    heads = [_WILD.split(glob, maxsplit=1)[0] for glob in globs]
     return any(p.startswith(head) or head.startswith(p) for p in prefixes for head in heads)
 
 

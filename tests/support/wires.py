@@ -6,19 +6,17 @@ import json
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.transport.server import serve
-from bilprov.analyzer.transport.signals import Stopper
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.robots import served_here
 from tests.support.signals import ignoring
 
 PATIENCE = 20.0  # s; a test that waits longer hangs
@@ -111,29 +109,5 @@ class PtyRobot:
 @contextmanager
 def served(robot: PtyRobot) -> Iterator[str]:
     """Serve a robot on a pty; gives the pty's name."""
-    names: list[str] = []
-    ready = threading.Event()
-
-    def announce(name: str) -> None:
-        names.append(name)
-        ready.set()
-
-    with Stopper() as stopper:
-        thread = threading.Thread(
-            target=serve,
-            args=(robot,),
-            kwargs={
-                "pty": True,
-                "listen": None,
-                "probe_listen": None,
-                "announce": announce,
-                "stop": stopper,
-            },
-        )
-        thread.start()
-        try:
-            assert ready.wait(PATIENCE)
-            yield names[0]
-        finally:
-            stopper.stop()
-            thread.join(PATIENCE)
+    with served_here(robot, pty=True) as (port, _):
+        yield port
