@@ -44,7 +44,7 @@ from bilprov.conformance.runner.executor import Runner, SkipPolicy
 from bilprov.conformance.runner.listeners.journal import RunJournal, journalled
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar
 
 
@@ -292,7 +292,6 @@ def run_on(
         timers = replace(timers, run_budget=int(options.budget * 1e9))
     if options.silence:
         timers = replace(timers, silence=int(options.silence * MS))
-    timeout = options.truncation_timeout
     allowed = parse_allowed(grammar, options.allow)
     profile = Profile(choices=Choices(allowed=allowed))
     if options.profile:
@@ -303,40 +302,38 @@ def run_on(
             log.begin(ident)
         listener.begin(ident)
 
-    state = RunState(
-        grammar,
-        timers,
-        environment.observability,
+    if options.truncation_timeout is not None:
+        profile.truncation_timeout = int(options.truncation_timeout * MS)
+    run = Run(
+        RunConfig(grammar, timers, environment.observability, environment.power),
+        profile,
         begin=begin,
         report=lambda result: listener.end(log.attached(result)),
-        truncation_timeout=None if timeout is None else int(timeout * MS),
-        power=environment.power,
-        profile=profile,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)
     runner = Runner(
-        state,
+        run,
         cases,
         fail_fast=options.fail_fast,
         measure=asked,
         discover=not options.profile,
         spare=spare,
     )
-    drive(runner.run(), link, interrupted)
+    drive(runner.execute(), link, interrupted)
     ended = runner.ended
     report = make_report(
         grammar,
-        [log.attached(result) for result in state.results],
+        [log.attached(result) for result in run.results],
         cases,
-        state.profile,
+        run.profile,
         device=environment.device,
         link=environment.link,
         options=asdict(options),
         seed=options.seed,
         unusable=runner.unusable,
         ended=str(ended) if ended else "",
-        timing=meter.report(state.timeouts),
+        timing=meter.report(run.waiting.timeouts),
         dropped=_dropped(grammar, options, cases, line),
         error=bool(ended and ended.error),
         interrupted=bool(ended and not ended.error),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
+from bilprov.spec.motion import Motion
 
 
 @dataclass
@@ -16,6 +17,7 @@ class Profile:
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
     was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
     the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
+    `moves` are the kinds of motion in which it was seen moving.
     `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
     device has shown where the document is silent.
     """
@@ -32,6 +34,7 @@ class Profile:
     boot: int | None = None
     stop_latency: int = 0
     one_by_one: bool = False
+    moves: set[Motion] | None = None
     choices: Choices = field(default_factory=Choices)
 
     def measured(self, heard: Received, sent: int) -> None:

@@ -12,44 +12,45 @@ from bilprov.conformance.oracle.state_model import FrameEffect
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.homing import watch
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.by_effect import moving_to, setting
 from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 
 
 def stays_stopped(
-    run: RunState, case: Case, looks: bool, judged: Callable[[Received, int], Axis]
+    trial: Trial, case: Case, looks: bool, judged: Callable[[Received, int], Axis]
 ) -> Procedure[bool]:
     """Check that no more answers come and that the stop holds; `judged` judges all the answers.
 
     Returns whether the checks that follow (`restart_guard`) can be made.
     """
+    run = trial.run
     # Of the many cases with a bad value or a time-out, one in four waits for silence: a late answer
     # shows in the next homing, and a stop that does not last shows in the sequences too.
     many = case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough
-    brief = many and run.next_nudge() % 4
+    brief = many and run.counters.next_check() % 4
     window = run.timers.settle if brief else run.timers.silence
-    rounds = (
-        max(1, run.timers.hold // window) if case.thorough and not run.observability.costly else 1
-    )
+    costly = run.config.observability.costly
+    rounds = max(1, run.timers.hold // window) if case.thorough and not costly else 1
     for _ in range(rounds):
         more = yield from listen(None, window)
         if more.answers:
-            run.axes["answer"] = judged(*run.hear(more))
-        if looks and run.observable:
+            trial.axes["answer"] = judged(*trial.hear(more))
+        if looks and run.config.observable:
             seen = yield from observe()
-            if seen.look.moving and run.axes["stop"].verdict < Verdict.FAIL:
+            if seen.look.moving and trial.axes["stop"].verdict < Verdict.FAIL:
                 words = look_words(seen.look)
-                run.worsen("stop", Verdict.FAIL, words, "moved again by itself")
+                trial.worsen("stop", Verdict.FAIL, words, "moved again by itself")
                 return False
     # Where a person or a command is the probe, no look is spent on it.
-    return not run.observability.costly
+    return not costly
 
 
-def restart_guard(run: RunState, case: Case, looks: bool) -> Procedure[None]:
+def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that settings with their present values do not restart the robot, and a motion does."""
-    expected = run.expected_state.state
+    run = trial.run
+    expected = trial.expected.state
     settings = [
         frame
         for variable in ("speed", "led", "steering")
@@ -57,72 +58,77 @@ def restart_guard(run: RunState, case: Case, looks: bool) -> Procedure[None]:
     ]
     if settings and case.kind is not FrameClass.VALID:
         # After each fault one of them, in turn; after a Stop, which has few cases, all of them.
-        settings = [settings[run.next_nudge() % len(settings)]]
+        settings = [settings[run.counters.next_check() % len(settings)]]
     for frame in settings:
         name = judge(run.protocol, frame).describe()
-        yield from _step(run, run.wire(frame), name)
+        yield from _step(trial, run.wire(frame), name)
         if looks:
             seen = yield from observe()
             if seen.look.moving:
                 reason = f"{name} restarted it, no motion instruction came"
-                run.worsen("stop", Verdict.FAIL, look_words(seen.look), reason)
+                trial.worsen("stop", Verdict.FAIL, look_words(seen.look), reason)
     mover = moving_to(run.protocol, case.setup.motion)
     if mover is not None and case.setup.moving and case.kind is not FrameClass.VALID:
         frame = bytes([run.protocol.header_bytes[mover.id, 0]])
-        yield from _step(run, frame, mover.name)
-        run.expected_state = run.model.after(run.expected_state, FrameEffect(mover.effect))
+        yield from _step(trial, frame, mover.name)
+        trial.expected = run.model.after(trial.expected, FrameEffect(mover.effect))
         if looks:
-            yield from _moves_again(run, frame)
+            yield from _moves_again(trial, frame)
 
 
-def recovery(run: RunState, case: Case, looks: bool) -> Procedure[None]:
+def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that the valid instruction right after a fault is answered and takes effect."""
+    run = trial.run
     judged = judge(run.protocol, case.then)
-    yield from _step(run, case.then, judged.name)
+    yield from _step(trial, case.then, judged.name)
     assert judged.instruction is not None
-    run.expected_state = run.model.after(run.expected_state, FrameEffect(judged.instruction.effect))
-    if looks and run.observable:
-        yield from _moves_again(run, case.then)
+    trial.expected = run.model.after(trial.expected, FrameEffect(judged.instruction.effect))
+    if looks and run.config.observable:
+        yield from _moves_again(trial, case.then)
 
 
-def _step(run: RunState, frame: bytes, name: str) -> Procedure[None]:
+def _step(trial: Trial, frame: bytes, name: str) -> Procedure[None]:
     """Send a valid instruction after the stimulus; it must get its one right answer.
 
     A device may discard what follows a fault until the line is idle (R-drain-known): one that has
     shown this gets its pause first, one that has not gets the instruction a second time.
     """
-    pause = run.timeout + run.timers.settle
+    run = trial.run
+    pause = run.waiting.timeout + run.timers.settle
     if run.profile.flushes:
         yield from listen(None, pause)
     yield from send(frame)
-    heard = yield from run.answers(1)
+    heard = yield from run.waiting.answers(1)
     due = (run.protocol.answers[Outcome.VALID].code,)
     if heard.codes == due:
         return
     if not heard.answers:
-        heard = yield from listen(None, max(pause, run.patience))
+        heard = yield from listen(None, max(pause, run.waiting.patience))
     if not heard.answers:
         yield from send(frame)
-        again = yield from run.answers(1)
+        again = yield from run.waiting.answers(1)
         if again.codes == due:
-            run.answer_pending = False
+            run.waiting.answer_pending = False
             run.profile.flushes = True
             reason = f"{name} after the fault was lost, and taken when the line had been idle"
             words = answer_words(run.protocol, again.codes)
-            run.worsen("answer", Verdict.NON_STRICT, words, reason, "R-drain-known")
+            trial.worsen("answer", Verdict.NON_STRICT, words, reason, "R-drain-known")
             return
     words = answer_words(run.protocol, heard.codes)
-    run.worsen("answer", Verdict.FAIL, words, f"{name} after the fault got {words}")
+    trial.worsen("answer", Verdict.FAIL, words, f"{name} after the fault got {words}")
 
 
-def _moves_again(run: RunState, frame: bytes) -> Procedure[None]:
+def _moves_again(trial: Trial, frame: bytes) -> Procedure[None]:
     """Check that the robot moves again in the expected state: no crash, nothing lost."""
-    name, expected_state = judge(run.protocol, frame).name, run.expected_state
-    seen = yield from watch(run, moving=expected_state.state.moving, patience=run.timers.deadline)
+    run = trial.run
+    name, expected_state = judge(run.protocol, frame).name, trial.expected
+    seen = yield from watch(
+        run, moving=expected_state.state.moving, patience=run.timers.deadline, trial=trial
+    )
     words = look_words(seen.look)
     if any(facet == "moving" for facet, _, _ in differences(run.model, expected_state, seen.look)):
-        run.worsen("state", Verdict.FAIL, words, f"{name} after the fault did not move it")
+        trial.worsen("state", Verdict.FAIL, words, f"{name} after the fault did not move it")
         return
     axis = judge_state(run.model, expected_state, seen.look)
     reason = f"{name} after the fault: {axis.reason}"
-    run.worsen("state", axis.verdict, words, reason, axis.reading)
+    trial.worsen("state", axis.verdict, words, reason, axis.reading)

@@ -1,4 +1,4 @@
-"""One attempt at a test case: executes the case once and returns its result, unpublished."""
+"""One attempt at a test case: executes the case once, homes the line and returns the result."""
 
 from __future__ import annotations
 
@@ -7,21 +7,27 @@ from dataclasses import dataclass
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.runner.homing import home
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.homing import home_after
+from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
-from bilprov.conformance.runner.single_frame import try_case
+from bilprov.conformance.runner.single_frame import run_single_frame
+from bilprov.conformance.runner.trial import Homed, Trial
+from bilprov.conformance.runner.waiting import GaveUp
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One attempt at a case: its result, and the mismatch where a sequence failed."""
+    """One attempt at a case: its result, and the mismatch where a sequence failed.
+
+    `stopped` is what ended the run, or why it is to be ended, None if nothing.
+    """
 
     result: CaseResult
     mismatch: Mismatch | None
+    stopped: Ended | GaveUp | None = None
 
     @property
     def failed(self) -> bool:
@@ -45,13 +51,20 @@ class Attempt:
         return (self.mismatch.burst if self.mismatch else 0), self.how
 
 
-def attempt(run: RunState, case: Case | SequenceCase) -> Procedure[Attempt]:
-    """Execute a case once and home the line; late answers found while homing count against it."""
-    run.trying = []
-    mismatch = None
-    if isinstance(case, SequenceCase):
-        mismatch = yield from run_sequence(run, case)
+def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
+    """Attempt a case once: preamble, stimulus, checks, then homing, which shows late answers too.
+
+    An attempt that was stopped, by the user, the link or the device, has a result too: what passed
+    so far is then no pass.
+    """
+    trial, mismatch = Trial(run, case), None
+    try:
+        if isinstance(case, SequenceCase):
+            mismatch = yield from run_sequence(trial, case)
+        else:
+            yield from run_single_frame(trial, case)
+    except Ended as ended:
+        homed = Homed(stopped=ended)
     else:
-        yield from try_case(run, case)
-    yield from home(run)
-    return Attempt(run.tried(case.id), mismatch)
+        homed = yield from home_after(run, trial)
+    return Attempt(trial.end(homed), mismatch, homed.stopped)

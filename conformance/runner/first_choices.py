@@ -16,7 +16,7 @@ from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.homing import set_up, watch
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moves, moving_to
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion, State
@@ -31,18 +31,18 @@ _FAULT = {
 }
 
 
-def first_choices(run: RunState) -> Procedure[None]:
+def first_choices(run: Run) -> Procedure[None]:
     """Record what the first fault and the first stop leave of speed, steering and LED.
 
     Only unambiguous observations count: every answer right, the robot in the state set up before.
     """
     protocol = run.protocol
     full = _full(protocol)
-    if full is None or not run.observable:
+    if full is None or not run.config.observable:
         return
     fault = protocol.header_bytes.get((protocol.unused_ids[0], 0)) if protocol.unused_ids else None
     stop = protocol.header_bytes[protocol.stop.id, 0]
-    if fault is not None and run.power and "pipelining" not in run.profile.choices.allowed:
+    if fault is not None and run.config.power and "pipelining" not in run.profile.choices.allowed:
         yield from _sent_ahead(run, bytes([fault, stop, stop]))
     rows = [(stop, code_of(protocol, Outcome.VALID), _STOP)]
     if fault is not None:
@@ -50,13 +50,14 @@ def first_choices(run: RunState) -> Procedure[None]:
     if not (yield from _drives_on(run, full)):
         return
     for frame, code, points in rows:
-        if (yield from set_up(run, full)):
+        ready = yield from set_up(run, full)
+        if ready.missing:
             return
         seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-        if differences(run.model, run.expected_state, seen.look):
+        if differences(run.model, ready.expected, seen.look):
             return
         yield from send(bytes([frame]))
-        heard = yield from run.answers(1)
+        heard = yield from run.waiting.answers(1)
         if heard.codes != (code,):
             return
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
@@ -68,25 +69,28 @@ def first_choices(run: RunState) -> Procedure[None]:
         yield from listen(None, run.timers.settle)
 
 
-def _sent_ahead(run: RunState, burst: bytes) -> Procedure[None]:
+def _sent_ahead(run: Run, burst: bytes) -> Procedure[None]:
     """Record whether stops sent right behind the first fault after power-on are lost."""
     yield from send(burst)
-    heard = yield from run.all_answers(len(burst))
+    heard = yield from run.waiting.all_answers(len(burst))
     if heard.codes == (code_of(run.protocol, Outcome.UNKNOWN_ID),):
         run.profile.choices.record("R-pipelining unused-id", "lost-after-fault", _CASE)
-        yield from listen(None, run.timeout + run.timers.settle)
+        yield from listen(None, run.waiting.timeout + run.timers.settle)
 
 
-def _drives_on(run: RunState, full: State) -> Procedure[bool]:
+def _drives_on(run: Run, full: State) -> Procedure[bool]:
     """Record what a motion instruction leaves of the steering; false where that is ambiguous."""
     mover = moving_to(run.protocol, full.motion)
-    if mover is None or (yield from set_up(run, full)):
+    if mover is None:
+        return False
+    ready = yield from set_up(run, full)
+    if ready.missing:
         return False
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-    if differences(run.model, run.expected_state, seen.look):
+    if differences(run.model, ready.expected, seen.look):
         return False
     yield from send(bytes([run.protocol.header_bytes[mover.id, 0]]))
-    heard = yield from run.answers(1)
+    heard = yield from run.waiting.answers(1)
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
@@ -94,7 +98,7 @@ def _drives_on(run: RunState, full: State) -> Procedure[bool]:
     return True
 
 
-def _missed(run: RunState, frame: bytes, look: Look) -> None:
+def _missed(run: Run, frame: bytes, look: Look) -> None:
     """Report that the first fault did not stop the robot although its answer was that of a fault.
 
     A byte changed on the line cannot cause this: a frame without a fault gets another answer. So
@@ -104,7 +108,7 @@ def _missed(run: RunState, frame: bytes, look: Look) -> None:
     case = runner_case(run.protocol, "power-on/first-fault", clause, requirement, frame)
     reason = "the first fault after power-on was answered and did not stop it"
     fault = Axis(Verdict.FAIL, "stopped", look_words(look), reason)
-    run.end(case, {"stop": fault})
+    run.conclude(case, {"stop": fault})
 
 
 def _settle(choices: Choices, points: dict[str, str], full: State, look: Look) -> None:

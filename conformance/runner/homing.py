@@ -7,14 +7,18 @@ device still waits for. Also: preambles, watching for a motion, and the motions 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
 from bilprov.conformance.dut.operations import Ended, Observation, Procedure, listen, observe, send
+from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
-from bilprov.conformance.runner.run import GaveUp, RunState
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.trial import Homed, Late, Trial
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.motion import Motion, State
 
 # A flood has this many times more answers than were due; after so many the run is given up.
@@ -23,85 +27,110 @@ _SLOW = 20 * MS  # for an answer
 _TRIES = 3  # to see it move: an instruction may get lost on the line
 
 
-def pad(run: RunState) -> bytes:
+def pad(run: Run) -> bytes:
     """The bytes that home a line: pad bytes, harmless as header and as data, for a whole frame."""
     return bytes([run.protocol.pad_byte]) * run.protocol.longest_frame
 
 
-def home(run: RunState) -> Procedure[None]:
-    """Home the line and make the open case final; superfluous answers count against that case.
+def home(run: Run) -> Procedure[None]:
+    """Home the line outside any case: what comes late is stray.
 
     Raises GaveUp when the device no longer answers.
     """
-    due = run.protocol.longest_frame
-    patience = run.usual
+    homed = yield from home_after(run, None)
+    for late in homed.late:
+        if late.answers:
+            run.strays.unexpected(late.answers, late.reason)
+        else:
+            run.strays.silent(late.reason)
+    if homed.stopped:
+        raise homed.stopped
+
+
+def home_after(run: Run, trial: Trial | None) -> Procedure[Homed]:
+    """Home the line after an attempt; returns what came late, and what stopped it.
+
+    It changes nothing about the trial.
+    """
+    late: list[Late] = []
+    try:
+        yield from _home(run, trial, late)
+    except (Ended, GaveUp) as stopped:
+        return Homed(tuple(late), stopped)
+    return Homed(tuple(late))
+
+
+def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
+    waiting, due = run.waiting, run.protocol.longest_frame
+    patience = waiting.usual
     pause = (run.profile.truncation_timeout or 0) + patience
-    if run.answer_pending:
-        # A missing answer may still come: it belongs to the open case, not to the next.
-        run.late_answer((yield from listen(None, run.patience)))
-        run.add_waiting(run.patience)
+    if waiting.answer_pending:
+        # A missing answer may still come: it belongs to the case, not to the next.
+        heard = yield from listen(None, waiting.patience)
+        if heard.answers:
+            late.append(Late(heard.answers, "the answer came later than the longest time allowed"))
+        waiting.waited_for_pending(came=bool(heard.answers or (trial and trial.heard)))
+        waiting.in_vain(waiting.patience)
+    in_step = trial is not None and trial.in_step and not late
     # A slow device that answered as it should is at a boundary: one stop is as good as many.
-    slow = run.profile.slowest > _SLOW and run.in_step
-    between_frames = run.in_step or not run.open_id
+    at_once = (1, due, due) if run.profile.slowest > _SLOW and in_step else (due, due)
+    between_frames = in_step or trial is None
     lost = 0
-    at_once = (1, due, due) if slow else (due, due)
     for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience)
         if len(got) > count:
-            yield from _too_many(run, got[: len(got) - count])
+            yield from _too_many(run, got[: len(got) - count], late)
         if len(got) >= count:
-            run.stray_answers.missing(lost)
-            run.close()
+            run.strays.missing(lost)
             return
         lost += (count - len(got)) * between_frames
         # It waited for data, or discards bytes until the line is idle: a pause ends both.
         more = yield from listen(None, pause)
         if len(got) + len(more.answers) >= count:
-            run.stray_answers.missing(lost)
-            run.close()
+            run.strays.missing(lost)
             return
     # A device that loses instructions sent ahead still takes one at a time. It may take the first
     # of them for data that it still waits for.
     in_time = tries = 0
     while tries < 2 * due and (tries < 4 or in_time):
         yield from send(pad(run)[:1])
-        heard = yield from run.answers(1, pause)
+        heard = yield from waiting.answers(1, pause)
         tries += 1
         in_time = in_time + 1 if heard.answers else 0
         if in_time == 2:
-            run.stray_answers.missing(lost)
-            run.close()
+            run.strays.missing(lost)
             return
-    after = f"after {run.open_id}" if run.open_id else "before the first case"
-    run.attribute_to_case((), "the device stopped answering")
+    late.append(Late((), "the device stopped answering"))
+    after = f"after {trial.case.id}" if trial else "before the first case"
     raise GaveUp(f"the device stopped answering {after}")
 
 
-def _as_they_come(run: RunState, due: int, patience: int) -> Procedure[tuple[tuple[int, int], ...]]:
+def _as_they_come(run: Run, due: int, patience: int) -> Procedure[tuple[tuple[int, int], ...]]:
     """Listen for `due` answers, each for `patience` ns, and for what follows them at once."""
-    got = yield from run.all_answers(due, patience)
+    got = yield from run.waiting.all_answers(due, patience)
     if len(got.answers) < due:
-        run.add_waiting(patience)
+        run.waiting.in_vain(patience)
     more = yield from listen(None, run.timers.settle)
     return got.answers + more.answers
 
 
-def _too_many(run: RunState, extra: tuple[tuple[int, int], ...]) -> Procedure[None]:
+def _too_many(run: Run, extra: tuple[tuple[int, int], ...], late: list[Late]) -> Procedure[None]:
+    """Add answers that no stop asked for to `late`. Raises GaveUp after several floods."""
     what = "1 more answer" if len(extra) == 1 else f"{len(extra)} more answers"
     flood = yield from listen(None, run.timers.silence)
     if len(flood.answers) > len(extra):
         reason = "the device sends without being asked"
-        run.attribute_to_case((extra + flood.answers)[:8], reason, "R-unsolicited")
+        late.append(Late((extra + flood.answers)[:8], reason, "R-unsolicited"))
     else:
-        run.attribute_to_case(extra, f"{what} came later than the case")
+        late.append(Late(extra, f"{what} came later than the case"))
     if len(extra) + len(flood.answers) > _FLOOD * run.protocol.longest_frame:
-        run.floods += 1
-        if run.floods >= _FLOODS:
+        run.counters.floods += 1
+        if run.counters.floods >= _FLOODS:
             raise GaveUp("the device sends without end and without being asked")
 
 
-def leave(run: RunState) -> Procedure[Ended | None]:
+def leave(run: Run) -> Procedure[Ended | None]:
     """Home the robot at the run's end, confirmed by the probe where there is one.
 
     Returns what ended the run during this, None if nothing did.
@@ -110,8 +139,8 @@ def leave(run: RunState) -> Procedure[Ended | None]:
     try:
         for _ in range(3):
             yield from send(pad(run))
-            yield from listen(run.protocol.longest_frame, run.usual)
-            if not run.observable:
+            yield from listen(run.protocol.longest_frame, run.waiting.usual)
+            if not run.config.observable:
                 return None
             seen = yield from watch(run, moving=False, patience=run.timers.deadline)
             if not seen.look.moving:
@@ -123,7 +152,7 @@ def leave(run: RunState) -> Procedure[Ended | None]:
         # Interrupted, or the probe lost: the last operation was not done.
         try:
             yield from send(pad(run))
-            yield from listen(run.protocol.longest_frame, run.usual)
+            yield from listen(run.protocol.longest_frame, run.waiting.usual)
         except Ended as again:
             return again
         return ended
@@ -131,60 +160,63 @@ def leave(run: RunState) -> Procedure[Ended | None]:
     clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
     case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
     fault = Axis(Verdict.FAIL, "stopped", look_words(seen.look), "THE ROBOT STILL MOVES")
-    run.end(case, {"stop": fault})
+    run.conclude(case, {"stop": fault})
     return None
 
 
-def set_up(run: RunState, state: State) -> Procedure[str]:
+class SetUp(NamedTuple):
+    """What a preamble led to: what is missing, "" if nothing, and the state the robot must have."""
+
+    missing: str
+    expected: ExpectedState
+
+
+def set_up(run: Run, state: State) -> Procedure[SetUp]:
     """Bring a homed robot to a state (the preamble), one instruction at a time.
 
-    Returns "", or what is wrong where the answers are not as many as the instructions.
+    Something is missing where the answers are not as many as the instructions.
     """
-    run.expected_state = run.model.homed(run.model.found())
+    expected = run.model.homed(run.model.found())
     frames = [frame for frame in frames_to(run.protocol, state) if run.wire(frame)]
     answered = 0
     for frame in frames:
         sent = yield from send(run.wire(frame))
-        run.expected_state = run.model.after(
-            run.expected_state, frame_effect_of(run.protocol, frame)
-        )
-        heard = yield from run.answers(1)
+        expected = run.model.after(expected, frame_effect_of(run.protocol, frame))
+        heard = yield from run.waiting.answers(1)
         answered += len(heard.answers)
         run.profile.measured(heard, sent)
-    run.expected_state = replace(run.expected_state, rests_on=frozenset())
+    expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
-        return ""
-    run.stray_answers.missing(len(frames) - answered)
-    return f"{answered} answers to {len(frames)} instructions of the set-up"
+        return SetUp("", expected)
+    run.strays.missing(len(frames) - answered)
+    return SetUp(f"{answered} answers to {len(frames)} instructions of the set-up", expected)
 
 
-def watch(run: RunState, *, moving: bool, patience: int) -> Procedure[Observation]:
+def watch(
+    run: Run, *, moving: bool, patience: int, trial: Trial | None = None
+) -> Procedure[Observation]:
     """Observe until the robot moves (or stands still), for at most `patience` ns.
 
     Link and probe are two lines: an observation right after an answer may be older than it.
+    Answers that come meanwhile belong to the trial; without one they are stray.
     """
     seen = yield from observe()
     start = seen.asked
     while seen.look.moving is (not moving) and seen.now - start < patience:
-        yield from _pause(run, 2 * MS)
+        heard = yield from listen(None, 2 * MS)
+        if trial:
+            trial.hear(heard)
+        elif heard.answers:
+            run.strays.unexpected(heard.answers, "came although nothing was sent")
         seen = yield from observe()
     if seen.look.moving is (not moving):
-        run.add_waiting(patience)
+        run.waiting.in_vain(patience)
     return seen
 
 
-def _pause(run: RunState, pause: int) -> Procedure[None]:
-    """Wait `pause` ns; answers received meanwhile go to the open case, else they are stray."""
-    heard = yield from listen(None, pause)
-    if heard.answers and run.open_id:
-        run.hear(heard)
-    elif heard.answers:
-        run.attribute_to_case(heard.answers, "came although nothing was sent")
-
-
-def see_motions(run: RunState) -> Procedure[None]:
+def see_motions(run: Run) -> Procedure[None]:
     """Find out in which kinds of motion the robot is seen moving; no stop can be judged without."""
-    if not run.observable:
+    if not run.config.observable:
         return
     moves: set[Motion] = set()
     _, fast = run.protocol.limits.get("speed", (0, 0))
@@ -200,4 +232,4 @@ def see_motions(run: RunState) -> Procedure[None]:
                 break
         if seen.look.moving:
             moves.add(motion)
-    run.moves = moves
+    run.profile.moves = moves

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.dut.operations import Procedure
-from bilprov.conformance.runner.attempt import Attempt, attempt
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.attempt import Attempt
+from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.sequence_answers import Mismatch
 
 LONGEST_MINIMISED, _SHORTER = 5, 60  # sequences minimised in a run, tries for each
@@ -20,15 +20,19 @@ def up_to(case: SequenceCase, mismatch: Mismatch) -> SequenceCase:
     return replace(case, bursts=case.bursts[: max(0, mismatch.burst) + 1])
 
 
-def minimise(run: RunState, case: SequenceCase, first: Attempt) -> Procedure[SequenceCase]:
-    """The shortest sequence found that still fails on the same axis.
+def minimise(
+    case: SequenceCase,
+    first: Attempt,
+    mismatch: Mismatch,
+    retry: Callable[[SequenceCase], Procedure[Attempt]],
+) -> Procedure[SequenceCase]:
+    """The shortest sequence found that still fails on the same axis, by the attempts of `retry`.
 
     Bursts are left out, first many at a time, then single frames of the rest. The preamble stays:
     the state it sets differs from the one after power-on. A sequence that failed in its preamble
     becomes the preamble's steps up to the failure.
     """
-    assert first.mismatch is not None
-    last = first.mismatch.burst
+    last = mismatch.burst
     if last < 0:
         begun = case.setup[: len(case.setup) + last + 1]
         return replace(case, setup=(), bursts=tuple(Burst((step,)) for step in begun))
@@ -37,7 +41,7 @@ def minimise(run: RunState, case: SequenceCase, first: Attempt) -> Procedure[Seq
     while left > 0:
         for shorter in (*_without_bursts(best, size), *(_without_steps(best) if size == 1 else ())):
             left -= 1
-            tried = yield from attempt(run, shorter)
+            tried = yield from retry(shorter)
             end = tried.mismatch.burst + 1 if tried.mismatch else len(shorter.bursts)
             if tried.failed and end > 0 and tried.axis == first.axis:
                 best = replace(shorter, bursts=shorter.bursts[:end])
@@ -72,12 +76,12 @@ def _without_steps(sequence: SequenceCase) -> Iterator[SequenceCase]:
             )
 
 
-def reproducer(run: RunState, case: SequenceCase) -> str:
+def reproducer(run: Run, case: SequenceCase) -> str:
     """The arguments of `bilprov send` that repeat the sequence: bytes, and pauses where needed."""
     bursts = (*(Burst((step,)) for step in case.setup), *case.bursts)
     words: list[str] = []
     split = any(burst.pauses for burst in bursts)
-    gap = max(1, run.timeout // 16_000_000)
+    gap = max(1, run.waiting.timeout // 16_000_000)
     for burst in bursts:
         data = burst.data
         places = [0, *(p for p in burst.pauses if p < len(data)), len(data)]
@@ -85,5 +89,5 @@ def reproducer(run: RunState, case: SequenceCase) -> str:
             words += [f"pause={gap}"] if start else []
             words.append(data[start:end].hex())
         if split and burst is not bursts[-1]:
-            words.append(f"pause={run.usual // 1_000_000}")
+            words.append(f"pause={run.waiting.usual // 1_000_000}")
     return " ".join((["--together"] if split else []) + words)

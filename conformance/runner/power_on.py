@@ -22,7 +22,7 @@ from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.homing import pad
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.motion import State
 
 _STOPPED = "stopped"
@@ -31,7 +31,7 @@ _TRIES = 3  # retries of a check that failed once
 _CHATTER = 2  # most answers to the first instruction: more are a banner
 
 
-def first_bytes(run: RunState) -> Procedure[str]:
+def first_bytes(run: Run) -> Procedure[str]:
     """Execute and report the first cases. Returns why the line cannot be used, "" if it can."""
     still = at_rest(run.protocol)
     run.begin(still.id)
@@ -72,22 +72,22 @@ def first_bytes(run: RunState) -> Procedure[str]:
     unusable = _line_fault(run, [(case.stimulus, heard) for case, _, heard, _ in outcomes[1:]])
     if not unusable:
         for case, axes, heard, sent in outcomes:
-            run.end(case, axes, heard.answers, sent)
+            run.conclude(case, axes, heard.answers, sent)
         yield from _second_power_on(run)
     return unusable
 
 
-def calibrate(run: RunState) -> Procedure[None]:
+def calibrate(run: Run) -> Procedure[None]:
     """Measure how long an answer takes on this line and how much that varies, by single stops."""
     stop, times = bytes([run.protocol.pad_byte]), []
     for _ in range(_CALIBRATION):
         stray = yield from listen(None, 0)
         if stray.answers:
-            run.attribute_to_case(stray.answers, "came although nothing was asked")
+            run.strays.unexpected(stray.answers, "came although nothing was asked")
         sent = yield from send(stop)
-        heard = yield from run.answers(1)
+        heard = yield from run.waiting.answers(1)
         run.profile.measured(heard, sent)
-        run.stray_answers.missing(not heard.answers)
+        run.strays.missing(not heard.answers)
         times += [t - sent for t, _ in heard.answers[:1]]
     if times:
         times.sort()
@@ -96,7 +96,7 @@ def calibrate(run: RunState) -> Procedure[None]:
         yield from _ahead(run)
 
 
-def _ahead(run: RunState) -> Procedure[None]:
+def _ahead(run: Run) -> Procedure[None]:
     """Check whether stops that are sent ahead of their answers are each answered.
 
     A device that loses them is homed one stop at a time from then on.
@@ -107,11 +107,11 @@ def _ahead(run: RunState) -> Procedure[None]:
     due, short = run.protocol.longest_frame, list[int]()
     for _ in range(_TRIES):
         yield from send(pad(run))
-        heard = yield from run.all_answers(due)
+        heard = yield from run.waiting.all_answers(due)
         if len(heard.answers) < due:
             short.append(len(heard.answers))
     if len(short) < _TRIES:
-        run.stray_answers.missing(sum(due - count for count in short))
+        run.strays.missing(sum(due - count for count in short))
         return
     run.profile.one_by_one = True
     clause, requirement = run.protocol.clauses.responses, "instructions sent ahead are answered too"
@@ -120,10 +120,12 @@ def _ahead(run: RunState) -> Procedure[None]:
     )
     words = f"{max(short)} answers to {due} stops sent at once"
     reason = f"loses answers: {words}, in each of {_TRIES} tries"
-    run.end(case, {"answer": Axis(Verdict.FAIL, f"{due} answers", words, reason, "R-pipelining")})
+    run.conclude(
+        case, {"answer": Axis(Verdict.FAIL, f"{due} answers", words, reason, "R-pipelining")}
+    )
 
 
-def _again(run: RunState, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]:
+def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]:
     """Retry a failed exchange: it stays failed if it fails in two more of three tries, else flaky.
 
     `fresh` if it was the first instruction after power-on: where the power can be switched, each
@@ -131,7 +133,7 @@ def _again(run: RunState, case: Case, first: Axis, *, fresh: bool) -> Procedure[
     """
     hits = 0
     for _ in range(_TRIES):
-        if fresh and run.power:
+        if fresh and run.config.power:
             yield from power_cycle()
         heard, sent = yield from _exchange(run, case, 0)
         again = judge_answers(
@@ -141,7 +143,7 @@ def _again(run: RunState, case: Case, first: Axis, *, fresh: bool) -> Procedure[
     return first if hits > 1 else _flaky(first)
 
 
-def _still_again(run: RunState, case: Case, first: Axis) -> Procedure[Axis]:
+def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
     """Retry a failed observation after an exchange, by the same rule as `_again`."""
     hits = 0
     for _ in range(_TRIES):
@@ -155,7 +157,7 @@ def _flaky(first: Axis) -> Axis:
     return Axis(Verdict.INCONCLUSIVE, first.expected, first.actual, reason, first.reading)
 
 
-def first_frames_lost(run: RunState) -> Procedure[None]:
+def first_frames_lost(run: Run) -> Procedure[None]:
     """Judge the loss of one of the first instructions by a device that later loses none.
 
     It may be noise, or a fault that shows only after power-on: another power-on decides, where the
@@ -168,7 +170,7 @@ def first_frames_lost(run: RunState) -> Procedure[None]:
     clause, requirement = run.protocol.clauses.responses, "the first instructions are answered too"
     case = runner_case(run.protocol, "power-on/lost", clause, requirement, b"", "R-power-on")
     verdict, reason = Verdict.INCONCLUSIVE, "one of the first instructions was lost, later none was"
-    if run.power:
+    if run.config.power:
         yield from power_cycle()
         for number, link in enumerate(link_check(run.protocol)):
             yield from _exchange(run, link, 0 if number else run.timers.boot)
@@ -177,23 +179,23 @@ def first_frames_lost(run: RunState) -> Procedure[None]:
         run.profile.flushes = False
     else:
         reason += "; it takes --power to tell noise from a fault"
-    run.end(case, {"answer": Axis(verdict, "an answer to each", "one was missing", reason)})
+    run.conclude(case, {"answer": Axis(verdict, "an answer to each", "one was missing", reason)})
 
 
-def _banner(run: RunState, heard: Received) -> Axis:
+def _banner(run: Run, heard: Received) -> Axis:
     words = answer_words(run.protocol, heard.codes)
     reason = "bytes came before the first instruction was answered"
     return Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
 
 
-def _second_power_on(run: RunState) -> Procedure[None]:
+def _second_power_on(run: Run) -> Procedure[None]:
     """Test the first frame after power-on again, now a motion; skipped without a power switch."""
     case = motion_first(run.protocol)
     if case is None:
         return
-    if not run.power:
+    if not run.config.power:
         reason = "the robot cannot be switched off and on; see --power"
-        run.end(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
+        run.conclude(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
         return
     run.begin(case.id)
     axes, heard, sent = yield from _from_power_on(run, case)
@@ -205,17 +207,17 @@ def _second_power_on(run: RunState) -> Procedure[None]:
             hits += any(again[name].verdict is Verdict.FAIL for name in failing)
         if hits < 2:
             axes |= {name: _flaky(axes[name]) for name in failing}
-    run.end(case, axes, heard.answers, sent)
+    run.conclude(case, axes, heard.answers, sent)
 
 
-def _from_power_on(run: RunState, case: Case) -> Procedure[tuple[dict[str, Axis], Received, int]]:
+def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Received, int]]:
     """Power-cycle and make the case's exchange: its axes, its answers, when it was sent (ns)."""
     yield from power_cycle()
     if (run.profile.boot or 0) > run.timers.longest:
         # It needed several tries. If it was still booting, twice that time is enough.
         yield from listen(None, 2 * (run.profile.boot or 0))
         sent = yield from send(case.stimulus)
-        heard = yield from run.all_answers(2)
+        heard = yield from run.waiting.all_answers(2)
     else:
         heard, sent = yield from _exchange(run, case, run.timers.boot)
     if _chatter(case, heard):
@@ -235,27 +237,28 @@ def _chatter(case: Case, heard: Received) -> bool:
     return len(heard.answers) > _CHATTER and not answered
 
 
-def _exchange(run: RunState, case: Case, boot: int) -> Procedure[tuple[Received, int]]:
+def _exchange(run: Run, case: Case, boot: int) -> Procedure[tuple[Received, int]]:
     """Send the stimulus and receive all answers; for `boot` ns a silent board gets it again."""
     sent = yield from send(case.stimulus)
-    heard = yield from run.answers(1)
+    heard = yield from run.waiting.answers(1)
     waited = run.timers.longest
     if not heard.answers and not boot:
-        heard = yield from listen(None, max(run.timeout + run.timers.settle, run.patience))
+        pause = run.waiting.timeout + run.timers.settle
+        heard = yield from listen(None, max(pause, run.waiting.patience))
         if not heard.answers:
             # It may discard what follows a fault until the line was idle (R-drain-known).
             sent = yield from send(case.stimulus)
-            heard = yield from run.answers(1)
+            heard = yield from run.waiting.answers(1)
             run.profile.flushes = run.profile.flushes or bool(heard.answers)
     while not heard.answers and waited < boot:
         sent = yield from send(case.stimulus)
-        heard = yield from run.answers(1)
+        heard = yield from run.waiting.answers(1)
         waited += run.timers.longest
     more = yield from listen(None, run.timers.silence)
     return Received(heard.answers + more.answers, more.now), sent
 
 
-def _line_fault(run: RunState, exchanges: list[tuple[bytes, Received]]) -> str:
+def _line_fault(run: Run, exchanges: list[tuple[bytes, Received]]) -> str:
     if not any(heard.answers for _, heard in exchanges):
         return (
             f"nobody answered in {run.timers.boot / 1e9:.0f} s: check power, wiring (TX to RX, "
@@ -269,15 +272,13 @@ def _line_fault(run: RunState, exchanges: list[tuple[bytes, Received]]) -> str:
     return ""
 
 
-def _still(
-    run: RunState, expected: State, reading: str, *, may_move: bool = False
-) -> Procedure[Axis]:
+def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -> Procedure[Axis]:
     """Check that the robot stands still; the other observed facets are compared with `expected`.
 
     `may_move` if a motion was set: then the robot moves only if it has a speed from power-on.
     """
-    if not run.observable:
-        return run.not_observable(_STOPPED)
+    if not run.config.observable:
+        return run.config.not_observable(_STOPPED)
     seen = yield from observe()
     start = seen.asked
     # After the first byte only what it set is compared: the rest is as the robot was found.

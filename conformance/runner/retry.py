@@ -7,17 +7,21 @@ tried more often. Reproduced failures of a sequence are minimised.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import comb
 
 import msgspec
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.result import result_of
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -30,54 +34,83 @@ _FLAKY = 8
 _TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
 
 
-def judge_case(run: RunState, case: Case | SequenceCase) -> Procedure[None]:
-    """Attempt a case, reproduce a failure, and publish the result. Leaves the line homed."""
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The final result of a case; `stopped` is why the run is to be ended, None if it goes on."""
+
+    result: CaseResult
+    stopped: Ended | GaveUp | None = None
+
+
+class _Stopped(Exception):
+    """A retry was stopped; carries that attempt."""
+
+    def __init__(self, last: Attempt) -> None:
+        super().__init__(last.stopped)
+        self.last = last
+
+
+def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Judged]:
+    """Attempt a case, and a failure again; returns the final result. Leaves the line homed."""
     allowed = run.profile.choices.allowed
     if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
-        run.end(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")})
-        return
+        axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
+        return Judged(result_of(case, {"answer": axis}))
     first = yield from attempt(run, case)
-    if not first.failed:
-        run.publish(first.result)
-        return
-    if run.reproduced >= _TRUSTED and not run.flaky:
-        run.publish(_named(case, first))
-        return
-    run.suspect = first.result
-    same_place, tries = yield from _again(run, case, first)
-    if not same_place and not _cannot_be_noise(run, first):
-        run.suspect = None
-        run.flaky += 1
-        run.publish(_flaky(first.result, tries))
-        return
-    run.reproduced += 1
-    # A run that ends while the sequence is minimised still has this failure.
-    run.suspect = result = _named(case, first)
-    if isinstance(case, SequenceCase) and first.mismatch:
-        shorter = case
-        if run.shrunk < LONGEST_MINIMISED:
-            run.shrunk += 1
-            shorter = yield from minimise(run, case, first)
-        else:
-            shorter = up_to(case, first.mismatch)
-        sent = tuple(spaced(data) for data in shorter.sent)
-        result = msgspec.structs.replace(result, sent=sent, reproduce=reproducer(run, shorter))
-    run.suspect = None
-    run.publish(result)
+    if first.stopped or not first.failed:
+        return Judged(first.result, first.stopped)
+    if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
+        return Judged(_named(case, first))
+    known = first.result
+    try:
+        same_place, tries = yield from _again(run, case, first)
+        if not same_place and not _cannot_be_noise(run, first):
+            run.counters.flaky += 1
+            return Judged(_flaky(first.result, tries))
+        run.counters.reproduced += 1
+        known = _named(case, first)
+        if isinstance(case, SequenceCase) and first.mismatch:
+            shorter = yield from _shortened(run, case, first, first.mismatch)
+            sent = tuple(spaced(data) for data in shorter.sent)
+            known = msgspec.structs.replace(known, sent=sent, reproduce=reproducer(run, shorter))
+    except _Stopped as stopped:
+        # An interruption leaves the failure that is known; where the device made the rest
+        # pointless, the last attempt shows why.
+        last = stopped.last
+        return Judged(known if isinstance(last.stopped, Ended) else last.result, last.stopped)
+    return Judged(known)
 
 
-def _again(run: RunState, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int]]:
+def _retry(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
+    """Attempt a case again. Raises _Stopped when that was stopped."""
+    again = yield from attempt(run, case)
+    if again.stopped:
+        raise _Stopped(again)
+    return again
+
+
+def _shortened(
+    run: Run, case: SequenceCase, first: Attempt, mismatch: Mismatch
+) -> Procedure[SequenceCase]:
+    """A short sequence that fails as the first attempt did."""
+    if run.counters.minimised >= LONGEST_MINIMISED:
+        return up_to(case, mismatch)
+    run.counters.minimised += 1
+    return (yield from minimise(case, first, mismatch, lambda shorter: _retry(run, shorter)))
+
+
+def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int]]:
     """Attempt a failed case again: whether the failure is reproduced, and in how many tries."""
     same_place = same_kind = tries = 0
     size = _bytes(case)
     # A spoilt byte shows in an answer: a missed stop beside right answers is no noise.
     spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
     # On a line that was flaky before, the same failure in another place may be noise again.
-    needed = _OFTEN + min(run.flaky, _OFTEN)
+    needed = _OFTEN + min(run.counters.flaky, _OFTEN)
     # On a line that is flaky throughout each case gets fewer tries.
-    most = _TRIES if run.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
+    most = _TRIES if run.counters.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
     while tries < most:
-        again = yield from attempt(run, case)
+        again = yield from _retry(run, case)
         tries += 1
         if again.failed:
             same_place += again.where == first.where
@@ -106,7 +139,7 @@ def _at_least(count: int, tries: int, chance: float) -> float:
     )
 
 
-def _cannot_be_noise(run: RunState, tried: Attempt) -> bool:
+def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
     """Whether a stop was missed, for the second time in the run, although the answers were right.
 
     A byte changed on the line shows in an answer too; a stop that fails beside right answers is a
@@ -118,8 +151,8 @@ def _cannot_be_noise(run: RunState, tried: Attempt) -> bool:
         return False
     if answer.verdict >= Verdict.INCONCLUSIVE or stop.verdict is not Verdict.FAIL:
         return False
-    run.missed_stops += 1
-    return run.missed_stops > 1
+    run.counters.missed_stops += 1
+    return run.counters.missed_stops > 1
 
 
 def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:

@@ -15,7 +15,6 @@ from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.run import RunState
 from bilprov.conformance.runner.sequence_answers import (
     Early,
     Mismatch,
@@ -25,19 +24,18 @@ from bilprov.conformance.runner.sequence_answers import (
     unasked,
 )
 from bilprov.conformance.runner.sequence_state import look_after, watch_idle
+from bilprov.conformance.runner.trial import Trial
 
 
-def run_sequence(run: RunState, case: SequenceCase) -> Procedure[Mismatch | None]:
-    """Execute a sequence on a homed line; return its first mismatch, None if there is none.
-
-    The case is left open: the next homing makes it final.
-    """
-    return (yield from _SequenceRun(run, case).go())
+def run_sequence(trial: Trial, case: SequenceCase) -> Procedure[Mismatch | None]:
+    """Execute a sequence on a homed line; return its first mismatch, None if there is none."""
+    return (yield from _SequenceRun(trial, case).go())
 
 
 class _SequenceRun:
-    def __init__(self, run: RunState, case: SequenceCase) -> None:
-        self._run = run
+    def __init__(self, trial: Trial, case: SequenceCase) -> None:
+        self._trial = trial
+        self._run = trial.run
         self._case = case
         self._axes = {"answer": Axis(Verdict.PASS, "each instruction answered once", "as expected")}
         self._looked = 0
@@ -45,29 +43,29 @@ class _SequenceRun:
         self._blind = False
 
     def go(self) -> Procedure[Mismatch | None]:
-        run, case = self._run, self._case
-        run.open(case, self._axes, Received((), 0), 0)
-        self._blind = not run.observable or run.moves == set()
-        run.expected_state = run.model.homed(run.model.found())
+        run, trial, case = self._run, self._trial, self._case
+        trial.begin(case, self._axes, Received((), 0), 0)
+        self._blind = not run.config.observable or run.profile.moves == set()
+        trial.expected = run.model.homed(run.model.found())
         found: Mismatch | None = None
         setup = (Burst((step,), looks=False) for step in case.setup)
         for index, burst in enumerate((*setup, *case.bursts), -len(case.setup)):
-            if run.expected_state.rests_on:
-                run.expected_state = replace(run.expected_state, rests_on=frozenset())
+            if trial.expected.rests_on:
+                trial.expected = replace(trial.expected, rests_on=frozenset())
             found = yield from self._burst(burst)
             if found:
                 found = replace(found, burst=index)
-                run.axes[found.name] = found.axis
+                trial.axes[found.name] = found.axis
                 break
         if not found and self._blind:
-            run.axes["state"] = run.not_observable("as the model says after each burst")
-        elif not found and self._looked and "state" not in run.axes:
+            trial.axes["state"] = run.config.not_observable("as the model says after each burst")
+        elif not found and self._looked and "state" not in trial.axes:
             actual = f"{self._looked} looks as expected"
-            run.axes["state"] = Axis(Verdict.PASS, "as the model says", actual)
+            trial.axes["state"] = Axis(Verdict.PASS, "as the model says", actual)
         if self._coarse and not found:
             reason = f"{self._coarse} pauses came out too long for the time-out on this link"
             words = "pauses below the time-out"
-            run.axes["answer"] = Axis(Verdict.INFORMATIONAL, words, reason, reason)
+            trial.axes["answer"] = Axis(Verdict.INFORMATIONAL, words, reason, reason)
         return found
 
     # -- one burst ----------------------------------------------------------------------------
@@ -101,28 +99,28 @@ class _SequenceRun:
                 steps = []
 
     def _part(self, burst: Burst) -> Procedure[Mismatch | None]:
-        run, chosen = self._run, list(burst.steps)
+        run, trial, chosen = self._run, self._trial, list(burst.steps)
         stray = yield from listen(None, 0)
         if stray.answers:
-            return unasked(run, chosen[0], stray)
+            return unasked(trial, chosen[0], stray)
         sent, early, usable = yield from self._send(burst, chosen)
         if not usable:
             self._coarse += 1
             yield from self._forget()
             return None
         before, taken = self._take(chosen)
-        found = answered_early(run, chosen, early, self._pause)
+        found = answered_early(trial, chosen, early, self._pause)
         if found:
             return found
-        found = yield from judge_burst(run, taken, early, sent)
+        found = yield from judge_burst(trial, taken, early, sent)
         if found or self._blind or not burst.looks:
             return found
-        found = yield from look_after(run, taken[-1], before)
+        found = yield from look_after(trial, taken[-1], before)
         self._looked += 1
         if not found and run.profile.stop_latency:
-            run.hear((yield from listen(None, 2 * run.profile.stop_latency)))
+            trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
         if not found and burst.idle_ms:
-            found = yield from watch_idle(run, taken[-1], burst.idle_ms * MS)
+            found = yield from watch_idle(trial, taken[-1], burst.idle_ms * MS)
         return found
 
     def _send(self, burst: Burst, steps: list[Step]) -> Procedure[tuple[int, Early, bool]]:
@@ -131,44 +129,42 @@ class _SequenceRun:
         Returns when its last byte was sent (ns), the answers in each pause with the number of bytes
         sent before it, and whether the pauses were short enough for the time-out.
         """
-        run, data = self._run, b"".join(step.frame for step in steps)
+        run, trial, data = self._run, self._trial, b"".join(step.frame for step in steps)
         places = [p for p in burst.pauses if p < len(data)] if len(data) == len(burst.data) else []
         early: Early = []
         usable, last = True, 0
         for start, end in zip([0, *places], [*places, len(data)], strict=True):
             if start:
                 heard = yield from listen(None, self._pause)
-                run.hear(heard)
+                trial.hear(heard)
                 early.append((start, heard.answers))
-                usable = usable and heard.now - last < run.timeout // 2
+                usable = usable and heard.now - last < run.waiting.timeout // 2
             last = yield from send(data[start:end])
         return last, early, usable
 
     @property
     def _pause(self) -> int:
         """How long (ns) a pause inside a frame lasts."""
-        return min(self._run.timeout // 8, 4 * MS)
+        return min(self._run.waiting.timeout // 8, 4 * MS)
 
     def _forget(self) -> Procedure[None]:
         """Wait until a frame the device may have truncated is over; then the state is unknown."""
-        run = self._run
-        run.hear((yield from listen(None, 2 * run.timeout + run.usual)))
-        run.expected_state = replace(
-            run.model.found(), unknown=frozenset(("speed", "steering", "led"))
-        )
+        run, trial = self._run, self._trial
+        trial.hear((yield from listen(None, 2 * run.waiting.timeout + run.waiting.usual)))
+        trial.expected = replace(run.model.found(), unknown=frozenset(("speed", "steering", "led")))
 
     def _take(self, steps: list[Step]) -> tuple[ExpectedState, list[Step]]:
         """Apply the steps to the model, up to one after which the device discards the rest.
 
         Returns the expected state before the last step applied, and the steps applied.
         """
-        run, before = self._run, self._run.expected_state
+        run, trial, before = self._run, self._trial, self._trial.expected
         taken: list[Step] = []
         for step in steps:
             taken.append(step)
-            before, run.expected_state = (
-                run.expected_state,
-                run.model.after(run.expected_state, step.frame_effect),
+            before, trial.expected = (
+                trial.expected,
+                run.model.after(trial.expected, step.frame_effect),
             )
             if flushes(run, step):
                 break

@@ -10,7 +10,8 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.choices import FLUSH_POINTS, POINTS
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.trial import Trial
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 """For each pause inside a burst: how many of its bytes had been sent, and the answers in it."""
@@ -18,21 +19,20 @@ Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 _FEW = 4  # so many more than twice the answers due are a flood (R-unsolicited)
 
 
-def unasked(run: RunState, step: Step, heard: Received) -> Mismatch:
+def unasked(trial: Trial, step: Step, heard: Received) -> Mismatch:
     """The mismatch of answers that came although no instruction was sent."""
-    run.hear(heard)
-    return _wrong(
-        run, step, "no answer", heard.codes, "came although nothing was asked", "R-unsolicited"
-    )
+    trial.hear(heard)
+    reason = "came although nothing was asked"
+    return _wrong(trial.run, step, "no answer", heard.codes, reason, "R-unsolicited")
 
 
-def answered_early(run: RunState, steps: list[Step], early: Early, pause: int) -> Mismatch | None:
+def answered_early(trial: Trial, steps: list[Step], early: Early, pause: int) -> Mismatch | None:
     """The mismatch where a frame was answered before its end, None if no answer came too early.
 
     A frame that is faulty from its header on may be answered there (R-answer-point). `pause` is how
     long (ns) each pause inside the burst lasted.
     """
-    point, came = "R-answer-point", 0
+    run, point, came = trial.run, "R-answer-point", 0
     for sent, answers in early:
         came += len(answers)
         whole, end = 0, 0
@@ -53,34 +53,35 @@ def answered_early(run: RunState, steps: list[Step], early: Early, pause: int) -
             codes = tuple(code for _, code in answers)
             return _wrong(run, step, "no answer yet", codes, reason, point)
         if word and inside and settled:
-            contradicts = run.profile.choices.record(point, word, run.open_id)
+            contradicts = run.profile.choices.record(point, word, trial.case.id)
             if contradicts:
                 return _wrong(run, step, "as before", (), contradicts, point)
     return None
 
 
 def judge_burst(
-    run: RunState, taken: list[Step], early: Early, sent: int
+    trial: Trial, taken: list[Step], early: Early, sent: int
 ) -> Procedure[Mismatch | None]:
     """Receive and judge the answers to the steps `taken`; their last byte went at `sent` (ns)."""
-    last, before = taken[-1], tuple(entry for _, answers in early for entry in answers)
+    run, last = trial.run, taken[-1]
+    before = tuple(entry for _, answers in early for entry in answers)
     silent = last.truncated and run.profile.choices.word(last.point) == "silent"
     due = len(taken) - silent
     left = max(0, due - len(before))
     if last.truncated:
         heard = yield from _left_alone(run, left, sent)
     else:
-        heard = yield from run.all_answers(left, run.patience)
+        heard = yield from run.waiting.all_answers(left, run.waiting.patience)
         if len(heard.answers) < left:
-            run.answer_pending = True
-    run.hear(heard)
+            run.waiting.answer_pending = True
+    trial.hear(heard)
     heard = Received(before + heard.answers, heard.now)
     if any(step.faulty for step in taken) and run.profile.flushes:
-        more = yield from listen(None, run.timeout + run.timers.settle)
+        more = yield from listen(None, run.waiting.timeout + run.timers.settle)
         heard = Received(heard.answers + more.answers, more.now)
-        run.hear(more)
+        trial.hear(more)
     for step, code in zip(taken, (*heard.codes, *[None] * len(taken)), strict=False):
-        found = _judge(run, step, code)
+        found = _judge(trial, step, code)
         if found:
             return found
     if len(heard.answers) > due:
@@ -90,23 +91,24 @@ def judge_burst(
         )
         flood = "R-unsolicited" if len(heard.answers) > 2 * due + _FEW else ""
         return _wrong(run, last, wanted, heard.codes, reason, flood)
-    return _soon(run, taken, heard, sent)
+    return _soon(trial, taken, heard, sent)
 
 
-def _left_alone(run: RunState, due: int, sent: int) -> Procedure[Received]:
+def _left_alone(run: Run, due: int, sent: int) -> Procedure[Received]:
     """Receive `due` answers to a truncated frame, sending nothing during its time-out."""
-    pause = run.timeout + run.timeout // 4 + run.timers.settle
-    patience = pause + run.usual if due else pause
-    heard = yield from run.all_answers(due, patience) if due else listen(None, patience)
-    run.timeouts += run.timeout if heard.answers else 0
-    if heard.now < sent + run.timeout // 2:
+    pause = run.waiting.timeout + run.waiting.timeout // 4 + run.timers.settle
+    patience = pause + run.waiting.usual if due else pause
+    heard = yield from run.waiting.all_answers(due, patience) if due else listen(None, patience)
+    run.waiting.timeouts += run.waiting.timeout if heard.answers else 0
+    if heard.now < sent + run.waiting.timeout // 2:
         # Answered at its header: bytes sent now would still be taken for its data.
         more = yield from listen(None, sent + pause - heard.now)
         heard = Received(heard.answers + more.answers, more.now)
     return heard
 
 
-def _judge(run: RunState, step: Step, code: int | None) -> Mismatch | None:
+def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
+    run = trial.run
     codes = () if code is None else (code,)
     match = next((a for a in step.accepted if a.codes == codes), None)
     if match is None:
@@ -118,28 +120,27 @@ def _judge(run: RunState, step: Step, code: int | None) -> Mismatch | None:
         return _wrong(run, step, expected, codes, reason)
     if step.point:
         word = match.word or POINTS[step.point].default
-        contradicts = run.profile.choices.record(step.point, word, run.open_id)
+        contradicts = run.profile.choices.record(step.point, word, trial.case.id)
         if contradicts:
             expected = answer_words(run.protocol, step.accepted[0].codes)
             reading = POINTS[step.point].reading
             return _wrong(run, step, expected, codes, contradicts, reading)
-    _rests(run, match)
+    _rests(trial, match)
     return None
 
 
-def _rests(run: RunState, match: Accepted) -> None:
-    if match.verdict > run.axes["answer"].verdict:
+def _rests(trial: Trial, match: Accepted) -> None:
+    if match.verdict > trial.axes["answer"].verdict:
         reason = f"another reading of {match.reading}"
         axis = Axis(match.verdict, "", "", reason, match.reading)
-        run.axes["answer"] = axis
+        trial.axes["answer"] = axis
 
 
-def _soon(run: RunState, taken: list[Step], heard: Received, sent: int) -> Mismatch | None:
+def _soon(trial: Trial, taken: list[Step], heard: Received, sent: int) -> Mismatch | None:
     """Judge how soon each answer came, after its frame or after the answer before it."""
     if taken[-1].truncated or not heard.answers:
         return None
-    last = sent
-    slowest = 0
+    run, last, slowest = trial.run, sent, 0
     for t, _ in heard.answers:
         slowest, last = max(slowest, t - last), max(t, last)
     run.profile.slowest = max(run.profile.slowest, slowest)
@@ -147,21 +148,21 @@ def _soon(run: RunState, taken: list[Step], heard: Received, sent: int) -> Misma
     if slowest > run.timers.longest:
         reason = f"an answer came after {slowest / MS:.0f} ms"
         return _wrong(run, taken[-1], "in time", heard.codes, reason, reading)
-    if slowest > run.timers.deadline and run.axes["answer"].verdict < Verdict.NON_STRICT:
+    if slowest > run.timers.deadline and trial.axes["answer"].verdict < Verdict.NON_STRICT:
         reason = f"slow: an answer came after {slowest / MS:.0f} ms"
-        run.axes["answer"] = Axis(Verdict.NON_STRICT, "", "", reason, reading)
+        trial.axes["answer"] = Axis(Verdict.NON_STRICT, "", "", reason, reading)
     return None
 
 
 def _wrong(
-    run: RunState, step: Step, expected: str, codes: tuple[int, ...], reason: str, reading: str = ""
+    run: Run, step: Step, expected: str, codes: tuple[int, ...], reason: str, reading: str = ""
 ) -> Mismatch:
     words = answer_words(run.protocol, codes)
     axis = Axis(Verdict.FAIL, expected, words, reason, reading or step.reading)
     return Mismatch(step, "answer", axis, run.protocol.clauses.responses)
 
 
-def flushes(run: RunState, step: Step) -> bool:
+def flushes(run: Run, step: Step) -> bool:
     """Whether the device discards what is sent right behind this fault."""
     choices = run.profile.choices
     if not step.faulty or choices.others.isdisjoint(FLUSH_POINTS):
@@ -169,7 +170,7 @@ def flushes(run: RunState, step: Step) -> bool:
     return choices.differs(_losing_point(run, step))
 
 
-def _losing_point(run: RunState, step: Step) -> str:
+def _losing_point(run: Run, step: Step) -> str:
     """The open point that decides whether what follows this fault is lost."""
     nobody = run.protocol.headers[step.frame[0]][0] not in run.protocol.by_id
     if step.kind is FrameClass.WRONG_LENGTH and len(step.frame) > 1:

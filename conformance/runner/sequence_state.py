@@ -10,44 +10,45 @@ from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words, state_words
-from bilprov.conformance.runner.run import RunState
 from bilprov.conformance.runner.sequence_answers import Mismatch, unasked
+from bilprov.conformance.runner.trial import Trial
 
 _IDLE_MS = 4 * MS  # between two looks while the line is idle
 
 
-def look_after(run: RunState, step: Step, before: ExpectedState) -> Procedure[Mismatch | None]:
+def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mismatch | None]:
     """Observe until the state fits, for as long as a stop may take; return a mismatch, or None.
 
     `before` is the expected state before the step.
     """
+    run = trial.run
     seen = yield from observe()
     start = seen.asked
-    found = differences(run.model, run.expected_state, seen.look)
+    found = differences(run.model, trial.expected, seen.look)
     patience = max(run.timers.deadline, int(run.protocol.timing.stop_longest * MS))
     first = [facet for facet, _, _ in found]
     while found and seen.now - start < patience:
         heard = yield from listen(None, 2 * MS)
         if heard.answers:
-            return unasked(run, step, heard)
+            return unasked(trial, step, heard)
         seen = yield from observe()
-        found = differences(run.model, run.expected_state, seen.look)
-    stops = run.expected_state.still and any(facet in MOVING for facet in first)
+        found = differences(run.model, trial.expected, seen.look)
+    stops = trial.expected.still and any(facet in MOVING for facet in first)
     if not found:
         late = seen.asked - start
         if stops and late > run.timers.grace:
             reason = f"stopped only {late / MS:.0f} ms after its answer"
             words = "stopped", look_words(seen.look)
             axis = Axis(Verdict.NON_STRICT, *words, reason, "R-stop-latency")
-            run.axes["stop"] = axis
+            trial.axes["stop"] = axis
             run.profile.stop_latency = max(run.profile.stop_latency, late)
-        _rest_on(run, seen.look)
+        _rest_on(trial, seen.look)
         return None
-    run.add_waiting(patience)
+    run.waiting.in_vain(patience)
     facet, wanted, actual = found[0]
     reason = f"{facet} is {actual}, expected is {wanted}"
     reading, why = contradiction(run.model, before, step.frame_effect, seen.look)
-    words = state_words(run.expected_state.state), look_words(seen.look)
+    words = state_words(trial.expected.state), look_words(seen.look)
     axis = Axis(Verdict.FAIL, *words, why or reason, reading)
     name = "stop" if stops and seen.look.moving else "state"
     clauses = run.protocol.clauses
@@ -56,23 +57,24 @@ def look_after(run: RunState, step: Step, before: ExpectedState) -> Procedure[Mi
     return Mismatch(step, name, axis, clause)
 
 
-def watch_idle(run: RunState, step: Step, time: int) -> Procedure[Mismatch | None]:
+def watch_idle(trial: Trial, step: Step, time: int) -> Procedure[Mismatch | None]:
     """Send nothing for `time` ns and check that no answer comes and that the state stays."""
+    run = trial.run
     until = (yield from listen(None, 0)).now + time
     now = 0
     while now < until:
         heard = yield from listen(None, min(_IDLE_MS, time))
         now = heard.now
         if heard.answers:
-            return unasked(run, step, heard)
+            return unasked(trial, step, heard)
         seen = yield from observe()
-        found = differences(run.model, run.expected_state, seen.look)
+        found = differences(run.model, trial.expected, seen.look)
         asleep = run.profile.watchdog is not None and seen.look.moving is False
         if found and not asleep:
             facet, _, actual = found[0]
-            moves = run.expected_state.still and seen.look.moving
+            moves = trial.expected.still and seen.look.moving
             reason = "moved again by itself" if moves else f"{facet} became {actual} by itself"
-            words = state_words(run.expected_state.state), look_words(seen.look)
+            words = state_words(trial.expected.state), look_words(seen.look)
             axis = Axis(Verdict.FAIL, *words, reason)
             clauses = run.protocol.clauses
             clause = clauses.safety if moves else clauses.instructions
@@ -80,12 +82,13 @@ def watch_idle(run: RunState, step: Step, time: int) -> Procedure[Mismatch | Non
     return None
 
 
-def _rest_on(run: RunState, look: Look) -> None:
+def _rest_on(trial: Trial, look: Look) -> None:
     """Give the state axis the verdict of each other choice on which the matching state rests."""
-    for point in run.expected_state.rests_on:
+    run = trial.run
+    for point in trial.expected.rests_on:
         verdict, reading = run.profile.choices.verdict(point), POINTS[point].reading
-        axis = run.axes.get("state")
+        axis = trial.axes.get("state")
         if axis is None or verdict > axis.verdict:
             reason = f"{run.profile.choices.word(point)}: another reading of {reading}"
-            words = state_words(run.expected_state.state), look_words(look)
-            run.axes["state"] = Axis(verdict, *words, reason, reading)
+            words = state_words(trial.expected.state), look_words(look)
+            trial.axes["state"] = Axis(verdict, *words, reason, reading)

@@ -24,37 +24,37 @@ from bilprov.conformance.oracle.judge import (
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
 from bilprov.conformance.runner.after_stop import recovery, restart_guard, stays_stopped
-from bilprov.conformance.runner.homing import set_up, watch
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.homing import SetUp, set_up, watch
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.fields import Outcome
 
 
-def try_case(run: RunState, case: Case) -> Procedure[None]:
-    """Execute a case on a homed line. It is left open: the next homing makes it final."""
+def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
+    """Execute a case on a homed line: preamble, stimulus, and the checks after it."""
+    run = trial.run
     case = case.as_step(adapt_to_device(run.protocol, run.profile.choices, case.step))
-    looks = run.looks_at(case)
-    lost, stray = yield from _precondition(run, case, looks)
+    looks = run.config.looks_at(case)
+    ready, stray = yield from _precondition(run, case, looks)
     if stray.answers:
         words = answer_words(run.protocol, stray.codes)
         reason = "answers came without an instruction"
         axis = Axis(Verdict.FAIL, "no answer", words, reason, "R-unsolicited")
-        run.open(case, {"answer": axis}, stray, stray.now)
+        trial.begin(case, {"answer": axis}, stray, stray.now)
         return
-    if lost and case.kind is not FrameClass.VALID:
-        axis = Axis(Verdict.INCONCLUSIVE, "", "", f"precondition lost: {lost}")
-        run.open(case, {"answer": axis}, Received((), 0), 0)
+    if ready.missing and case.kind is not FrameClass.VALID:
+        axis = Axis(Verdict.INCONCLUSIVE, "", "", f"precondition lost: {ready.missing}")
+        trial.begin(case, {"answer": axis}, Received((), 0), 0)
         return
     sent = yield from send(case.stimulus)
-    run.before, run.expected_state = (
-        run.expected_state,
-        run.model.after(run.expected_state, case.frame_effect),
-    )
+    trial.before = ready.expected
+    trial.expected = run.model.after(ready.expected, case.frame_effect)
     heard, filled = yield from _answers(run, case, sent)
 
     def judged(heard: Received, sent: int) -> Axis:
         return _judge_heard(run, case, heard, sent, filled)
 
-    run.open(case, {"answer": judged(heard, sent)}, heard, sent)
+    trial.begin(case, {"answer": judged(heard, sent)}, heard, sent)
     if case.arrived is None:
         run.profile.measured(heard, sent)
     # After a truncated frame the line was silent for the time-out, however early its answer came.
@@ -62,58 +62,59 @@ def try_case(run: RunState, case: Case) -> Procedure[None]:
     answered = heard.answers[-1][0] if whole else heard.now
     if not looks:
         if case.stop:
-            run.axes["stop"] = run.not_observable("stopped")
-        run.axes["state"] = run.not_observable(state_words(run.expected_state.state))
+            trial.axes["stop"] = run.config.not_observable("stopped")
+        trial.axes["state"] = run.config.not_observable(state_words(trial.expected.state))
     elif case.stop:
-        yield from _stop(run, case, answered)
+        yield from _stop(trial, case, answered)
     else:
-        yield from _state(run, case)
+        yield from _state(trial, case)
     if case.then:
-        yield from recovery(run, case, looks)
-    elif case.stop and (yield from stays_stopped(run, case, looks, judged)):
-        yield from restart_guard(run, case, looks)
+        yield from recovery(trial, case, looks)
+    elif case.stop and (yield from stays_stopped(trial, case, looks, judged)):
+        yield from restart_guard(trial, case, looks)
 
 
-def _precondition(run: RunState, case: Case, looks: bool) -> Procedure[tuple[str, Received]]:
+def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, Received]]:
     """Bring the robot to the case's initial state (the preamble).
 
-    Returns what is missing, "" if nothing, and the answers that came without an instruction.
+    Returns how far that came, and the answers that came without an instruction.
     """
-    lost = yield from set_up(run, case.setup)
-    if not lost and looks and case.setup.moving:
-        moves = run.moves is None or case.setup.motion in run.moves
+    ready = yield from set_up(run, case.setup)
+    if not ready.missing and looks and case.setup.moving:
+        moves = run.profile.moves is None or case.setup.motion in run.profile.moves
         patience = run.timers.deadline if moves else 0
         seen = yield from watch(run, moving=True, patience=patience)
         if not seen.look.moving:
-            lost = f"not seen moving ({case.setup.motion.value}) before the stimulus"
+            missing = f"not seen moving ({case.setup.motion.value}) before the stimulus"
+            ready = ready._replace(missing=missing)
     stray = yield from listen(None, 0)
-    return lost, stray
+    return ready, stray
 
 
-def _answers(run: RunState, case: Case, sent: int) -> Procedure[tuple[Received, bool]]:
+def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]]:
     """Receive the due answers; return them, and whether a pad byte was sent to get them."""
     due = len(case.accepted[0].codes)
     if case.arrived is not None:
         return (yield from _after_silence(run, due, sent)), False
     if not case.short:
-        return (yield from run.answers(due)), False
+        return (yield from run.waiting.answers(due)), False
     # No answer for half a time-out: a slow device, or one that waits for data not announced.
-    heard = yield from listen(due, run.timeout // 2)
+    heard = yield from listen(due, run.waiting.timeout // 2)
     if len(heard.answers) >= due:
         return heard, False
     yield from send(bytes([run.protocol.pad_byte]))
-    more = yield from run.answers(due + 1)
+    more = yield from run.waiting.answers(due + 1)
     return Received(heard.answers + more.answers, more.now), True
 
 
-def _after_silence(run: RunState, due: int, sent: int) -> Procedure[Received]:
+def _after_silence(run: Run, due: int, sent: int) -> Procedure[Received]:
     """Receive the answers to a truncated frame, sending nothing during its whole time-out."""
-    timeout = run.timeout
+    timeout = run.waiting.timeout
     pause = timeout + timeout // 4 + run.timers.settle
     if run.profile.truncation_answered is False:
         return (yield from listen(None, pause))
-    heard = yield from run.answers(due, pause + run.usual)
-    run.timeouts += run.timeout if heard.answers else 0
+    heard = yield from run.waiting.answers(due, pause + run.waiting.usual)
+    run.waiting.timeouts += run.waiting.timeout if heard.answers else 0
     if heard.now - sent < timeout // 2:
         # Answered at its header: bytes sent now would still be taken for its data.
         more = yield from listen(None, sent + pause - heard.now)
@@ -121,7 +122,7 @@ def _after_silence(run: RunState, due: int, sent: int) -> Procedure[Received]:
     return heard
 
 
-def _judge_heard(run: RunState, case: Case, heard: Received, sent: int, filled: bool) -> Axis:
+def _judge_heard(run: Run, case: Case, heard: Received, sent: int, filled: bool) -> Axis:
     """The answer axis of the answers so far; `filled` if a pad byte was sent after the frame."""
     if filled:
         ok = run.protocol.answers[Outcome.VALID].code
@@ -139,10 +140,11 @@ def _judge_heard(run: RunState, case: Case, heard: Received, sent: int, filled: 
     return judge_answers(run.protocol, case.accepted, heard, sent, timed=timed, timers=run.timers)
 
 
-def _stop(run: RunState, case: Case, answered: int) -> Procedure[None]:
+def _stop(trial: Trial, case: Case, answered: int) -> Procedure[None]:
     """Judge the stop axis (the robot stands once the answer is there) and the state after it."""
+    run = trial.run
     longest = int(run.protocol.timing.stop_longest * MS)
-    seen = yield from watch(run, moving=False, patience=longest)
+    seen = yield from watch(run, moving=False, patience=longest, trial=trial)
     words, reading = look_words(seen.look), "R-stop-latency"
     late = seen.asked - answered
     if seen.look.moving is None:
@@ -156,34 +158,36 @@ def _stop(run: RunState, case: Case, answered: int) -> Procedure[None]:
         axis = Axis(Verdict.NON_STRICT, "stopped", words, reason, reading)
     else:
         axis = Axis(Verdict.PASS, "stopped", words)
-    run.axes["stop"] = axis
-    run.axes["state"] = _judge_state(run, case, seen)
+    trial.axes["stop"] = axis
+    trial.axes["state"] = _judge_state(trial, case, seen)
 
 
-def _state(run: RunState, case: Case) -> Procedure[None]:
+def _state(trial: Trial, case: Case) -> Procedure[None]:
     """Judge the state axis of an instruction that need not stop: observe until the state fits."""
+    run = trial.run
     seen = yield from observe()
     start = seen.asked
-    axis = _judge_state(run, case, seen)
+    axis = _judge_state(trial, case, seen)
     patience = run.timers.deadline
     while axis.verdict is Verdict.FAIL and seen.now - start < patience:
         heard = yield from listen(None, 10 * MS)
-        run.hear(heard)
+        trial.hear(heard)
         seen = yield from observe()
-        axis = _judge_state(run, case, seen)
+        axis = _judge_state(trial, case, seen)
     if axis.verdict is Verdict.FAIL:
-        run.add_waiting(patience)
-    run.axes["state"] = axis
+        run.waiting.in_vain(patience)
+    trial.axes["state"] = axis
 
 
-def _judge_state(run: RunState, case: Case, seen: Observation) -> Axis:
+def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
+    run = trial.run
     elsewhere = MOVING if case.stop and seen.look.moving else ()
-    axis = judge_state(run.model, run.expected_state, seen.look, elsewhere)
+    axis = judge_state(run.model, trial.expected, seen.look, elsewhere)
     if axis.verdict is Verdict.FAIL:
-        reading, why = contradiction(run.model, run.before, case.frame_effect, seen.look)
+        reading, why = contradiction(run.model, trial.before, case.frame_effect, seen.look)
         if why:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
-    if axis.verdict is Verdict.FAIL and run.moves == set():
+    if axis.verdict is Verdict.FAIL and run.profile.moves == set():
         reason = "never seen moving in any kind of motion: is the motor power on?"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
     blind = unseen(case, seen.look)

@@ -15,8 +15,9 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen, obse
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words
-from bilprov.conformance.runner.homing import home, set_up, watch
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.homing import home_after, set_up, watch
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.motion import State
 
 _STEP = 10 * MS
@@ -47,7 +48,7 @@ class _Measured:
         return abs(mine - theirs) <= max(_JITTER, min(mine, theirs) // 2)
 
 
-def measure_timeout(run: RunState) -> Procedure[None]:
+def measure_timeout(run: Run) -> Procedure[None]:
     """Measure the truncation time-out and judge it as a case. Leaves the line homed.
 
     A single result may be noise, a byte changed on the line: it is measured until two results
@@ -85,19 +86,27 @@ def measure_timeout(run: RunState) -> Procedure[None]:
     run.publish(result)
 
 
-def _measure(run: RunState, case: Case) -> Procedure[_Measured]:
-    """Measure once and home the line; late answers found while homing count against it."""
-    run.trying = []
-    timeout = yield from _once(run, case)
-    yield from home(run)
-    return _Measured(run.tried(case.id), timeout)
+def _measure(run: Run, case: Case) -> Procedure[_Measured]:
+    """Measure once and home the line; late answers found while homing count against it.
+
+    One that is stopped after its answer is published, as no pass, and the run ends.
+    """
+    trial = Trial(run, case)
+    timeout = yield from _once(trial, case)
+    homed = yield from home_after(run, trial)
+    result = trial.end(homed)
+    if homed.stopped:
+        run.publish(result)
+        raise homed.stopped
+    return _Measured(result, timeout)
 
 
-def _once(run: RunState, case: Case) -> Procedure[int | None]:
-    watched = run.observable and bool(run.moves)
-    if watched and run.moves:
+def _once(trial: Trial, case: Case) -> Procedure[int | None]:
+    run = trial.run
+    watched = run.config.observable and bool(run.profile.moves)
+    if watched and run.profile.moves:
         _, fast = run.protocol.limits.get("speed", (0, 0))
-        yield from set_up(run, State(motion=min(run.moves), speed=fast))
+        yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
     sent = yield from send(case.stimulus)
     heard, stopped = yield from _wait(run, sent, watched)
     moment = next((t for t, _ in heard.answers if t >= sent), stopped)
@@ -131,15 +140,15 @@ def _once(run: RunState, case: Case) -> Procedure[int | None]:
         reason = "never timed out and kept driving"
         axes["stop"] = Axis(Verdict.FAIL, "stopped", "moving", reason, case.reading)
     else:
-        axes["stop"] = run.not_observable("stopped")
+        axes["stop"] = run.config.not_observable("stopped")
     stop = axes.get("stop")
     if stop and stop.verdict is Verdict.FAIL and axes["answer"].verdict is not Verdict.FAIL:
         case = replace(case, clause=run.protocol.clauses.safety)
-    run.open(case, axes, heard, sent)
+    trial.begin(case, axes, heard, sent)
     return timeout
 
 
-def _wait(run: RunState, sent: int, watched: bool) -> Procedure[tuple[Received, int | None]]:
+def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int | None]]:
     """Listen, observing the robot if `watched`, until an answer comes or `never` ns are over.
 
     Returns the answers, and when (ns) the robot was seen stopped, None if it was not.
@@ -158,7 +167,7 @@ def _wait(run: RunState, sent: int, watched: bool) -> Procedure[tuple[Received, 
     return Received(heard.answers + more.answers, more.now), stopped
 
 
-def _in_limits(run: RunState, timeout: int) -> Axis:
+def _in_limits(run: Run, timeout: int) -> Axis:
     timing = run.protocol.timing
     expected = f"{timing.truncation_shortest:g} ms to {timing.truncation_longest:g} ms"
     inside = timing.truncation_shortest <= timeout / MS <= timing.truncation_longest

@@ -18,7 +18,6 @@ from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
-from bilprov.conformance.api import SilentListener
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.link import drive
@@ -28,7 +27,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.timers import Observability, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.signals import ignoring
@@ -87,16 +86,13 @@ def run_over(
     discover: bool = False,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Runner:
-    """Run cases over a link to the end; the results are in `runner.books`.
+    """Run cases over a link to the end; the results are in `runner.run`.
 
     Without `discover` the device is taken to read the document as the kit does.
     """
-    nobody = SilentListener()
-    state = RunState(
-        protocol, timers or Timers(), observability, begin=nobody.begin, report=nobody.end
-    )
-    runner = Runner(state, cases, fail_fast=fail_fast, discover=discover)
-    drive(runner.run(), link, interrupted)
+    run = Run(RunConfig(protocol, timers or Timers(), observability))
+    runner = Runner(run, cases, fail_fast=fail_fast, discover=discover)
+    drive(runner.execute(), link, interrupted)
     return runner
 
 

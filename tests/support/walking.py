@@ -13,10 +13,11 @@ from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Observability, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.runner.homing import home, see_motions
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.homing import home, home_after, see_motions
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink
 
@@ -58,9 +59,10 @@ def at_frame(hexed: str, change: React) -> Fault:
 
 @dataclass
 class Walked:
-    """What came of walking once: the books, what went wrong, and the case's result."""
+    """What came of walking once: run and trial, what went wrong, and the case's result."""
 
-    run: RunState
+    run: Run
+    trial: Trial
     mismatch: Mismatch | None
     result: CaseResult
     link: CountingLink
@@ -78,22 +80,15 @@ def run_once(
 ) -> Walked:
     """Home, walk, and home again, which makes the result final."""
     line = link(device)
-    run = RunState(
-        protocol,
-        timers or Timers(),
-        observability,
-        begin=lambda ident: None,
-        report=lambda result: None,
-        profile=profile or Profile(truncation_timeout=50 * MS),
-    )
+    config = RunConfig(protocol, timers or Timers(), observability)
+    run = Run(config, profile or Profile(truncation_timeout=50 * MS))
 
-    def script() -> Procedure[Mismatch | None]:
+    def script() -> Procedure[Walked]:
         yield from home(run)
         yield from see_motions(run)
-        found = yield from run_sequence(run, case)
-        yield from home(run)
-        return found
+        trial = Trial(run, case)
+        found = yield from run_sequence(trial, case)
+        homed = yield from home_after(run, trial)
+        return Walked(run, trial, found, trial.end(homed), line)
 
-    mismatch = drive(script(), line, lambda: False)
-    (result,) = [r for r in run.results if r.id == case.id]
-    return Walked(run, mismatch, result, line)
+    return drive(script(), line, lambda: False)

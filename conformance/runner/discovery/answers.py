@@ -18,7 +18,7 @@ from bilprov.conformance.cases.steps import (
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
@@ -81,10 +81,10 @@ def _setting(protocol: Protocol) -> Step:
     return valid_frame(protocol, spec, values)
 
 
-def _exchange(run: RunState, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:
+def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:
     """Send bytes and receive answers, `due` of them and any more, until the line is silent."""
     yield from send(data)
-    heard = yield from run.all_answers(due, patience)
+    heard = yield from run.waiting.all_answers(due, patience)
     more = yield from listen(None, run.timers.silence)
     return Received(heard.answers + more.answers, more.now)
 
@@ -95,7 +95,7 @@ def _burst(
     """An experiment: are frames sent right behind a faulty one run (`kept`), or `lost`?"""
     data = b"".join(step.frame for step in steps)
 
-    def make(run: RunState) -> Procedure[Finding]:
+    def make(run: Run) -> Procedure[Finding]:
         chosen = (adapt_to_device(run.protocol, run.profile.choices, step) for step in steps)
         data = b"".join(step.frame for step in chosen)
         heard = yield from _exchange(run, data, len(steps))
@@ -127,15 +127,13 @@ def _ahead(kind: str, steps: tuple[Step, ...]) -> Experiment:
     return _burst(name, (point,), steps, "lost-after-fault", "in-order")
 
 
-def _chosen(
-    name: str, one: Step, patience: Callable[[RunState], int] = lambda run: 0
-) -> Experiment:
+def _chosen(name: str, one: Step, patience: Callable[[Run], int] = lambda run: 0) -> Experiment:
     """An experiment: which of the answers that are open for this frame does the device give?"""
 
-    def make(run: RunState) -> Procedure[Finding]:
+    def make(run: Run) -> Procedure[Finding]:
         step = adapt_to_device(run.protocol, run.profile.choices, one)
         heard = yield from _exchange(run, step.frame, 1, patience(run))
-        run.timeouts += run.timeout if step.truncated and heard.answers else 0
+        run.waiting.timeouts += run.waiting.timeout if step.truncated and heard.answers else 0
         expected = answer_words(run.protocol, step.accepted[0].codes)
         actual = answer_words(run.protocol, heard.codes)
         match = next((a for a in step.accepted if a.codes == heard.codes), None)
@@ -155,8 +153,9 @@ DEFAULT = "default"
 def _cuts(protocol: Protocol) -> Iterator[Experiment]:
     """Experiments with truncated frames: a known ID, a length too long for it, an unused ID."""
 
-    def patience(run: RunState) -> int:
-        return run.timeout + run.timeout // 4 + run.timers.settle + run.usual
+    def patience(run: Run) -> int:
+        timeout = run.waiting.timeout
+        return timeout + timeout // 4 + run.timers.settle + run.waiting.usual
 
     carrying = next((s for s in protocol.instructions if s.length), None)
     if carrying:
@@ -170,10 +169,10 @@ def _cuts(protocol: Protocol) -> Iterator[Experiment]:
         yield _chosen("truncated-unused", nobody, patience)
 
 
-def _answer_point(run: RunState, many: Step, some: Step) -> Procedure[Finding]:
+def _answer_point(run: Run, many: Step, some: Step) -> Procedure[Finding]:
     """Send data after their header, within the time-out, and find out when the answer comes."""
     expected, point = "after the data", "R-answer-point"
-    wait = min(run.timeout * 6 // 10, max(5 * MS, 3 * run.profile.slowest))
+    wait = min(run.waiting.timeout * 6 // 10, max(5 * MS, 3 * run.profile.slowest))
     if 2 * run.profile.slowest > wait:
         reason = f"answers take {run.profile.slowest / MS:.0f} ms, too long for the time-out"
         return Finding(((point, ""),), expected, "", coarse=reason)
@@ -183,7 +182,7 @@ def _answer_point(run: RunState, many: Step, some: Step) -> Procedure[Finding]:
         yield from send(step.frame[:1])
         first = yield from listen(1, wait) if len(step.frame) > 1 else listen(0, 0)
         yield from send(step.frame[1:])
-        rest = yield from listen(1 - len(first.answers), run.usual)
+        rest = yield from listen(1 - len(first.answers), run.waiting.usual)
         more = yield from listen(None, run.timers.silence)
         early.append(len(first.answers))
         heard += first.answers + rest.answers + more.answers
@@ -197,23 +196,24 @@ def _answer_point(run: RunState, many: Step, some: Step) -> Procedure[Finding]:
     return Finding(((point, word),), expected, actual, fault, heard)
 
 
-def _whole_frame(run: RunState, step: Step) -> Procedure[Finding]:
+def _whole_frame(run: Run, step: Step) -> Procedure[Finding]:
     """Find out whether the time-out counts from the header or between two bytes.
 
     Each pause inside the frame is shorter than the time-out, all together are longer.
     """
-    pause, point, early = run.timeout * 6 // 10, "R-truncation-timeout", 0
-    usable = (run.profile.jitter or 0) < run.timeout - pause
+    pause, point, early = run.waiting.timeout * 6 // 10, "R-truncation-timeout", 0
+    usable = (run.profile.jitter or 0) < run.waiting.timeout - pause
     codes: list[tuple[int, int]] = []
     for index in range(len(step.frame)):
         sent = yield from send(step.frame[index : index + 1])
         last = index == len(step.frame) - 1
-        heard = yield from listen(None if not last else 1, run.usual if last else pause)
+        heard = yield from listen(None if not last else 1, run.waiting.usual if last else pause)
         codes += heard.answers
         early += 0 if last else len(heard.answers)
-        usable = usable and (last or heard.now - sent < run.timeout * 9 // 10)
+        usable = usable and (last or heard.now - sent < run.waiting.timeout * 9 // 10)
     # A truncated frame leaves bytes over that are headers of their own, answered later.
-    more = yield from listen(None, run.timeout + run.usual if early else run.timers.silence)
+    rest = run.waiting.timeout + run.waiting.usual
+    more = yield from listen(None, rest if early else run.timers.silence)
     heard_all = (*codes, *more.answers)
     expected = "between two bytes"
     if not usable:
@@ -233,7 +233,7 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
     step = valid_frame(protocol, led, {f.name: f.high for f in led.fields})
     ok, refused = code_of(protocol, Outcome.VALID), code_of(protocol, Outcome.UNKNOWN_ID)
 
-    def version(run: RunState) -> Procedure[Finding]:
+    def version(run: Run) -> Procedure[Finding]:
         heard = yield from _exchange(run, step.frame, 1)
         words: dict[tuple[int, ...], str] = {(ok,): "current", (refused,): "older"}
         word = words.get(heard.codes, "")
@@ -241,7 +241,7 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
         actual = answer_words(run.protocol, heard.codes)
         return Finding((("R-version", word),), "known, or unused", actual, fault, heard.answers)
 
-    def moved(run: RunState) -> Procedure[Finding]:
+    def moved(run: Run) -> Procedure[Finding]:
         choices = run.profile.choices
         other = int(choices.allowed["led-id"])
         own = yield from _exchange(run, step.frame, 1)
@@ -262,7 +262,7 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
     if data is not None:
         wrong = bad_data_frame(protocol, led, data)
 
-        def upper(run: RunState) -> Procedure[Finding]:
+        def upper(run: Run) -> Procedure[Finding]:
             heard = yield from _exchange(run, wrong.frame, 1)
             word = {(ok,): "ignored", wrong.accepted[0].codes: "refused"}.get(heard.codes, "")
             actual = answer_words(run.protocol, heard.codes)

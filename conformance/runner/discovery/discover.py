@@ -18,7 +18,7 @@ from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.discovery.state import state_experiments
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.power_on import first_frames_lost
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 
 _AGREE, _TRIES = 2, 6
@@ -47,7 +47,7 @@ def _case(protocol: Protocol, experiment: Experiment) -> Case:
     )
 
 
-def discover(run: RunState) -> Procedure[None]:
+def discover(run: Run) -> Procedure[None]:
     """Make every experiment that device, probe and options allow, and record the choices shown."""
     for experiment in _experiments(run.protocol):
         if experiment.option and experiment.option not in run.profile.choices.allowed:
@@ -56,20 +56,19 @@ def discover(run: RunState) -> Procedure[None]:
         if "pipelining" in run.profile.choices.allowed and experiment.points[0] in FLUSH_POINTS:
             continue
         run.begin(case.id)
-        if experiment.sees and not run.observable:
-            run.end(
-                case, {"state": run.not_observable("one choice of what the document leaves open")}
-            )
+        if experiment.sees and not run.config.observable:
+            expected = "one choice of what the document leaves open"
+            run.conclude(case, {"state": run.config.not_observable(expected)})
             continue
-        if experiment.sees and run.moves is not None and not run.moves:
+        if experiment.sees and run.profile.moves is not None and not run.profile.moves:
             reason = "never seen moving in any kind of motion: is the motor power on?"
-            run.end(case, {"state": Axis(Verdict.INCONCLUSIVE, "moving", "stopped", reason)})
+            run.conclude(case, {"state": Axis(Verdict.INCONCLUSIVE, "moving", "stopped", reason)})
             continue
         yield from _settle(run, experiment, case)
     yield from first_frames_lost(run)
 
 
-def _settle(run: RunState, experiment: Experiment, case: Case) -> Procedure[None]:
+def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
     """Make an experiment until two findings agree, at most six times, and judge its case."""
     shown: Counter[Finding] = Counter()
     once = 1 if experiment.long else _AGREE
@@ -89,7 +88,7 @@ def _settle(run: RunState, experiment: Experiment, case: Case) -> Procedure[None
         verdict = Verdict.FAIL
         if coarse:  # then it may have been noise
             verdict, reason = Verdict.INCONCLUSIVE, f"flaky: {coarse}"
-        run.end(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})
+        run.conclude(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})
         return
     judged = _judged(run, best, case)
     # What only a single try has shown does not stay in the profile either.
@@ -106,7 +105,7 @@ def _settle(run: RunState, experiment: Experiment, case: Case) -> Procedure[None
         other = shown.most_common(2)[1][0]
         reason = f"flaky: shown once in {sum(shown.values())} tries: {other.actual}"
         judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
-    run.end(case, {axis: judged}, best.heard)
+    run.conclude(case, {axis: judged}, best.heard)
 
 
 def _told(shown: Counter[Finding]) -> Counter[Finding]:
@@ -114,7 +113,7 @@ def _told(shown: Counter[Finding]) -> Counter[Finding]:
     return Counter({found: times for found, times in shown.items() if not found.coarse})
 
 
-def _judged(run: RunState, best: Finding, case: Case) -> Axis:
+def _judged(run: Run, best: Finding, case: Case) -> Axis:
     """The axis of a finding, with the worst verdict of its choices; records these choices."""
     if best.fault:
         return Axis(Verdict.FAIL, best.expected, best.actual, best.fault, case.reading)

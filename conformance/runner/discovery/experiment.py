@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from bilprov.conformance.dut.operations import Procedure
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Experiment:
     name: str
     points: tuple[str, ...]
     requirement: str
-    make: Callable[[RunState], Procedure[Finding]]
+    make: Callable[[Run], Procedure[Finding]]
     stimulus: bytes = b""
     sees: bool = False
     safety: bool = False

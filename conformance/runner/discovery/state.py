@@ -12,7 +12,7 @@ from bilprov.conformance.oracle.state_model import rotates
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moves, setting
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -93,7 +93,7 @@ def _probe(
     name: str,
     points: tuple[str, ...],
     requirement: str,
-    make: Callable[[RunState], Procedure[Finding]],
+    make: Callable[[Run], Procedure[Finding]],
     header: int,
 ) -> Experiment:
     return Experiment(name, points, requirement, make, bytes([header]), sees=True, safety=True)
@@ -120,10 +120,10 @@ def _motion(spec: InstructionSpec) -> Motion:
     return spec.effect.motion
 
 
-def _send(run: RunState, frame: bytes) -> Procedure[int]:
+def _send(run: Run, frame: bytes) -> Procedure[int]:
     """Send a frame and wait for its answer; returns how many answers came."""
     yield from send(frame)
-    heard = yield from run.answers(1)
+    heard = yield from run.waiting.answers(1)
     return len(heard.answers)
 
 
@@ -138,10 +138,10 @@ def _steering(look: Look, full: State) -> str:
 
 
 def _drive_steering(
-    run: RunState, *, first: InstructionSpec, last: InstructionSpec
+    run: Run, *, first: InstructionSpec, last: InstructionSpec
 ) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(first))
-    lost = yield from set_up(run, full)
+    lost = (yield from set_up(run, full)).missing
     yield from _send(run, bytes([run.protocol.header_bytes[last.id, 0]]))
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     word = _steering(seen.look, full)
@@ -150,18 +150,18 @@ def _drive_steering(
 
 
 def _after(
-    run: RunState, *, first: InstructionSpec, frame: bytes, points: tuple[str, ...]
+    run: Run, *, first: InstructionSpec, frame: bytes, points: tuple[str, ...]
 ) -> Procedure[Finding]:
     """Find out what a frame that stops the robot leaves of steering, speed and LED."""
     protocol = run.protocol
     full = _full(protocol, _motion(first))
-    lost = yield from set_up(run, full)
+    lost = (yield from set_up(run, full)).missing
     yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from _send(run, frame)
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     look, actual = seen.look, look_words(seen.look)
     fault = lost or ("still moves" if look.moving else "")
-    yield from listen(None, run.timeout if run.profile.flushes else 0)
+    yield from listen(None, run.waiting.timeout if run.profile.flushes else 0)
     again = look
     if look.speed is None or look.steering is None:
         # What the probe does not tell shows when the robot drives again.
@@ -192,9 +192,9 @@ def _after(
     return Finding(tuple((p, words[p]) for p in known), "stopped", actual, fault)
 
 
-def _speed_moving(run: RunState, *, first: InstructionSpec) -> Procedure[Finding]:
+def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(first))
-    lost = yield from set_up(run, full)
+    lost = (yield from set_up(run, full)).missing
     yield from _send(run, setting(run.protocol, "speed", 0))
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     word, fault = "at-once", lost
@@ -208,9 +208,9 @@ def _speed_moving(run: RunState, *, first: InstructionSpec) -> Procedure[Finding
     return Finding((("R-speed-moving", word),), "stopped by speed 0", look_words(seen.look), fault)
 
 
-def _steer_rotating(run: RunState, *, turning: InstructionSpec) -> Procedure[Finding]:
+def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]:
     full = _full(run.protocol, _motion(turning))
-    lost = yield from set_up(run, State(full.motion, full.speed, 0, full.led))
+    lost = (yield from set_up(run, State(full.motion, full.speed, 0, full.led))).missing
     yield from _send(run, setting(run.protocol, "steering", full.steering))
     yield from listen(None, run.timers.silence)
     look = (yield from observe()).look
@@ -226,9 +226,9 @@ def _steer_rotating(run: RunState, *, turning: InstructionSpec) -> Procedure[Fin
     return Finding((("R-steer-rotating", word),), "goes on rotating", words, fault)
 
 
-def _watchdog(run: RunState, *, first: InstructionSpec) -> Procedure[Finding]:
+def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     """Find out whether a driving robot stops, sends or starts again while the line is silent."""
-    lost = yield from set_up(run, _full(run.protocol, _motion(first)))
+    lost = (yield from set_up(run, _full(run.protocol, _motion(first)))).missing
     begun = yield from watch(run, moving=True, patience=run.timers.deadline)
     point, expected = "R-watchdog", "keeps driving, says nothing"
     if begun.look.moving is not True:

@@ -232,7 +232,7 @@ def test_a_person_is_asked_at_most_40_times(protocol: Protocol, seed: int) -> No
     assert 20 <= len(link.looks) <= 40
     assert all(
         result.axes["stop"].verdict is Verdict.PASS
-        for result in runner.state.results
+        for result in runner.run.results
         if result.id.split("/")[0] in FAULTY
     )
 

@@ -197,7 +197,7 @@ def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, 
 
     runner = run_over(link, protocol, cases)
 
-    results = runner.state.results
+    results = runner.run.results
     found = failing(results)
     verdicts = {result.verdict for result in results}
     if fault.exit == 2:
@@ -244,7 +244,7 @@ def test_the_reference_passes_every_single_frame_there_is(protocol: Protocol) ->
     # 781 valid, 112 unused, 135 wrong lengths, 248 bad data, 1,920 cuts, and 20 of recovery
     assert len(cases) == 781 + 112 + 135 + 248 + 1920 + 20
     # Without a power switch there is no second power-on.
-    odd = [r.id for r in runner.state.results if r.verdict is not Verdict.PASS]
+    odd = [r.id for r in runner.run.results if r.verdict is not Verdict.PASS]
     assert odd == ["power-on/Forward"]
 
 

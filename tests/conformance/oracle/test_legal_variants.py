@@ -137,8 +137,8 @@ def test_a_reading_that_a_device_rests_on_is_named(protocol: Protocol) -> None:
         cases = cases_of(protocol, "valid/Stop", "*/[1-9]", "*/0", "timing/*", "valid/R*")[::9]
         device = Simulator(protocol, find_variant(protocol, name))
         runner = run_over(CountingLink(device), protocol, cases, discover=True)
-        readings = {axis.reading for r in runner.state.results for axis in r.axes.values()}
-        if any(result.verdict is verdict for result in runner.state.results):
+        readings = {axis.reading for r in runner.run.results for axis in r.axes.values()}
+        if any(result.verdict is verdict for result in runner.run.results):
             assert readings - {""}, name
 
 
@@ -151,7 +151,7 @@ def test_a_probe_that_sees_only_motion_does_not_take_a_zeroed_speed_for_a_broken
         CountingLink(device), protocol, cases_of(protocol, "unused-id/9/*"), discover=True
     )
 
-    verdicts = {r.verdict for r in runner.state.results if r.id.startswith("unused-id")}
+    verdicts = {r.verdict for r in runner.run.results if r.id.startswith("unused-id")}
     assert verdicts == {INFORMATIONAL}
 
 
@@ -166,4 +166,4 @@ def test_but_a_robot_that_no_new_speed_wakes_after_a_fault_fails(protocol: Proto
         CountingLink(device), protocol, cases_of(protocol, "unused-id/9/*"), discover=True
     )
 
-    assert Verdict.FAIL in {result.verdict for result in runner.state.results}
+    assert Verdict.FAIL in {result.verdict for result in runner.run.results}

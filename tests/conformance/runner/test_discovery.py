@@ -25,7 +25,7 @@ from bilprov.conformance.runner.discovery import discover as discovery
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import RunState
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS
@@ -101,28 +101,22 @@ def probed(
     *allow: str,
     observability: Observability = ALL_SEEING,
     link: type[CountingLink] = CountingLink,
-) -> RunState:
-    """The books of a run that only looks at the device's own choices."""
+) -> Run:
+    """A run that only looks at the device's own choices."""
     choices = Choices(allowed=parse_allowed(protocol, allow))
-    run = RunState(
-        protocol,
-        Timers(idle=2500 * MS),
-        observability,
-        begin=lambda ident: None,
-        report=lambda result: None,
-        profile=Profile(choices=choices),
-    )
-    drive(Runner(run, []).run(), link(Simulator(protocol, fault)), lambda: False)
+    config = RunConfig(protocol, Timers(idle=2500 * MS), observability)
+    run = Run(config, Profile(choices=choices))
+    drive(Runner(run, []).execute(), link(Simulator(protocol, fault)), lambda: False)
     return run
 
 
-def readings(run: RunState) -> dict[str, CaseResult]:
+def readings(run: Run) -> dict[str, CaseResult]:
     found = {r.id: r for r in run.results if r.id.startswith("reading/")}
     assert len(found) == sum(r.id.startswith("reading/") for r in run.results)
     return found
 
 
-def others(run: RunState) -> dict[str, str]:
+def others(run: Run) -> dict[str, str]:
     """What the device showed otherwise than the kit."""
     shown = {point: word for point, (word, _) in run.profile.choices.shown.items()}
     return {point: word for point, word in shown.items() if word != POINTS[point].default}
@@ -346,7 +340,7 @@ def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
     }
     left = list(tries)
 
-    def make(run: RunState) -> Procedure[Finding]:
+    def make(run: Run) -> Procedure[Finding]:
         yield from listen(0, 0)
         return kinds[left.pop(0)]
 
@@ -442,7 +436,7 @@ def test_a_probe_that_showed_another_thing_once_is_inconclusive(
             protocol,
             [],
             discover=True,
-        ).state
+        ).run
         verdicts[at] = readings(run)["reading/after-stop"]
     odd = [r for r in verdicts.values() if r.verdict is not PASS]
 

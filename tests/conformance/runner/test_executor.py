@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, SilentListener, conform
+from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import drive
@@ -32,7 +32,8 @@ from bilprov.conformance.oracle.timers import Observability, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import watch
-from bilprov.conformance.runner.run import GaveUp, RunState
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import CountingLink, at_rest, cases_of, run_over
 
@@ -73,8 +74,8 @@ def test_a_run_that_goes_to_its_end_leaves_the_robot_at_rest(
 
     runner = run_over(link, protocol, cases)
 
-    require_complete(runner.state.results, cases)
-    passed = {r.id for r in runner.state.results if r.verdict is Verdict.PASS}
+    require_complete(runner.run.results, cases)
+    passed = {r.id for r in runner.run.results if r.verdict is Verdict.PASS}
     assert passed >= {case.id for case in cases}
     assert at_rest(device)
     assert link.asks < ASKS
@@ -96,7 +97,7 @@ def test_the_run_begins_with_a_look_and_then_with_bytes_that_must_not_move_it(
 
     assert sent[:2] == [None, bytes.fromhex("11 7f")]
     assert [frame for frame in sent if frame][1:4] == [b"\x90", b"\x10", bytes(16)]
-    assert [result.id for result in runner.state.results[:4]] == [
+    assert [result.id for result in runner.run.results[:4]] == [
         *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few")
     ]
 
@@ -121,7 +122,7 @@ def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
 def test_what_a_valid_frame_sets_is_looked_at(protocol: Protocol) -> None:
     device = Simulator(protocol, fault_bank(protocol)["led-order-reversed"])
 
-    results = run_over(CountingLink(device), protocol, cases_of(protocol, "valid/LED/1")).state
+    results = run_over(CountingLink(device), protocol, cases_of(protocol, "valid/LED/1")).run
 
     (led,) = [result for result in results.results if result.id == "valid/LED/1"]
     assert led.axes["state"].verdict is Verdict.FAIL
@@ -134,7 +135,7 @@ def test_fail_fast_ends_after_the_first_failure_and_skips_the_rest(
 
     runner = run_over(CountingLink(device), protocol, cases, fail_fast=True)
 
-    results = runner.state.results
+    results = runner.run.results
     require_complete(results, cases)
     verdicts = [r.verdict for r in results]
     assert verdicts.count(Verdict.FAIL) == 1
@@ -156,7 +157,7 @@ def test_an_interrupt_at_any_moment_leaves_the_robot_at_rest(
 
     runner = run_over(CountingLink(device), protocol, cases, interrupted=after(asks))
 
-    results = runner.state.results
+    results = runner.run.results
     require_complete(results, cases)
     assert at_rest(device)
     assert device.deadline() is None  # nothing owed: the line is at a frame boundary
@@ -178,24 +179,22 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
             raise Ended("the port is gone", error=True, line_works=False)
 
     begun: list[str] = []
-    books = RunState(
-        protocol, Timers(), Observability(True), begin=begun.append, report=SilentListener().end
-    )
-    runner = Runner(books, cases, discover=discover)
+    run = Run(RunConfig(protocol, Timers(), Observability(True)), begin=begun.append)
+    runner = Runner(run, cases, discover=discover)
     link = CountingLink(Simulator(protocol), broken)
 
-    drive(runner.run(), link, lambda: False)
+    drive(runner.execute(), link, lambda: False)
 
-    require_complete(books.results, cases)
+    require_complete(run.results, cases)
     assert link.asks <= asks  # nothing more is tried on a line that is gone
-    errors = [r for r in books.results if r.verdict is Verdict.ERROR]
-    left = [r for r in books.results if r.verdict is Verdict.INCONCLUSIVE]
+    errors = [r for r in run.results if r.verdict is Verdict.ERROR]
+    left = [r for r in run.results if r.verdict is Verdict.INCONCLUSIVE]
     if runner.ended is None:
         assert errors == left == []
         return
     assert str(runner.ended) == "the port is gone"
     assert len(errors) == (1 if left or errors else 0)
-    assert exit_code(r.verdict for r in books.results) in ((2,) if errors else (0,))
+    assert exit_code(r.verdict for r in run.results) in ((2,) if errors else (0,))
     assert all("the port is gone" in r.reason for r in (*errors, *left))
     if errors and begun and not begun[-1].startswith(BEFORE):
         position = [case.id for case in cases].index(errors[0].id)
@@ -206,16 +205,15 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
 def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
     protocol: Protocol, moving: bool, in_vain: bool
 ) -> None:
-    nobody = SilentListener()
     limits = Timers(waiting_budget=99 * MS)
-    run = RunState(protocol, limits, Observability(True), begin=nobody.begin, report=nobody.end)
+    run = Run(RunConfig(protocol, limits, Observability(True)))
     link = CountingLink(Simulator(protocol))
 
     seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
 
     assert seen.look.moving is False
     with pytest.raises(GaveUp) if in_vain else nullcontext():
-        run.check_patience()
+        run.waiting.require_budget()
 
 
 @given(looks=st.integers(0, 150))
@@ -233,11 +231,11 @@ def test_a_probe_that_hangs_up_at_any_moment_leaves_the_robot_at_rest(
 
     runner = run_over(Blinded(device), protocol, cases)
 
-    require_complete(runner.state.results, cases)
+    require_complete(runner.run.results, cases)
     assert at_rest(device)
     assert device.deadline() is None
-    if any(r.verdict > Verdict.PASS for r in runner.state.results):
-        assert exit_code(r.verdict for r in runner.state.results) == 2
+    if any(r.verdict > Verdict.PASS for r in runner.run.results):
+        assert exit_code(r.verdict for r in runner.run.results) == 2
 
 
 @given(looks=st.integers(0, 100), more=st.integers(0, 12))
@@ -264,7 +262,7 @@ def test_an_interrupt_right_after_the_probe_hung_up_leaves_the_robot_at_rest(
 
     runner = run_over(Blinded(device), protocol, cases, interrupted=interrupted)
 
-    require_complete(runner.state.results, cases)
+    require_complete(runner.run.results, cases)
     assert at_rest(device)
 
 
@@ -277,7 +275,7 @@ def test_a_device_that_stops_answering_fails_by_name_and_the_rest_is_not_judged(
 
     runner = run_over(CountingLink(device), protocol, cases)
 
-    results = runner.state.results
+    results = runner.run.results
     require_complete(results, cases)
     assert exit_code(r.verdict for r in results) == 1
     failed = [r for r in results if r.verdict is Verdict.FAIL]
@@ -328,8 +326,8 @@ def test_a_device_that_floods_fails_in_bounded_time(
 
     runner = run_over(link, protocol, cases)
 
-    require_complete(runner.state.results, cases)
-    assert exit_code(r.verdict for r in runner.state.results) == 1
+    require_complete(runner.run.results, cases)
+    assert exit_code(r.verdict for r in runner.run.results) == 1
     assert link.asks < 4 * ASKS
     assert at_rest(device.device)
 
@@ -376,7 +374,7 @@ def test_a_late_answer_is_charged_to_the_case_before_and_not_to_the_next(
 
     runner = run_over(CountingLink(Simulator(protocol, late)), protocol, cases)
 
-    failed = [r for r in runner.state.results if r.verdict is Verdict.FAIL]
+    failed = [r for r in runner.run.results if r.verdict is Verdict.FAIL]
     assert [r.id for r in failed] == ["unused-id/10/0"]
     assert [byte.hex for byte in failed[0].received] == ["01"]
 
@@ -421,8 +419,8 @@ def test_without_eyes_nothing_is_looked_at_and_no_stop_is_vouched_for(
     runner = run_over(link, protocol, cases, observability=Observability(available=False))
 
     assert link.looks == []
-    results = {r.id: r for r in runner.state.results}
-    require_complete(runner.state.results, cases)
+    results = {r.id: r for r in runner.run.results}
+    require_complete(runner.run.results, cases)
     for ident in ("unused-id/9/0", "bad-data/LED/8", "truncated/LED/0"):
         assert results[ident].axes["answer"].verdict is Verdict.PASS
         assert results[ident].axes["stop"].verdict is Verdict.INCONCLUSIVE

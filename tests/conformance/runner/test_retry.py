@@ -46,7 +46,7 @@ def on_times(change: React, *times: int, every: int = 0, frame: bytes = FRAME) -
 
 def judged(protocol: Protocol, fault: Fault, *cases: AnyCase, **more: Any) -> dict[str, CaseResult]:
     runner = run_over(CountingLink(Simulator(protocol, fault)), protocol, cases, **more)  # type: ignore[arg-type]
-    results = runner.state.results
+    results = runner.run.results
     assert len({r.id for r in results}) == len(results)
     return {r.id: r for r in results}
 
@@ -173,7 +173,7 @@ def test_a_line_that_is_trusted_is_not_tried_again(protocol: Protocol) -> None:
 
     runner = run_over(Noting(Simulator(protocol, fault)), protocol, bad)
 
-    failed = [r for r in runner.state.results if r.id.startswith("bad") and r.verdict is FAIL]
+    failed = [r for r in runner.run.results if r.id.startswith("bad") and r.verdict is FAIL]
     assert len(failed) == len(bad)
     assert [sent[case.stimulus] for case in bad[:6]] == [3] * 6
     assert [sent[case.stimulus] for case in bad[6:]] == [1] * 10
@@ -212,14 +212,14 @@ def test_a_device_that_hangs_while_it_is_tried_again_fails_there_and_the_rest_is
     for case in (sequence, single):
         device = Simulator(protocol, Fault("x", "test", "", react=react))
         runner = run_over(CountingLink(device), protocol, [case, *others])  # type: ignore[list-item]
-        results = {r.id: r for r in runner.state.results}
+        results = {r.id: r for r in runner.run.results}
 
         assert results[case.id].verdict is FAIL
         assert results[case.id].axes["answer"].verdict is FAIL
         for other in others:
             assert results[other.id].verdict is INCONCLUSIVE
             assert f"stopped answering after {case.id}" in results[other.id].reason
-        assert len(results) == len(runner.state.results)
+        assert len(results) == len(runner.run.results)
         assert at_rest(device)
 
 
@@ -238,11 +238,11 @@ def test_an_interrupt_while_it_is_tried_again_is_never_a_pass(
         interrupted=lambda: link.asks >= asks,
     )
 
-    results = [r for r in runner.state.results if r.id in (sequence.id, single.id)]
+    results = [r for r in runner.run.results if r.id in (sequence.id, single.id)]
     assert sorted(r.id for r in results) == sorted([sequence.id, single.id])
     assert {r.verdict for r in results} <= {INCONCLUSIVE, FAIL}
     # What was reproduced stays a failure, also while it is only being shortened.
-    assert results[0].verdict is FAIL or runner.state.reproduced == 0
+    assert results[0].verdict is FAIL or runner.run.counters.reproduced == 0
     assert at_rest(device)
 
 
@@ -256,7 +256,7 @@ def test_a_port_that_goes_while_it_is_tried_again_is_no_failure_of_what_was_not_
                 raise Ended("the port is gone", error=True, line_works=False)
 
         link = CountingLink(Simulator(protocol, on_times(drives_on, every=1)), broken)
-        results = run_over(link, protocol, [sequence, single]).state.results  # type: ignore[list-item]
+        results = run_over(link, protocol, [sequence, single]).run.results  # type: ignore[list-item]
 
         mine = {r.id: r.verdict for r in results if r.id in (sequence.id, single.id)}
         assert len(mine) == 2

@@ -463,7 +463,7 @@ def test_of_what_a_flushing_device_throws_away_nothing_is_expected(protocol: Pro
     found = run_over_device(protocol, lossy, case, profile=flushing("R-drain-known"))
 
     assert found.mismatch is None
-    assert found.run.expected_state.state.led == 7
+    assert found.trial.expected.state.led == 7
 
 
 def test_a_device_that_stops_late_is_judged_in_parts(protocol: Protocol) -> None:
@@ -477,7 +477,7 @@ def test_a_device_that_stops_late_is_judged_in_parts(protocol: Protocol) -> None
     assert found.mismatch is None
     assert found.result.axes["stop"].verdict is NON_STRICT
     assert found.result.axes["stop"].reading == "R-stop-latency"
-    assert found.run.expected_state.state.motion is Motion.ROTATE_RIGHT
+    assert found.trial.expected.state.motion is Motion.ROTATE_RIGHT
 
 
 class Lagging(Simulator):

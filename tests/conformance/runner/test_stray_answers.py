@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.spec.protocol import Protocol
 
@@ -13,18 +12,16 @@ FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE
 
 
 class Told:
-    """The books, and what they have told: ids and verdicts."""
+    """Stray answers, and what was published of them: ids, verdicts and reasons."""
 
     def __init__(self, protocol: Protocol) -> None:
         self.results: list[tuple[str, Verdict]] = []
         self.reasons: list[str] = []
-        self.state = StrayAnswers(protocol, self._end)
+        self.state = StrayAnswers(protocol, self._publish)
 
-    def _end(
-        self, case: Case, axes: dict[str, Axis], came: tuple[tuple[int, int], ...], sent: int
-    ) -> None:
-        self.results.append((case.id, axes["answer"].verdict))
-        self.reasons.append(axes["answer"].reason)
+    def _publish(self, result: CaseResult) -> None:
+        self.results.append((result.id, result.verdict))
+        self.reasons.append(result.axes["answer"].reason)
 
 
 @pytest.fixture
