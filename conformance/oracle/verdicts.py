@@ -40,6 +40,11 @@ class Axis(msgspec.Struct, frozen=True):
     reason: str = ""
     reading: str = ""
 
+    def flaky(self, tries: int) -> Axis:
+        """This failed axis as inconclusive, because it did not fail again in so many tries."""
+        reason = f"flaky, not reproduced in {tries} tries: {self.reason}"
+        return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
+
 
 class AnswerByte(msgspec.Struct, frozen=True):
     """One answer byte: its hex, and its time in ns since the case's stimulus had been sent."""

@@ -6,6 +6,8 @@ The first frame is a setting and no Stop, which would hide a robot that moves at
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
 from bilprov.conformance.dut.operations import (
@@ -56,9 +58,7 @@ def first_bytes(run: Run) -> Procedure[str]:
         run.profile.measured(heard, sent)
         if first and heard.answers:
             run.profile.boot = heard.answers[0][0] - begun
-        answer = judge_answers(
-            run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers
-        )
+        answer = _judged(run, case, heard, sent)
         # As long as no answer has come on this line, the next instruction tells more than a retry.
         alive = alive or bool(heard.answers)
         if answer.verdict is Verdict.FAIL and alive:
@@ -126,35 +126,42 @@ def _ahead(run: Run) -> Procedure[None]:
 
 
 def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]:
-    """Retry a failed exchange: it stays failed if it fails in two more of three tries, else flaky.
+    """Retry a failed exchange.
 
     `fresh` if it was the first instruction after power-on: where the power can be switched, each
     try is one too.
     """
-    hits = 0
-    for _ in range(_TRIES):
+
+    def fails() -> Procedure[bool]:
         if fresh and run.config.power:
             yield from power_cycle()
         heard, sent = yield from _exchange(run, case, 0)
-        again = judge_answers(
-            run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers
-        )
-        hits += again.verdict is Verdict.FAIL
-    return first if hits > 1 else _flaky(first)
+        return _judged(run, case, heard, sent).verdict is Verdict.FAIL
+
+    return first if (yield from _reproduced(fails)) else first.flaky(_TRIES)
 
 
 def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
-    """Retry a failed observation after an exchange, by the same rule as `_again`."""
+    """Retry a failed observation after an exchange."""
+
+    def fails() -> Procedure[bool]:
+        yield from _exchange(run, case, 0)
+        return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
+
+    return first if (yield from _reproduced(fails)) else first.flaky(_TRIES)
+
+
+def _reproduced(fails: Callable[[], Procedure[bool]]) -> Procedure[bool]:
+    """Whether a failed check fails in two more of three tries; else it is flaky."""
     hits = 0
     for _ in range(_TRIES):
-        yield from _exchange(run, case, 0)
-        hits += (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
-    return first if hits > 1 else _flaky(first)
+        hits += yield from fails()
+    return hits > 1
 
 
-def _flaky(first: Axis) -> Axis:
-    reason = f"flaky, not reproduced in {_TRIES} tries: {first.reason}"
-    return Axis(Verdict.INCONCLUSIVE, first.expected, first.actual, reason, first.reading)
+def _judged(run: Run, case: Case, heard: Received, sent: int) -> Axis:
+    """The answer axis of an exchange."""
+    return judge_answers(run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers)
 
 
 def first_frames_lost(run: Run) -> Procedure[None]:
@@ -201,12 +208,13 @@ def _second_power_on(run: Run) -> Procedure[None]:
     axes, heard, sent = yield from _from_power_on(run, case)
     failing = [name for name, axis in axes.items() if axis.verdict is Verdict.FAIL]
     if failing:
-        hits = 0
-        for _ in range(_TRIES):
+
+        def fails() -> Procedure[bool]:
             again, _, _ = yield from _from_power_on(run, case)
-            hits += any(again[name].verdict is Verdict.FAIL for name in failing)
-        if hits < 2:
-            axes |= {name: _flaky(axes[name]) for name in failing}
+            return any(again[name].verdict is Verdict.FAIL for name in failing)
+
+        if not (yield from _reproduced(fails)):
+            axes |= {name: axes[name].flaky(_TRIES) for name in failing}
     run.conclude(case, axes, heard.answers, sent)
 
 
@@ -223,7 +231,7 @@ def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Rec
     if _chatter(case, heard):
         yield from listen(None, run.timers.deadline)
         heard, sent = yield from _exchange(run, case, run.timers.boot)
-    answer = judge_answers(run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers)
+    answer = _judged(run, case, heard, sent)
     state = yield from _still(run, case.expected, case.reading, may_move=True)
     return {"answer": answer, "state": state}, heard, sent
 

@@ -175,15 +175,7 @@ def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
 def _flaky(result: CaseResult, tries: int) -> CaseResult:
     """The result as inconclusive, because its failure was not reproduced."""
     axes = {
-        name: Axis(
-            Verdict.INCONCLUSIVE,
-            axis.expected,
-            axis.actual,
-            f"flaky, not reproduced in {tries} tries: {axis.reason}",
-            axis.reading,
-        )
-        if axis.verdict is Verdict.FAIL
-        else axis
+        name: axis.flaky(tries) if axis.verdict is Verdict.FAIL else axis
         for name, axis in result.axes.items()
     }
     return msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
