@@ -70,7 +70,8 @@ noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs
 bench: setup ## does sniffing keep up with a full line?
 	$(BIN)/python -m benchmarks.full_line
 
-pictures: setup ## draw the README's pictures anew
+pictures: setup ## draw the pictures anew: the architecture, and those of the README
+	$(BIN)/python -m docs.architecture docs
 	$(BIN)/python -m docs.pictures docs
 
 clean: ## remove what was made

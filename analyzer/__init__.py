@@ -1,1 +1,1 @@
-"""The protocol analyzer: ports, taps, decoding, recording, replay, and the output of results."""
+"""The protocol analyzer: hears a line, decodes, records, replays and shows. Knows no test case."""

@@ -1,1 +1,1 @@
-"""Captures: MCAP files of the traffic on a line, with times. Uses no ports and no test cases."""
+"""Captures: MCAP files of the bytes on a line, with times. Opens no port and knows no test case."""

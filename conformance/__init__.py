@@ -1,1 +1,1 @@
-"""The conformance test suite: test cases, oracle, runner, links to devices, reports, simulator."""
+"""The conformance suite: takes a device through test cases. What it cannot see is never a pass."""

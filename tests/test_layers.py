@@ -103,13 +103,13 @@ INSTRUCTION_NAMES = {row.name for row in HEADERS}
 NAMES_AT_HOME = ("spec/grammar.py", "spec/readings.py")
 
 
-def _product() -> list[str]:
+def product() -> list[str]:
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     files += [ROOT / FRONT_DOOR, ROOT / NAMES_FOR_PYTHON]
     return sorted(path.relative_to(ROOT).as_posix() for path in files)
 
 
-def _module(path: str) -> str:
+def module_name(path: str) -> str:
     """The name under which a file is imported."""
     inside = path.removeprefix("src/bilprov/").removesuffix(".py").removesuffix("__init__")
     return f"bilprov.{inside.rstrip('/').replace('/', '.')}".rstrip(".")
@@ -124,7 +124,7 @@ class Import(NamedTuple):
     level: int
 
 
-MODULES = {_module(path) for path in _product()} - {"bilprov"}
+MODULES = {module_name(path) for path in product()} - {"bilprov"}
 
 
 @lru_cache(maxsize=8)  # each file is asked about by each rule in turn
@@ -133,7 +133,7 @@ def _tree(source: str) -> ast.Module:
 
 
 @lru_cache(maxsize=8)
-def _imports(source: str) -> list[Import]:
+def imports(source: str) -> list[Import]:
     """Every import of a text; `import_module("...")` and a string that names a module are two."""
     tree = _tree(source)
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
@@ -173,7 +173,7 @@ def _called(call: ast.Call) -> str:
     return call.func.id if isinstance(call.func, ast.Name) else ""
 
 
-def _rank(module: str) -> int | None:
+def rank_of(module: str) -> int | None:
     """The place of a module's room in the order; None for a module that is none of ours."""
     while module and module not in RANKS:
         module = module.rpartition(".")[0]
@@ -182,17 +182,17 @@ def _rank(module: str) -> int | None:
 
 def _is_cli(module: str) -> bool:
     """Whether one of our own modules stands in a `cli`."""
-    return "cli" in module.split(".") and _rank(module) is not None
+    return "cli" in module.split(".") and rank_of(module) is not None
 
 
 def against_the_direction(path: str, source: str) -> list[str]:
     """A room imports only itself and the rooms before it, strings that name modules included."""
-    own = _rank(_module(path))
+    own = rank_of(module_name(path))
     assert own is not None, path
     return [
         f"{path}:{i.line} imports {i.module}: it stands above"
-        for i in _imports(source)
-        if (_rank(i.module) or 0) > own
+        for i in imports(source)
+        if (rank_of(i.module) or 0) > own
     ]
 
 
@@ -200,7 +200,7 @@ def of_what_is_no_product(path: str, source: str) -> list[str]:
     """The product imports neither its tests nor its benchmarks."""
     return [
         f"{path}:{i.line} imports {i.module}: it is not part of the product"
-        for i in _imports(source)
+        for i in imports(source)
         if i.module.split(".")[0] in ("tests", "benchmarks", "docs", "examples")
     ]
 
@@ -209,7 +209,7 @@ def cli_outside_the_front_door(path: str, source: str) -> list[str]:
     """A `cli` is imported by front ends, and by bilprov.py only when it is asked for."""
     return [
         f"{path}:{i.line} imports {i.module}: only {FRONT_DOOR} may, inside a function"
-        for i in _imports(source)
+        for i in imports(source)
         if _is_cli(i.module)
         and not ("cli" in path.split("/") or path.startswith(PLUGIN))
         and not (path == FRONT_DOOR and i.lazy)
@@ -220,7 +220,7 @@ def library_away_from_home(path: str, source: str) -> list[str]:
     """construct, serial, mcap, rich and click are met only where they belong."""
     return [
         f"{path}:{i.line} imports {i.module}: it may be met in {', '.join(homes)} only"
-        for i in _imports(source)
+        for i in imports(source)
         if (homes := HOMES.get(i.module.split(".")[0])) is not None
         and not any(path == home or (home[-1] == "/" and path.startswith(home)) for home in homes)
     ]
@@ -228,7 +228,7 @@ def library_away_from_home(path: str, source: str) -> list[str]:
 
 def relative(path: str, source: str) -> list[str]:
     """Imports are absolute."""
-    return [f"{path}:{i.line} imports relatively" for i in _imports(source) if i.level]
+    return [f"{path}:{i.line} imports relatively" for i in imports(source) if i.level]
 
 
 def impure(path: str, source: str) -> list[str]:
@@ -237,7 +237,7 @@ def impure(path: str, source: str) -> list[str]:
         return []
     found = [
         f"{path}:{i.line} imports {i.module}: spec is pure"
-        for i in _imports(source)
+        for i in imports(source)
         if i.module.split(".")[0] in IMPURE
     ]
     return found + [
@@ -289,7 +289,7 @@ RULES: tuple[Callable[[str, str], list[str]], ...] = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", _product())
+@pytest.mark.parametrize("path", product())
 def test_the_file_keeps_every_rule(path: str) -> None:
     source = (ROOT / path).read_text(encoding="utf-8")
 
@@ -297,27 +297,27 @@ def test_the_file_keeps_every_rule(path: str) -> None:
 
 
 def test_every_room_of_the_house_is_walked_through() -> None:
-    assert {_rank(_module(path)) for path in _product()} == set(range(len(ROOMS)))
-    assert {"spec/grammar.py", "spec/codec.py", "analyzer/transport/ports.py"} <= set(_product())
+    assert {rank_of(module_name(path)) for path in product()} == set(range(len(ROOMS)))
+    assert {"spec/grammar.py", "spec/codec.py", "analyzer/transport/ports.py"} <= set(product())
 
 
 @pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others() -> None:
     graph = {
-        _module(path): {
+        module_name(path): {
             name
-            for i in _imports((ROOT / path).read_text(encoding="utf-8"))
+            for i in imports((ROOT / path).read_text(encoding="utf-8"))
             for name in (i.module, i.module.rpartition(".")[0])
-            if name in MODULES and name != _module(path)
+            if name in MODULES and name != module_name(path)
         }
-        for path in _product()
+        for path in product()
     }
 
     TopologicalSorter(graph).prepare()  # CycleError names the circle
 
 
 def test_a_folder_is_taken_in_at_a_glance() -> None:
-    folders = Counter(str(Path(path).parent) for path in _product())
+    folders = Counter(str(Path(path).parent) for path in product())
 
     assert {folder: n for folder, n in folders.items() if n > MOST_FILES} == {}
 

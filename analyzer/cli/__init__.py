@@ -1,1 +1,1 @@
-"""The command line of the analyzer: its commands and the options they share."""
+"""The analyzer's commands: they read options, call the rooms below, and show the result."""

@@ -1,1 +1,1 @@
-"""Drives a robot from Python; each instruction of the grammar is a method."""
+"""Drives a robot from Python: each instruction of the grammar is a method. Stops it at the end."""

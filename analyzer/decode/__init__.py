@@ -1,1 +1,1 @@
-"""Decodes bytes with timestamps into records: frames and answers, paired. Uses no port or clock."""
+"""Decodes bytes with times into records: frames paired with answers. Uses no port and no clock."""

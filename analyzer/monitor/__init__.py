@@ -1,1 +1,1 @@
-"""Passive conformance: judges a device from ordinary traffic; counts coverage and violations."""
+"""Judges a device from ordinary traffic and counts what that covers. Never sends anything."""

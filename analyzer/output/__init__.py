@@ -1,1 +1,1 @@
-"""Output of records as text, JSON lines, live view and tables, with filters and statistics."""
+"""Shows records as text, JSON lines, live view and tables; filters, counts, but changes none."""

@@ -1,1 +1,1 @@
-"""Records sessions into captures, and replays captures on a screen or against a device."""
+"""Records a session into a capture, and replays one on a screen or against a device."""

@@ -1,1 +1,1 @@
-"""Passive taps on a line, a bridge between host and device, and an impaired line."""
+"""Taps, which never write to a line; a bridge, which changes no byte; a line made unreliable."""

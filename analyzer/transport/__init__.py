@@ -1,1 +1,1 @@
-"""Serial ports, ptys, sockets and signals; the only package that uses pyserial and select."""
+"""Serial ports, ptys, sockets and signals; the only room with pyserial. Knows no frames."""

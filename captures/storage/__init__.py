@@ -1,1 +1,1 @@
-"""Low-level reading of MCAP files: complete records only; whatever is inconsistent is rejected."""
+"""Reads MCAP records, complete ones only: what is inconsistent is rejected, never guessed."""

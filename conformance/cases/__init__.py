@@ -1,1 +1,1 @@
-"""Test cases as values (preamble, stimulus, expectation), their generation and their selection."""
+"""Generates test cases (preamble, stimulus, expectation) as values, and selects. Runs none."""

@@ -1,1 +1,1 @@
-"""The suite's commands and the options they share."""
+"""The suite's commands: they read options, call the rooms below, and show the result."""

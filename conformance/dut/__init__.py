@@ -1,1 +1,1 @@
-"""The device under test and how it is reached: links, probes, power, simulator, emulated boards."""
+"""Reaches the device under test: links, probes, power, simulator, emulators. Never judges it."""

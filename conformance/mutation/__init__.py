@@ -1,1 +1,1 @@
-"""Faulty devices, legal variants, and the suite's mutation score."""
+"""Scores the suite: by faulty devices, which it must fail, and legal ones, which it must pass."""

@@ -1,1 +1,1 @@
-"""The oracle: what a conforming device does, and the verdict of a deviation. Pure values."""
+"""The oracle: what a conforming device does, and the verdict of a deviation. Sends nothing."""

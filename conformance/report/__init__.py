@@ -1,1 +1,1 @@
-"""The report of a run, and the formats that it is written in."""
+"""The report of a run: written in every format, read, merged, compared. Drives no device."""

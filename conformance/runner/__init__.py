@@ -1,1 +1,1 @@
-"""Executes cases over a link: preamble, stimulus, homing, retry, minimising, discovery."""
+"""Runs cases over a link: preamble, stimulus, homing, retry, minimising. Opens no port itself."""

@@ -1,1 +1,1 @@
-"""Emitters: files generated from the Protocol for other programs, one module for each form."""
+"""Generates files for other programs from the Protocol, a module for each; opens none itself."""
