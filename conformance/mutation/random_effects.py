@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, Hear, MutatedDevice, React, Reaction
 from bilprov.conformance.mutation.faults.vocabulary import (
-    Change,
+    answers_again,
+    answers_ok,
     answers_with,
-    becomes,
     drives_on,
     late,
+    resizes,
     resumes_after,
     sets,
+    silent,
     stands_still,
     stops_after,
     twice,
 )
 from bilprov.spec.by_effect import moving_motions, variable_of
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec
 from bilprov.spec.protocol import Protocol as Grammar
 
@@ -87,11 +87,8 @@ def _answers(
     found = [
         Effect(f"is answered {code}, an unused code", answers_with(code)),
         Effect("is answered twice", twice),
-        Effect("is answered again 12 ms later", _again),
-        Effect(
-            "is answered much too late",
-            late(1.2 * protocol.timing.answer_longest),
-        ),
+        Effect("is answered again 12 ms later", answers_again(12)),
+        Effect("is answered much too late", late(1.2 * protocol.timing.answer_longest)),
         Effect("makes it lose the next byte", _marks, _loses),
     ]
     if valid:
@@ -100,11 +97,11 @@ def _answers(
         found.append(Effect(f"is answered {given.name}", answers_with(given.code)))
     else:
         fine = protocol.answers[Outcome.VALID].name
-        found.append(Effect(f"is answered {fine}, but stops it", answers_with(ok)))
+        found.append(Effect(f"is answered {fine}, but stops it", answers_ok))
         if outcome is not None or cut:
             found.append(Effect(f"is answered {wrong.name}", answers_with(wrong.code)))
     if outcome is not None or valid:  # not to answer a truncated frame is legal
-        found.append(Effect("is not answered", answers_with()))
+        found.append(Effect("is not answered", silent))
     return found
 
 
@@ -137,22 +134,12 @@ def _astray(
             continue
         high = protocol.limits[name][1]
         bit = draw.below(max(1, high.bit_length()))
-        found.append(Effect(f"turns bit {bit} of the {name}", becomes(_turned(name, bit))))
+        found.append(Effect(f"turns bit {bit} of the {name}", _turned(name, bit)))
     return found
 
 
-def _turned(name: str, bit: int) -> Change:
-    def change(event: Event, state: State) -> State:
-        value = getattr(state, name)
-        size = abs(value) ^ 1 << bit
-        return replace(state, **{name: -size if value < 0 else size})
-
-    return change
-
-
-def _again(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    code = event.judgement.response.code
-    return replace(reaction, unasked=((12 * MS, code),))
+def _turned(name: str, bit: int) -> React:
+    return resizes(name, lambda size: size ^ 1 << bit)
 
 
 def _marks(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:

@@ -12,16 +12,26 @@ from typing import NamedTuple, TypeVar
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.mutation.faults.family import ordinal
 from bilprov.conformance.mutation.faults.vocabulary import (
+    FAULTY,
     Condition,
     after,
+    after_a_fault,
     every,
+    every_nth,
     faulty,
+    from_count,
+    has_id,
+    has_length,
     is_named,
     is_outcome,
     is_truncated,
     moving_in,
-    ordinal,
+    pipelined,
+    split,
+    standing,
+    steered_to,
     when,
 )
 from bilprov.conformance.mutation.random_effects import Effect, effects_on
@@ -105,25 +115,19 @@ def random_fault(protocol: Protocol, seed: int) -> Fault:
 
 
 def _what(protocol: Protocol, draw: Draw) -> What:
-    faults = [outcome for outcome in Outcome if outcome is not Outcome.VALID]
     kind = draw.below(10)
     if kind < 5:
         spec = draw.pick(protocol.instructions)
         return What(f"a valid {spec.name}", is_named(spec), True, spec)
     if kind < 7:
-        outcome = draw.pick(faults)
+        outcome = draw.pick(FAULTY)
         return What(outcome.value, is_outcome(outcome), False, None, outcome)
     if kind == 7:
         return What("a frame that is cut short", is_truncated, False, cut=True)
     if kind == 8 and protocol.unused_ids:
         identity = draw.pick(protocol.unused_ids)
-        return What(
-            f"the unused ID {identity}",
-            lambda event: event.judgement.id == identity,
-            False,
-            None,
-            Outcome.UNKNOWN_ID,
-        )
+        unused = has_id(identity)
+        return What(f"the unused ID {identity}", unused, False, None, Outcome.UNKNOWN_ID)
     return What("any fault", faulty, False)
 
 
@@ -139,7 +143,7 @@ def _state(protocol: Protocol, draw: Draw, what: What) -> When:
         motion = draw.pick(moving_motions(protocol))
         return When(f"while it moves {motion.value}", moving_in(motion))
     if kind == 3 and what.valid and not (what.spec and what.spec.effect.motion is Motion.STOPPED):
-        return When("while it stands", lambda event: not event.before.moving)
+        return When("while it stands", standing)
     if kind in (3, 4):
         least = draw.between(1, fast)
         return When(
@@ -150,7 +154,7 @@ def _state(protocol: Protocol, draw: Draw, what: What) -> When:
     if kind == 5:
         sign = draw.pick((-1, 1))
         side = "right" if sign > 0 else "left"
-        return When(f"steered to the {side}", lambda event: event.before.steering * sign > 0)
+        return When(f"steered to the {side}", steered_to(sign))
     mask = 1 << draw.below(lit.bit_length())
     return When(
         f"with the light's bit {mask:#x} on", lambda event: bool(event.before.led & mask), (mask,)
@@ -173,7 +177,7 @@ def _data(protocol: Protocol, draw: Draw, what: What) -> When:
                 f"with {words} announced length", lambda event: event.judgement.length % 2 == odd
             )
         length = draw.pick(protocol.data_lengths)
-        return When(f"with {length} data bytes announced", lambda e: e.judgement.length == length)
+        return When(f"with {length} data bytes announced", has_length(length))
     part = what.spec.fields[0]
     kind = draw.below(4)
     if kind == 0:
@@ -203,31 +207,29 @@ def _history(protocol: Protocol, draw: Draw, what: What) -> When:
         spec = draw.pick(protocol.instructions)
         return When(f"right after {spec.name}", after(spec))
     if kind == 3:
-        return When("right after a fault", lambda event: event.row > 0)
+        return When("right after a fault", after_a_fault)
     if kind == 4:
         step = draw.between(2, 40)
-        return When(
-            f"as every {ordinal(step)} frame", lambda event: event.frames % step == step - 1
-        )
+        return When(f"as every {ordinal(step)} frame", every_nth("frames", step))
     if kind == 5:
         count = draw.between(5, 250)
-        return When(f"after {count} frames", lambda event: event.frames >= count)
+        return When(f"after {count} frames", from_count("frames", count))
     count = draw.between(2, 60)
-    return When(f"after {count} faults", lambda event: event.faults >= count)
+    return When(f"after {count} faults", from_count("faults", count))
 
 
 def _timing(protocol: Protocol, draw: Draw, what: What) -> When:
     carries = what.spec.length if what.spec else 2
     kind = draw.below(3 if carries and not what.cut else 2)
     if kind == 0:
-        return When("sent ahead of the answer before", lambda event: event.pipelined)
+        return When("sent ahead of the answer before", pipelined)
     if kind == 1:
         pause = draw.pick((15, 30, 60))
         return When(
             f"after {pause} ms without a frame",
             lambda event: event.gap is not None and event.gap >= pause * MS,
         )
-    return When("with a pause between its bytes", lambda event: event.pause > MS)
+    return When("with a pause between its bytes", split)
 
 
 Kind = Callable[[Protocol, Draw, What], When]

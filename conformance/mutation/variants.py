@@ -12,7 +12,7 @@ from functools import cache
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, Fault, React
 from bilprov.conformance.mutation import variant_behaviour as take
-from bilprov.conformance.mutation.faults.codes import under_other_ids
+from bilprov.conformance.mutation.faults.answers import under_other_ids
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
     answers_with,

@@ -2,26 +2,42 @@
 
 The faults are generated from the Protocol: some once for each outcome, motion or instruction,
 others written by hand. Each fault names the test cases that are meant to catch it.
+
+To add a fault, add a row to the function of its subject, for example in `answers.py`::
+
+    yield answer_fault("double-answer-to-faults", "answers faulty instructions twice",
+                       when(faulty, twice))
+
+A row is a name, a description and the reaction: `when` some frames come (a trigger), what the
+device does (an effect). `vocabulary.py` has the triggers and effects; what the row does not say,
+the clauses that it breaks and the cases that catch it, is its family's (`family.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation.faults.answers import answer_faults
-from bilprov.conformance.mutation.faults.codes import code_faults
-from bilprov.conformance.mutation.faults.counts import count_faults, history_faults
-from bilprov.conformance.mutation.faults.delivery import delivery_faults
-from bilprov.conformance.mutation.faults.line import line_faults
-from bilprov.conformance.mutation.faults.motion import motion_faults
-from bilprov.conformance.mutation.faults.narrow import narrow_faults
-from bilprov.conformance.mutation.faults.pairs import pair_faults
-from bilprov.conformance.mutation.faults.parsing import parsing_faults
-from bilprov.conformance.mutation.faults.pauses import pause_faults
-from bilprov.conformance.mutation.faults.settings import setting_faults
-from bilprov.conformance.mutation.faults.stops import stop_faults
+from bilprov.conformance.mutation.faults.answers import answer_faults, code_faults
+from bilprov.conformance.mutation.faults.corner_cases import narrow_faults
+from bilprov.conformance.mutation.faults.delivery import (
+    burst_faults,
+    idle_faults,
+    split_faults,
+    time_out_faults,
+)
+from bilprov.conformance.mutation.faults.framing import (
+    data_run_faults,
+    line_faults,
+    parsing_faults,
+)
+from bilprov.conformance.mutation.faults.history import (
+    count_faults,
+    history_faults,
+    pair_faults,
+    power_on_faults,
+)
+from bilprov.conformance.mutation.faults.motion import motion_faults, setting_faults, stop_faults
 from bilprov.conformance.mutation.faults.timing import timing_faults
 from bilprov.spec.protocol import Protocol
 
@@ -34,7 +50,7 @@ def fault_bank(protocol: Protocol) -> dict[str, Fault]:
 
 def all_faults(protocol: Protocol) -> list[Fault]:
     """Return every named fault of this protocol, family by family."""
-    families = (
+    groups = (
         answer_faults,
         stop_faults,
         parsing_faults,
@@ -43,27 +59,15 @@ def all_faults(protocol: Protocol) -> list[Fault]:
         history_faults,
         line_faults,
         code_faults,
+        power_on_faults,
         pair_faults,
         narrow_faults,
         count_faults,
-        delivery_faults,
-        pause_faults,
+        burst_faults,
+        split_faults,
+        time_out_faults,
+        data_run_faults,
+        idle_faults,
         timing_faults,
     )
-    return [_with_clauses(fault) for family in families for fault in family(protocol)]
-
-
-# The clauses that a fault of each family breaks, unless the fault names them itself.
-_CLAUSES = {
-    "answer": ("responses", "instructions"),
-    "stop": ("safety", "instructions", "responses"),
-    "parsing": ("header", "instructions", "responses", "safety"),
-    "motion": ("instructions", "safety"),
-    "setting": ("instructions", "safety"),
-    "history": ("safety", "responses", "instructions"),
-    "line": ("header", "responses", "instructions", "safety"),
-}
-
-
-def _with_clauses(fault: Fault) -> Fault:
-    return fault if fault.clauses else replace(fault, clauses=_CLAUSES[fault.family])
+    return [fault for group in groups for fault in group(protocol)]

@@ -1,138 +1,265 @@
-"""Faults in the answers: wrong codes, too many or too few answers, late or early answers."""
+"""Faults in the answers: wrong codes, too many or too few, and instructions under other IDs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
-from bilprov.conformance.dut.fault import answers as answered
-from bilprov.conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction, answers
+from bilprov.conformance.mutation.faults.family import (
     ALL_FAULTY,
     CASES,
     CUT,
     EVERYTHING,
+    SEQUENCE,
     WHOLE_FAULTS,
+    Family,
+    slug,
+)
+from bilprov.conformance.mutation.faults.vocabulary import (
+    answers_as,
+    answers_as_before,
+    answers_ok,
     answers_with,
-    faults_only,
+    as_if,
+    every,
+    faulty,
     is_outcome,
     is_truncated,
-    slug,
+    is_whole,
+    late,
+    silent,
+    standing,
+    twice,
+    valid,
     when,
 )
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol
+
+answer_fault = Family("answer", "responses instructions", ALL_FAULTY)
+code_fault = Family("code", "responses instructions")
 
 
 def answer_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults in the code, number and time of answers."""
-    family = "answer"
-    ok = protocol.answers[Outcome.VALID].code
+    ok, bad = protocol.answers[Outcome.VALID], protocol.answers[Outcome.BAD_DATA]
     unused = next(code for code in range(256) if code not in protocol.codes)
-    for outcome, spec in protocol.answers.items():
+    for outcome, due in protocol.answers.items():
         if outcome is Outcome.VALID:
             continue
-        others = [s for s in protocol.responses if s.code not in (spec.code, ok)]
+        others = [spec for spec in protocol.responses if spec.code not in (due.code, ok.code)]
         # The competing-errors and unused-length readings allow some others: take one they forbid.
-        other = (
-            others[0] if outcome is not Outcome.UNKNOWN_ID else protocol.answers[Outcome.BAD_DATA]
+        other = bad if outcome is Outcome.UNKNOWN_ID else others[0]
+        yield answer_fault(
+            f"ok-to-{slug(outcome)}",
+            f"answers {ok.name} to {outcome.value}, but stops",
+            when(is_outcome(outcome), answers_ok),
+            caught_by=CASES[outcome],
         )
-        name = slug(outcome)
-        yield Fault(
-            f"ok-to-{name}",
-            family,
-            f"answers {protocol.answers[Outcome.VALID].name} to {outcome.value}, but stops",
-            CASES[outcome],
-            react=when(is_outcome(outcome), answers_with(ok)),
+        yield answer_fault(
+            f"wrong-code-for-{slug(outcome)}",
+            f"answers {other.name} where {due.name} is due",
+            when(is_outcome(outcome), answers_with(other.code)),
+            caught_by=CASES[outcome],
         )
-        yield Fault(
-            f"wrong-code-for-{name}",
-            family,
-            f"answers {other.name} where {spec.name} is due",
-            CASES[outcome],
-            react=when(is_outcome(outcome), answers_with(other.code)),
-        )
-    yield Fault(
+    yield answer_fault(
         "wrong-code-for-truncated",
-        family,
-        f"answers {protocol.answers[Outcome.BAD_DATA].name} to a frame that is cut short",
-        CUT,
-        react=when(is_truncated, answers_with(protocol.answers[Outcome.BAD_DATA].code)),
+        f"answers {bad.name} to a frame that is cut short",
+        when(is_truncated, answers_with(bad.code)),
+        caught_by=CUT,
     )
-    yield Fault(
+    yield answer_fault(
         "unused-code-for-valid",
-        family,
         f"answers {unused}, an unused code, to valid instructions",
-        EVERYTHING,
-        react=when(is_outcome(Outcome.VALID), answers_with(unused)),
+        when(is_outcome(Outcome.VALID), answers_with(unused)),
+        caught_by=EVERYTHING,
     )
-    yield Fault(
+    yield answer_fault(
         "unused-code-for-faults",
-        family,
         f"answers {unused}, an unused code, to faulty instructions",
-        ALL_FAULTY,
-        react=faults_only(answers_with(unused)),
+        when(faulty, answers_with(unused)),
     )
     for spec in protocol.responses[:2]:
-        yield Fault(
+        yield answer_fault(
             f"always-{spec.code}",
-            family,
             f"answers {spec.name} to everything, but acts rightly",
-            ALL_FAULTY if spec.outcome is Outcome.VALID else EVERYTHING,
-            react=answers_with(spec.code),
+            answers_with(spec.code),
+            caught_by=ALL_FAULTY if spec.outcome is Outcome.VALID else EVERYTHING,
         )
-    yield Fault(
-        "double-answer",
-        family,
-        "answers everything twice",
-        EVERYTHING,
-        react=_twice,
+    yield answer_fault("double-answer", "answers everything twice", twice, caught_by=EVERYTHING)
+    yield answer_fault(
+        "double-answer-to-faults", "answers faulty instructions twice", when(faulty, twice)
     )
-    yield Fault(
-        "double-answer-to-faults",
-        family,
-        "answers faulty instructions twice",
-        ALL_FAULTY,
-        react=faults_only(_twice),
-    )
-    yield Fault(
+    yield answer_fault(
         "late-second-answer",
-        family,
         "answers faulty instructions a second time, 10 ms later",
-        ALL_FAULTY,
-        react=faults_only(lambda d, e, r: replace(r, answers=(*r.answers, (10 * MS, ok)))),
+        when(faulty, lambda d, e, r: replace(r, answers=(*r.answers, (10 * MS, ok.code)))),
     )
-    yield Fault(
+    yield answer_fault(
         "silent-on-faults",
-        family,
         "does not answer faulty whole frames, but stops",
-        WHOLE_FAULTS,
-        react=when(lambda e: not e.judgement.valid and not is_truncated(e), answers_with()),
+        when(every(faulty, is_whole), silent),
+        caught_by=WHOLE_FAULTS,
     )
-    yield Fault(
+    yield answer_fault(
         "answers-too-late",
-        family,
         "answers faulty instructions only after 1.2 times the longest time that is allowed",
-        ALL_FAULTY,
-        react=faults_only(
-            lambda d, e, r: answered(
-                r,
-                *(code for _, code in r.answers),
-                delay=int(protocol.timing.answer_longest * 1.2 * MS),
-            )
+        when(faulty, late(1.2 * protocol.timing.answer_longest)),
+    )
+    carrying = {(spec.id, spec.length) for spec in protocol.instructions if spec.length}
+    if carrying:
+        yield answer_fault(
+            "answers-at-header",
+            "answers an instruction with data at its header already, and again at its end",
+            caught_by=EVERYTHING,
+            begins=lambda d, byte: (ok.code,) if protocol.headers[byte] in carrying else (),
+        )
+
+
+def code_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults with wrong codes by a rule, and instructions under other IDs."""
+    ok = protocol.answers[Outcome.VALID].code
+    codes = sorted(protocol.codes)
+    for spec in protocol.responses[2:]:
+        yield code_fault(
+            f"always-{spec.code}",
+            f"answers {spec.name} to everything, but acts rightly",
+            answers_with(spec.code),
+        )
+    for code in (codes[-1] + 1, 255):
+        yield code_fault(
+            f"faults-get-{code}",
+            f"answers {code}, an unused code, to every fault while it stands",
+            when(every(faulty, standing), answers_with(code)),
+        )
+    yield code_fault(
+        "code-of-frame-before",
+        "answers each frame with the code of the one before",
+        _recoded(lambda e, code: e.previous.response.code if e.previous else ok),
+    )
+    yield code_fault(
+        "code-plus-one",
+        "answers faults with the next code",
+        when(faulty, _recoded(lambda e, code: code + 1)),
+        caught_by=ALL_FAULTY,
+    )
+    yield code_fault(
+        "code-minus-one",
+        "answers faults with the code before the right one",
+        when(faulty, _recoded(lambda e, code: code - 1)),
+    )
+    yield code_fault(
+        "code-inverted",
+        "answers faults with all bits turned",
+        when(faulty, _recoded(lambda e, code: ~code)),
+        caught_by=ALL_FAULTY,
+    )
+    yield code_fault(
+        "code-in-ascii",
+        "answers with digits, as text",
+        _recoded(lambda e, code: code + ord("0")),
+    )
+    yield code_fault(
+        "code-with-parity-bit",
+        "sets the highest bit of an answer with an odd number of ones",
+        _recoded(lambda e, code: code | (0x80 if code.bit_count() % 2 else 0)),
+    )
+    yield code_fault(
+        "code-is-the-id",
+        "answers faults with the ID of the instruction",
+        when(faulty, _recoded(lambda e, code: e.judgement.id)),
+    )
+    yield code_fault(
+        "code-echoes-header",
+        "answers faults with their header",
+        when(faulty, _recoded(lambda e, code: e.judgement.frame[0])),
+    )
+    yield code_fault(
+        "codes-reversed",
+        "has the codes of faults in the wrong order",
+        when(faulty, _recoded(lambda e, code: codes[len(codes) - codes.index(code)])),
+    )
+    yield code_fault(
+        "ok-to-faults-at-rest",
+        "answers OK to a fault that finds it standing",
+        when(every(faulty, standing), answers_ok),
+    )
+    yield code_fault(
+        "last-error-sticks",
+        "answers the valid instruction after a fault with the fault's code",
+        when(lambda e: valid(e) and e.row > 0, answers_as_before),
+    )
+    yield code_fault(
+        "header-code-once-it-failed",
+        "answers any fault with the code of the first fault since power-on",
+        when(faulty, _first_code),
+    )
+    yield code_fault(
+        "too-many-is-too-few-at-speed-0",
+        "answers too few for too many data bytes as long as its speed is 0",
+        when(
+            every(is_outcome(Outcome.TOO_MANY), lambda e: e.before.speed == 0),
+            answers_as(Outcome.TOO_FEW),
         ),
     )
-    if any(spec.length for spec in protocol.instructions):
-        carrying = {(s.id, s.length) for s in protocol.instructions if s.length}
-        yield Fault(
-            "answers-at-header",
-            family,
-            "answers an instruction with data at its header already, and again at its end",
-            EVERYTHING,
-            begins=lambda d, byte: (ok,) if protocol.headers[byte] in carrying else (),
+    yield code_fault(
+        "too-few-is-too-many-with-a-light-on",
+        "answers too many for too few data bytes as long as its light is on",
+        when(
+            every(is_outcome(Outcome.TOO_FEW), lambda e: e.before.led > 0),
+            answers_as(Outcome.TOO_MANY),
+        ),
+    )
+    yield from _other_ids(protocol)
+
+
+def _other_ids(protocol: Protocol) -> Iterator[Fault]:
+    """Yield faults that take other IDs for the last instruction: the example's, both, none, all."""
+    last, ids = protocol.instructions[-1], protocol.unused_ids
+    if not ids or not last.effect.assignments:
+        return
+    name, one = last.name, ids[0]
+    for fault, doc, taken, kept in (
+        (f"{name}-as-id-{one}", f"takes ID {one} for {name}", ids[:1], False),
+        (f"{name}-as-id-{one}-too", f"takes ID {one} for {name} as well", ids[:1], True),
+        (f"no-{name}", f"knows no {name}: its ID is unused", (), False),
+        (f"{name}-as-any-unused-id", f"takes every unused ID for {name}", ids, True),
+    ):
+        yield code_fault(
+            fault,
+            doc,
+            under_other_ids(last, taken, kept=kept),
+            clauses="instructions responses",
+            caught_by=("valid/*", "unused-id/*", *SEQUENCE),
         )
 
 
-def _twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    return replace(reaction, answers=reaction.answers * 2)
+def _recoded(rule: Callable[[Event, int], int]) -> React:
+    """Return an effect: `rule` makes each code from the event and the correct code."""
+    return lambda device, event, reaction: answers(
+        reaction, *(rule(event, code) & 0xFF for _, code in reaction.answers)
+    )
+
+
+def _first_code(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: answer the code that the first frame on which it had this effect got."""
+    return answers(reaction, device.memory.setdefault("code", event.judgement.response.code))
+
+
+def under_other_ids(spec: InstructionSpec, ids: tuple[int, ...], *, kept: bool) -> React:
+    """Return an effect: the IDs stand for the instruction; its own ID does too if `kept`."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        protocol, judgement = device.protocol, event.judgement
+        frame = judgement.frame
+        if judgement.id in ids:
+            own = bytes([protocol.header_bytes[spec.id, judgement.length]])
+            return as_if(device, event, reaction, own + frame[1:])
+        if judgement.id == spec.id and not kept:
+            unused = protocol.header_bytes[protocol.unused_ids[-1], judgement.length]
+            return as_if(device, event, reaction, bytes([unused]) + frame[1:])
+        return reaction
+
+    return react

@@ -1,199 +1,296 @@
-"""Faults triggered by fast delivery: pipelined instructions, and full buffers."""
+"""Faults in delivery: frames sent ahead or in bursts, split or cut short, or after an idle line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
+from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, Fault, Hear, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation.faults.family import CUT, PIPELINED, SEQUENCE, SPLIT, Family
 from bilprov.conformance.mutation.faults.vocabulary import (
-    PIPELINED,
     after_a_fault,
-    answers_with,
+    answers_again,
+    answers_as,
+    answers_as_before,
+    answers_ok,
     drives_on,
     every,
     faulty,
     is_named,
+    is_truncated,
+    is_whole,
     late,
+    loses,
     pipelined,
+    restarts,
+    silent,
+    split,
+    then,
     twice,
     valid,
     when,
 )
 from bilprov.spec.by_effect import movers, setters
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
-_FAMILY = "delivery"
-_MOTIONS = list(Motion)
+burst_fault = Family("delivery", "responses instructions", PIPELINED)
+buffer_fault = Family("delivery", "responses instructions header", PIPELINED)
+split_fault = Family("delivery", "responses instructions header", SPLIT)
+time_out_fault = Family("delivery", "instructions responses safety", ("truncated/*",))
+cut_fault = Family("delivery", "responses instructions", CUT)
+idle_fault = Family("delivery", "responses instructions", SPLIT)
+
+_SLEEP = 150 * MS
 
 
-def delivery_faults(protocol: Protocol) -> Iterator[Fault]:
+def burst_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults that show only if the host does not wait for each answer."""
-    ok = protocol.answers[Outcome.VALID].code
-    lost = answers_with()
-    yield _fault(
+    stop = protocol.stop
+    yield burst_fault(
         "sent-ahead-lost",
         "loses a frame that comes before the answer to the frame before has gone",
-        when(pipelined, _both(drives_on, lost)),
+        when(pipelined, loses),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-valid-lost",
         "loses a valid instruction that comes before the answer has gone, but no faulty one",
-        when(every(pipelined, valid), _both(drives_on, lost)),
+        when(every(pipelined, valid), loses),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-merged",
         "carries out what is sent ahead, and answers it and the frame before only once",
-        when(pipelined, lost),
+        when(pipelined, silent),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-answered-not-done",
         "answers what is sent ahead and does not carry it out",
         when(every(pipelined, valid), drives_on),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-fault-does-not-stop",
         "a fault that is sent ahead does not stop it",
         when(every(pipelined, faulty), drives_on),
-        clauses=("safety", "instructions"),
+        clauses="safety instructions",
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-fault-is-fine",
         f"answers {protocol.answers[Outcome.VALID].name} to a fault that is sent ahead, but stops",
-        when(every(pipelined, faulty), answers_with(ok)),
+        when(every(pipelined, faulty), answers_ok),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-fault-answered-twice",
         "answers a fault that is sent ahead twice",
         when(every(pipelined, faulty), twice),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-answers-overtake",
         "answers valid instructions 3 ms late and faults at once: sent ahead, answers overtake",
         when(valid, late(3)),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-answered-as-before",
         "answers what is sent ahead with the code of the frame before",
-        when(
-            pipelined,
-            lambda d, e, r: (
-                answers_with(e.previous.response.code)(d, e, r) if e.previous is not None else r
-            ),
-        ),
+        when(pipelined, answers_as_before),
     )
-    yield _fault(
+    yield burst_fault(
         "sent-ahead-stop-lost",
-        f"loses {protocol.stop.name} where it is sent ahead, answered all the same",
-        when(every(pipelined, is_named(protocol.stop)), drives_on),
-        clauses=("instructions",),
+        f"loses {stop.name} where it is sent ahead, answered all the same",
+        when(every(pipelined, is_named(stop)), drives_on),
+        clauses="instructions",
     )
     for setter in setters(protocol):
-        yield _fault(
+        yield burst_fault(
             f"sent-ahead-{setter.name}-ignored",
             f"{setter.name} sent ahead is answered and ignored",
             when(every(pipelined, is_named(setter)), drives_on),
-            clauses=("instructions",),
+            clauses="instructions",
         )
     for mover in movers(protocol)[::3]:
-        yield _fault(
+        yield burst_fault(
             f"sent-ahead-{mover.name}-ignored",
             f"{mover.name} sent ahead is answered and does not move it",
             when(every(pipelined, is_named(mover)), drives_on),
-            clauses=("instructions",),
+            clauses="instructions",
         )
-    yield _fault(
+    yield burst_fault(
         "runs-on-after-fault-in-a-burst",
         "a valid instruction sent ahead behind a fault brings back the motion from before it",
-        _resume_in_burst,
-        clauses=("safety",),
+        restarts(every(valid, pipelined), settings=1),
+        clauses="safety",
     )
-    yield _fault(
+    yield burst_fault(
         "merges-second-fault-in-a-burst",
         "answers two faults, the second sent ahead, only once",
-        when(every(pipelined, faulty, after_a_fault), lost),
+        when(every(pipelined, faulty, after_a_fault), silent),
     )
-    for run in (3, 5):
-        yield _fault(
-            f"queue-of-{run - 1}-frames",
-            f"has room for {run - 1} frames: each further one that is sent ahead is lost",
-            _queue(run - 1),
+    for room in (2, 4):
+        yield burst_fault(
+            f"queue-of-{room}-frames",
+            f"has room for {room} frames: each further one that is sent ahead is lost",
+            _queue(room),
         )
     for size in (16, 32, 64):
-        yield Fault(
+        yield buffer_fault(
             f"buffer-of-{size}-bytes",
-            _FAMILY,
             f"loses what comes after {size} bytes without a pause: its buffer is full",
-            PIPELINED,
             hear=_buffer(size),
-            clauses=("responses", "instructions", "header"),
         )
-    yield Fault(
+    yield buffer_fault(
         "ring-of-64-bytes-skips-its-end",
-        _FAMILY,
         "loses the byte that falls on the end of its ring of 64 bytes, in a burst",
-        PIPELINED,
         hear=_ring(64),
-        clauses=("responses", "instructions", "header"),
     )
-    yield Fault(
+    yield buffer_fault(
         "frame-across-32-bytes-torn",
-        _FAMILY,
         "takes 32 bytes at a time and forgets a frame that lies across two such chunks",
-        PIPELINED,
         hear=_torn(32),
-        clauses=("responses", "instructions", "header"),
     )
-    yield Fault(
+    yield buffer_fault(
         "deaf-while-it-answers-a-fault",
-        _FAMILY,
         "loses the byte that comes while it sends the answer to a fault",
-        PIPELINED,
         hear=_deaf_after_fault,
-        clauses=("responses", "instructions", "header"),
     )
-    yield Fault(
+    yield buffer_fault(
         "flushes-once",
-        _FAMILY,
         "throws away what was sent ahead behind the first fault, and never again",
-        PIPELINED,
         hear=_flush_once,
-        clauses=("responses", "instructions", "header"),
     )
 
 
-def _fault(
-    name: str, doc: str, react: React, clauses: tuple[str, ...] = ("responses", "instructions")
-) -> Fault:
-    return Fault(name.lower(), _FAMILY, doc, PIPELINED, react=react, clauses=clauses)
+def split_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults that a pause inside a frame triggers."""
+    a_split = "a valid frame with a pause of more than 1 ms:"
+    usual = _usual_time_out(protocol)
+    yield split_fault(
+        "split-is-too-few",
+        "answers a frame with a pause of more than 1 ms as one with too few data, and stops",
+        when(every(split, valid), then(answers_as(Outcome.TOO_FEW), _stops_as_at_a_fault)),
+    )
+    yield split_fault(
+        "split-is-ignored",
+        f"{a_split} answers it and does not carry it out",
+        when(every(split, valid), drives_on),
+    )
+    yield split_fault(
+        "split-is-answered-twice",
+        f"{a_split} carries it out and answers it twice",
+        when(every(split, valid), twice),
+    )
+    yield split_fault(
+        "split-is-not-answered",
+        f"{a_split} carries it out and does not answer it",
+        when(every(split, valid), silent),
+    )
+    yield split_fault(
+        "split-fault-does-not-stop",
+        "a whole faulty frame with a pause of more than 1 ms does not stop it",
+        when(every(split, faulty, is_whole), drives_on),
+        clauses="safety instructions responses",
+    )
+    for setter in setters(protocol)[-1:]:
+        short = protocol.header_bytes[setter.id, setter.length]
+        yield split_fault(
+            f"short-time-out-of-{setter.name}",
+            f"waits only 1 ms for the data of {setter.name}",
+            timeouts=lambda byte, short=short: MS if byte == short else usual,
+        )
 
 
-def _both(one: React, other: React) -> React:
-    return lambda device, event, reaction: other(device, event, one(device, event, reaction))
+def time_out_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults in which frames are truncated, and in what comes after one that was."""
+    usual = _usual_time_out(protocol)
+    few = protocol.answers[Outcome.TOO_FEW].code
+    longest = protocol.data_lengths[-1]
+    fitting = {(spec.id, spec.length) for spec in protocol.instructions if spec.length}
+    yield time_out_fault(
+        "time-out-for-known-ids-only",
+        "waits for ever for the data of an unused ID",
+        timeouts=lambda byte: usual if protocol.headers[byte][0] in protocol.by_id else None,
+    )
+    yield time_out_fault(
+        "time-out-for-valid-headers-only",
+        "waits for ever for the data of a header that no instruction has",
+        timeouts=lambda byte: usual if protocol.headers[byte] in fitting else None,
+    )
+    yield time_out_fault(
+        f"no-time-out-for-{longest}-bytes",
+        f"waits for ever for {longest} data bytes",
+        timeouts=lambda byte: None if protocol.headers[byte][1] == longest else usual,
+    )
+    yield idle_fault(
+        "time-out-left-armed",
+        "forgets to disarm the time-out when the data of a valid frame have come: "
+        "one more answer, unless another frame comes first",
+        when(
+            lambda e: valid(e) and e.judgement.length > 0,
+            lambda d, e, r: replace(r, unasked=((usual, few),)),
+        ),
+    )
+    yield cut_fault(
+        "frame-after-truncation-lost",
+        "loses the frame that follows one that was cut short",
+        when(lambda e: e.previous_kind == "truncated", loses),
+        clauses="responses instructions safety",
+        caught_by=(*SEQUENCE, *CUT),
+    )
+    yield cut_fault(
+        "cut-frame-put-before-the-next",
+        "answers a frame that is cut short and stops, but puts its bytes before the next one",
+        clauses="responses instructions safety header",
+        caught_by=(*SEQUENCE, *CUT),
+        remains=_put_aside,
+        hear=_put_before,
+    )
+    yield cut_fault(
+        "cut-frame-answered-twice",
+        "answers a frame that is cut short twice",
+        when(is_truncated, twice),
+    )
+    yield cut_fault(
+        "cut-frame-answered-again-later",
+        "answers a frame that is cut short again 30 ms later, unless another frame comes first",
+        when(is_truncated, answers_again(30)),
+        caught_by=SPLIT,
+    )
+    yield cut_fault(
+        "data-of-cut-frame-run",
+        "runs the data of a frame that is cut short as instructions",
+        clauses="responses instructions safety header",
+        caught_by=(*SEQUENCE, *CUT),
+        remains=lambda device, frame: b"" if device.memory else frame[1:],
+    )
 
 
-def _resume_in_burst(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    if not event.judgement.valid:
-        if event.before.moving:
-            device.memory["motion"] = _MOTIONS.index(event.before.motion)
-        return reaction
-    motion = device.memory.pop("motion", None)
-    instruction = event.judgement.instruction
-    settles = instruction is None or instruction.effect.sets("motion")
-    if motion is None or settles or not event.pipelined:
-        return reaction
-    return replace(reaction, state=replace(reaction.state, motion=_MOTIONS[motion]))
+def idle_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults that an idle line triggers."""
+    yield idle_fault(
+        "asleep-after-150-ms",
+        "falls asleep after 150 ms without a byte and loses the one that wakes it",
+        hear=_asleep,
+    )
+    yield idle_fault(
+        "forgets-speed-when-idle",
+        "falls asleep after 150 ms without a byte while it stands, and has lost the speed then",
+        _forgetful,
+        clauses="instructions",
+    )
+
+
+def _usual_time_out(protocol: Protocol) -> int:
+    return int(protocol.timing.truncation_timeout * MS)
+
+
+def _stops_as_at_a_fault(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    return replace(reaction, state=device.protocol.on_fault.apply(event.before))
 
 
 def _queue(room: int) -> React:
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         waiting = device.memory.get("waiting", 0) + 1 if event.pipelined else 1
         device.memory["waiting"] = min(waiting, room + 1)
-        if waiting > room:
-            return replace(reaction, answers=(), state=event.before)
-        return reaction
+        return loses(device, event, reaction) if waiting > room else reaction
 
     return react
 
@@ -240,3 +337,29 @@ def _flush_once(device: MutatedDevice, data: bytes, now: int) -> bytes:
     device.memory["flushed"] = 2
     device.memory.pop("flushed at", None)
     return data
+
+
+def _asleep(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    before = device.memory.get("byte at")
+    device.memory["byte at"] = now
+    return b"" if before is not None and now - before > _SLEEP and not device.held else data
+
+
+def _forgetful(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    idle = event.gap is not None and event.gap > _SLEEP and not event.before.moving
+    if not idle:
+        return reaction
+    _, state = device.step(event.judgement.frame, replace(event.before, speed=0))
+    return replace(reaction, state=state)
+
+
+def _put_aside(device: MutatedDevice, frame: bytes) -> bytes:
+    device.memory["aside"] = int.from_bytes(b"\1" + frame, "big")
+    return b""
+
+
+def _put_before(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    aside = device.memory.pop("aside", None)
+    if aside is None:
+        return data
+    return aside.to_bytes((aside.bit_length() + 7) // 8, "big")[1:] + data

@@ -1,95 +1,249 @@
-"""Faults in the motion: missing, swapped, or not asked for."""
+"""Faults in the robot's state: the safety stop, the motion, and the speed and LED that are set."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
-from bilprov.conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.dut.fault import Fault, React
+from bilprov.conformance.mutation.faults.family import (
+    CUT,
     FOLLOWED,
+    POWER_ON,
+    TIMED,
+    WATCHED,
     WATCHED_FAULTS,
+    Family,
+    slug,
+    words,
+)
+from bilprov.conformance.mutation.faults.vocabulary import (
+    FAULTY,
+    Condition,
+    becomes,
+    clears_bit,
     drives_on,
+    every,
+    faulty,
     is_named,
+    is_outcome,
+    is_truncated,
+    latched,
+    moving,
+    resizes,
+    restarts,
+    resumes_after,
+    sets,
+    shows_low_bits,
     stands_still,
     starts_driving,
+    stops_after,
+    then,
+    valid,
     when,
 )
-from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.by_effect import moving_motions, setters
+from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
+stop_fault = Family("stop", "safety instructions responses", WATCHED_FAULTS)
+motion_fault = Family("motion", "instructions safety", ("valid/*",))
+setting_fault = Family("setting", "instructions safety", ("valid/*", *WATCHED_FAULTS))
+
+
+def stop_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults in the safety stop: missing, temporary, too late, partial."""
+    for outcome in FAULTY:
+        yield stop_fault(
+            f"no-stop-on-{slug(outcome)}",
+            f"drives on after {outcome.value}",
+            when(is_outcome(outcome), drives_on),
+            caught_by=WATCHED[outcome],
+        )
+    yield stop_fault(
+        "no-stop-on-truncated",
+        "drives on after a frame that is cut short, and answers it",
+        when(is_truncated, drives_on),
+        caught_by=CUT,
+    )
+    motions = moving_motions(protocol)
+    for motion in motions:
+        yield stop_fault(
+            f"no-stop-while-{words(motion)}",
+            f"a fault does not stop it while it moves {motion.value}",
+            when(every(faulty, _set_to(motion)), drives_on),
+            caught_by=(*WATCHED_FAULTS, *TIMED) if motion is min(motions) else WATCHED_FAULTS,
+        )
+    yield stop_fault(
+        "stops-late",
+        "stops three times later than the longest time that is allowed",
+        when(faulty, stops_after(3 * protocol.timing.stop_longest)),
+        caught_by=(*WATCHED_FAULTS, *TIMED),
+    )
+    yield stop_fault(
+        "restarts-by-itself",
+        "stops at a fault and drives on 120 ms later",
+        when(faulty, resumes_after(120)),
+        caught_by=FOLLOWED,
+    )
+    yield stop_fault(
+        "restarts-on-next-valid",
+        "after a fault any valid instruction makes it drive on as before",
+        restarts(valid),
+        caught_by=FOLLOWED,
+    )
+    yield stop_fault(
+        "stop-keeps-one-wheel",
+        "a fault stops the left wheel only",
+        # A probe sees a robot with one wheel stopped as rotating.
+        when(every(moving, faulty), then(drives_on, sets(motion=Motion.ROTATE_LEFT))),
+        caught_by=(*WATCHED_FAULTS, *TIMED),
+    )
+    yield stop_fault(
+        "stays-dead-after-fault",
+        "after a fault it answers but never moves again until a Stop",
+        latched(faulty, stands_still, ends=is_named(protocol.stop)),
+    )
+
 
 def motion_faults(protocol: Protocol) -> Iterator[Fault]:
-    """Yield the faults in the motion."""
-    family = "motion"
-    yield Fault(
+    """Yield the faults in the motion: missing, swapped, or not asked for."""
+    stop = protocol.stop
+    yield motion_fault(
         "never-moves",
-        family,
         "answers rightly and never moves: its motor power is off",
+        stands_still,
+        caught_by=(),
         exit=3,
-        react=stands_still,
     )
     movers = [s for s in protocol.instructions if s.effect.motion in moving_motions(protocol)]
     for spec in movers:
-        yield Fault(
-            f"{spec.name.lower()}-does-nothing",
-            family,
+        yield motion_fault(
+            f"{spec.name}-does-nothing",
             f"answers {spec.name} and does not move",
-            ("valid/*",),
-            react=when(
-                is_named(spec),
-                stands_still,
-            ),
+            when(is_named(spec), stands_still),
         )
     for one, other in zip(movers[::2], movers[1::2], strict=False):
-        yield Fault(
-            f"{one.name.lower()}-{other.name.lower()}-swapped",
-            family,
+        yield motion_fault(
+            f"{one.name}-{other.name}-swapped",
             f"takes {one.name} for {other.name} and the other way round",
-            ("valid/*", *WATCHED_FAULTS),
-            react=_swapped_motions(one, other),
+            then(when(is_named(one), _does(other)), when(is_named(other), _does(one))),
+            caught_by=("valid/*", *WATCHED_FAULTS),
         )
     steers = [s for s in protocol.instructions if s.effect.sets("steering") and s.fields]
     if steers:
-        yield Fault(
+        yield motion_fault(
             "steering-swapped",
-            family,
             f"takes {' for '.join(s.name for s in steers)} and the other way round",
-            ("valid/*",),
-            react=when(
-                lambda e: any(is_named(s)(e) for s in steers),
-                lambda d, e, r: replace(r, state=replace(r.state, steering=-r.state.steering)),
-            ),
+            when(is_named(*steers), becomes(lambda e, s: replace(s, steering=-s.steering))),
         )
-        yield Fault(
+        yield motion_fault(
             "steering-starts-it",
-            family,
             "steering while stopped makes it drive",
-            (f"valid/{protocol.stop.name}", *FOLLOWED),
-            react=when(lambda e: any(is_named(s)(e) for s in steers), starts_driving),
+            when(is_named(*steers), starts_driving),
+            caught_by=(f"valid/{stop.name}", *FOLLOWED),
         )
-    yield Fault(
+    yield motion_fault(
         "stop-does-nothing",
-        family,
-        f"answers {protocol.stop.name} and drives on",
-        (f"valid/{protocol.stop.name}", "leave/stopped"),
-        react=when(is_named(protocol.stop), drives_on),
+        f"answers {stop.name} and drives on",
+        when(is_named(stop), drives_on),
+        caught_by=(f"valid/{stop.name}", "leave/stopped"),
     )
-    yield Fault(
+    yield motion_fault(
         "moves-at-power-on",
-        family,
         "drives as soon as it is switched on",
-        ("power-on/*",),
+        caught_by=POWER_ON,
         power_on=State(motion=Motion.FORWARD, speed=protocol.limits.get("speed", (0, 1))[1]),
     )
 
 
-def _swapped_motions(one: InstructionSpec, other: InstructionSpec) -> React:
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        for spec, taken in ((one, other), (other, one)):
-            if is_named(spec)(event):
-                return replace(reaction, state=taken.effect.apply(event.before))
-        return reaction
+def setting_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield the faults in the speed and the LED that a device remembers."""
+    at_rest = f"valid/{protocol.stop.name}"
+    speeds, lights = (
+        [s for s in setters(protocol) if s.effect.sets(variable)] for variable in ("speed", "led")
+    )
+    for spec in speeds:
+        yield setting_fault(
+            f"{spec.name}-starts-it",
+            f"{spec.name} makes a stopped robot drive",
+            when(is_named(spec), starts_driving),
+            caught_by=(*POWER_ON, at_rest, *FOLLOWED),
+        )
+        yield setting_fault(
+            f"{spec.name}-ignored-at-full",
+            f"{spec.name} at its highest value is answered and ignored",
+            when(every(is_named(spec), _at_full(spec)), drives_on),
+            caught_by=("valid/*", *FOLLOWED),
+        )
+        yield setting_fault(
+            f"{spec.name}-stops-it",
+            f"{spec.name} stops a moving robot",
+            when(is_named(spec), stands_still),
+            caught_by=("valid/*",),
+        )
+    for spec in lights:
+        bits = spec.fields[0].bits
+        yield setting_fault(
+            f"{spec.name}-order-reversed",
+            f"{spec.name} takes the colours in the wrong order",
+            when(is_named(spec), _reverses_bits(len(bits))),
+        )
+        for index, bit in enumerate(reversed(bits)):
+            yield setting_fault(
+                f"{spec.name}-{bit}-stuck-off",
+                f"{spec.name} never switches {bit} on",
+                when(is_named(spec), clears_bit("led", index)),
+            )
+        yield setting_fault(
+            f"{spec.name}-restarts-it",
+            f"{spec.name} makes a stopped robot drive",
+            when(is_named(spec), starts_driving),
+            caught_by=(at_rest, *FOLLOWED),
+        )
+    high = protocol.limits.get("led", (0, 0))[1]
+    if lights:
+        yield setting_fault(
+            "bad-data-shown",
+            "refuses bad data and stops, but shows their low bits",
+            when(is_outcome(Outcome.BAD_DATA), shows_low_bits(high)),
+            caught_by=WATCHED[Outcome.BAD_DATA],
+        )
+    if speeds:
+        yield setting_fault(
+            "fault-changes-speed",
+            "a fault halves the speed that was set",
+            when(faulty, resizes("speed", lambda speed: speed // 2)),
+            caught_by=WATCHED_FAULTS,
+        )
+    if lights:
+        yield setting_fault(
+            "fault-changes-led",
+            "a fault inverts the LED",
+            when(faulty, resizes("led", lambda led: high - led)),
+            caught_by=WATCHED_FAULTS,
+        )
 
-    return react
+
+def _set_to(motion: Motion) -> Condition:
+    """Return a trigger: that motion was set when the frame came, at any speed."""
+    return lambda event: event.before.motion is motion
+
+
+def _does(spec: InstructionSpec) -> React:
+    """Return an effect: what this instruction does is done."""
+    return becomes(lambda event, state: spec.effect.apply(event.before))
+
+
+def _at_full(spec: InstructionSpec) -> Condition:
+    """Return a trigger, for frames of this instruction: a field has its highest value."""
+    return lambda event: any(
+        value == part.high
+        for part, (_, value) in zip(spec.fields, event.judgement.fields, strict=True)
+    )
+
+
+def _reverses_bits(width: int) -> React:
+    """Return an effect: the LED's bits are in the wrong order."""
+    return resizes("led", lambda led: int(f"{led:0{width}b}"[::-1], 2))

@@ -1,9 +1,10 @@
-"""Building blocks of faults: triggers, effects, and globs of the cases that catch them."""
+"""Building blocks of faults: triggers (on which frames) and effects (what the device does)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, MutatedDevice, React, Reaction, answers
@@ -14,46 +15,11 @@ from bilprov.spec.protocol import InstructionSpec
 Condition = Callable[[Event], bool]
 Change = Callable[[Event, State], State]
 
-# Cases other than single frames: sequences, delivery, soak, consistency of readings.
-SEQUENCE = ("sequence/*",)
-PIPELINED = ("pipelined/*",)
-SPLIT = ("split/*",)
-SOAK = ("pipelined/soak/*",)
-READING = ("reading/*",)
-
-EVERYTHING = ("*",)
-
-# The cases of each outcome in which the stop and the state are observed.
-WATCHED = {
-    Outcome.UNKNOWN_ID: ("unused-id/*", "recovery/unused-id/*"),
-    Outcome.BAD_DATA: ("bad-data/*", "recovery/bad-data/*"),
-    Outcome.TOO_MANY: ("wrong-length/*", "recovery/too-many/*"),
-    Outcome.TOO_FEW: ("wrong-length/*", "recovery/too-few/*"),
-}
-WATCHED_CUT = ("truncated/*", "recovery/truncated/*")
-# Cases that hold the stop and send valid instructions after it: for faults that show later.
-FOLLOWED = ("unused-id/*", "bad-data/*", "wrong-length/*", "truncated/*")
-WATCHED_FAULTS = (*FOLLOWED, "recovery/*")
-
-# The cases of each outcome in which its answer shows.
-CASES = {
-    **WATCHED,
-    Outcome.UNKNOWN_ID: (*WATCHED[Outcome.UNKNOWN_ID], "link/unused-id"),
-    Outcome.TOO_FEW: (*WATCHED[Outcome.TOO_FEW], "link/too-few"),
-}
-# The time-out is measured on a robot that moves, in the first kind of motion that it has.
-TIMED = ("timing/truncation-timeout",)
-CUT = (*WATCHED_CUT, *TIMED)
-WHOLE_FAULTS = tuple(dict.fromkeys(glob for globs in CASES.values() for glob in globs))
-ALL_FAULTY = (*WHOLE_FAULTS, *CUT)
+# The outcomes of faulty frames.
+FAULTY = tuple(outcome for outcome in Outcome if outcome is not Outcome.VALID)
 
 
-def slug(outcome: Outcome) -> str:
-    """Return an outcome as it is written in a fault's name: `too-few`."""
-    return outcome.name.lower().replace("_", "-")
-
-
-def when(matches: Callable[[Event], bool], change: React) -> React:
+def when(matches: Condition, change: React) -> React:
     """Return an effect that makes the change for the frames that match."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -62,12 +28,25 @@ def when(matches: Callable[[Event], bool], change: React) -> React:
     return react
 
 
-def faults_only(change: React) -> React:
-    """Return an effect that makes the change for faulty frames only."""
-    return when(lambda event: not event.judgement.valid, change)
+# -- triggers: conditions on a frame, the state before it, and its history -----------------------
 
 
-def is_outcome(outcome: Outcome) -> Callable[[Event], bool]:
+def every(*conditions: Condition) -> Condition:
+    """Return a trigger: all of the conditions hold."""
+    return lambda event: all(condition(event) for condition in conditions)
+
+
+def faulty(event: Event) -> bool:
+    """Trigger: any faulty frame."""
+    return not event.judgement.valid
+
+
+def valid(event: Event) -> bool:
+    """Trigger: any valid frame."""
+    return event.judgement.valid
+
+
+def is_outcome(outcome: Outcome) -> Condition:
     """Return a trigger: complete frames with that outcome."""
     return lambda event: event.judgement.outcome is outcome and not is_truncated(event)
 
@@ -77,14 +56,134 @@ def is_truncated(event: Event) -> bool:
     return event.kind == "truncated"
 
 
-def is_named(spec: InstructionSpec) -> Callable[[Event], bool]:
-    """Return a trigger: valid frames of that instruction."""
-    return lambda event: event.judgement.valid and event.judgement.id == spec.id
+def is_whole(event: Event) -> bool:
+    """Trigger: complete frames."""
+    return event.kind == "instruction"
+
+
+def is_named(*specs: InstructionSpec) -> Condition:
+    """Return a trigger: valid frames of one of these instructions."""
+    ids = {spec.id for spec in specs}
+    return lambda event: event.judgement.valid and event.judgement.id in ids
+
+
+def has_id(identity: int) -> Condition:
+    """Return a trigger: frames with that ID in the header."""
+    return lambda event: event.judgement.id == identity
+
+
+def has_length(length: int) -> Condition:
+    """Return a trigger: frames with that number of data bytes in the header."""
+    return lambda event: event.judgement.length == length
+
+
+def carries(spec: InstructionSpec, *values: int) -> Condition:
+    """Return a trigger: valid frames of that instruction whose first field has such a value."""
+    named = is_named(spec)
+    return lambda event: named(event) and event.judgement.fields[0][1] in values
+
+
+def moving(event: Event) -> bool:
+    """Trigger: the robot moved when the frame came."""
+    return event.before.moving
+
+
+def standing(event: Event) -> bool:
+    """Trigger: the robot did not move when the frame came."""
+    return not event.before.moving
+
+
+def moving_in(motion: Motion) -> Condition:
+    """Return a trigger: the robot was in that motion when the frame came."""
+    return lambda event: event.before.moving and event.before.motion is motion
+
+
+def steered_to(sign: int) -> Condition:
+    """Return a trigger: it was steered to the right (1) or to the left (-1)."""
+    return lambda event: event.before.steering * sign > 0
+
+
+def after(spec: InstructionSpec) -> Condition:
+    """Return a trigger: the frame before was that instruction, and valid."""
+    return lambda event: (
+        event.previous is not None and event.previous.valid and event.previous.id == spec.id
+    )
+
+
+def after_a_fault(event: Event) -> bool:
+    """Trigger: the frame before was faulty."""
+    return event.row > 0
+
+
+def at_count(counter: str, number: int) -> Condition:
+    """Return a trigger: so many came before; `counter` is `frames`, `faults` or `row` of Event."""
+    return lambda event: bool(getattr(event, counter) == number)
+
+
+def from_count(counter: str, number: int) -> Condition:
+    """Return a trigger: at least so many came before; `counter` is a counter of Event."""
+    return lambda event: bool(getattr(event, counter) >= number)
+
+
+def every_nth(counter: str, number: int) -> Condition:
+    """Return a trigger: each time that so many have come; `counter` is a counter of Event."""
+    return lambda event: bool(getattr(event, counter) % number == number - 1)
+
+
+def pipelined(event: Event) -> bool:
+    """Trigger: the host did not wait for the answer before."""
+    return event.pipelined
+
+
+def split(event: Event) -> bool:
+    """Trigger: the frame has a pause of more than 1 ms between two of its bytes."""
+    return event.pause > MS
+
+
+# -- effects on the answers ----------------------------------------------------------------------
 
 
 def answers_with(*codes: int, delay: int = 0) -> React:
     """Return an effect: these codes are answered instead, `delay` ns late."""
     return lambda device, event, reaction: answers(reaction, *codes, delay=delay)
+
+
+def answers_as(outcome: Outcome) -> React:
+    """Return an effect: the code of that outcome is answered."""
+    return lambda device, event, reaction: answers(reaction, device.protocol.answers[outcome].code)
+
+
+answers_ok = answers_as(Outcome.VALID)
+silent = answers_with()
+
+
+def answers_as_before(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: the code due to the frame before is answered, if there was one."""
+    if event.previous is None:
+        return reaction
+    return answers(reaction, event.previous.response.code)
+
+
+def answers_again(milliseconds: int) -> React:
+    """Return an effect: the code comes again that much later, unless another frame comes first."""
+    return lambda device, event, reaction: replace(
+        reaction, unasked=((milliseconds * MS, event.judgement.response.code),)
+    )
+
+
+def twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    """Effect: each answer is sent twice."""
+    return replace(reaction, answers=reaction.answers * 2)
+
+
+def late(milliseconds: float) -> React:
+    """Return an effect: the answers come `milliseconds` later."""
+    return lambda device, event, reaction: answers(
+        reaction, *(code for _, code in reaction.answers), delay=int(milliseconds * MS)
+    )
+
+
+# -- effects on the state ------------------------------------------------------------------------
 
 
 def drives_on(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -104,60 +203,6 @@ def stands_still(device: MutatedDevice, event: Event, reaction: Reaction) -> Rea
     return replace(reaction, state=replace(reaction.state, motion=Motion.STOPPED))
 
 
-# -- triggers: conditions on a frame and its history -------------------------------------------
-
-
-def every(*conditions: Condition) -> Condition:
-    """Return a trigger: all of the conditions hold."""
-    return lambda event: all(condition(event) for condition in conditions)
-
-
-def faulty(event: Event) -> bool:
-    """Trigger: any faulty frame."""
-    return not event.judgement.valid
-
-
-def valid(event: Event) -> bool:
-    """Trigger: any valid frame."""
-    return event.judgement.valid
-
-
-def after(spec: InstructionSpec) -> Condition:
-    """Return a trigger: the frame before was that instruction, and valid."""
-    return lambda event: (
-        event.previous is not None and event.previous.valid and event.previous.id == spec.id
-    )
-
-
-def after_a_fault(event: Event) -> bool:
-    """Trigger: the frame before was faulty."""
-    return event.row > 0
-
-
-def moving_in(motion: Motion) -> Condition:
-    """Return a trigger: the robot was in that motion when the frame came."""
-    return lambda event: event.before.moving and event.before.motion is motion
-
-
-def carries(spec: InstructionSpec, *values: int) -> Condition:
-    """Return a trigger: valid frames of that instruction whose first field has such a value."""
-    named = is_named(spec)
-    return lambda event: named(event) and event.judgement.fields[0][1] in values
-
-
-def pipelined(event: Event) -> bool:
-    """Trigger: the host did not wait for the answer before."""
-    return event.pipelined
-
-
-def split(event: Event) -> bool:
-    """Trigger: the frame has a pause of more than 1 ms between two of its bytes."""
-    return event.pause > MS
-
-
-# -- effects: changes of the reaction to a frame -------------------------------------------------
-
-
 def sets(**variables: object) -> React:
     """Return an effect: the state afterwards has these values."""
     return lambda device, event, reaction: replace(
@@ -170,33 +215,36 @@ def becomes(change: Change) -> React:
     return lambda device, event, reaction: replace(reaction, state=change(event, reaction.state))
 
 
+def resizes(variable: str, size: Callable[[int], int]) -> React:
+    """Return an effect: `size` makes the variable's value from the correct one; the sign stays."""
+
+    def change(event: Event, state: State) -> State:
+        value = getattr(state, variable)
+        resized: Any = -size(-value) if value < 0 else size(value)
+        return replace(state, **{variable: resized})
+
+    return becomes(change)
+
+
+def sets_bit(variable: str, bit: int) -> React:
+    """Return an effect: the bit of the variable is 1."""
+    return resizes(variable, lambda size: size | 1 << bit)
+
+
+def clears_bit(variable: str, bit: int) -> React:
+    """Return an effect: the bit of the variable is 0."""
+    return resizes(variable, lambda size: size & ~(1 << bit))
+
+
+def shows_low_bits(high: int) -> React:
+    """Return an effect: the LED shows those bits of the first field that `high` has."""
+    return becomes(lambda e, state: replace(state, led=e.judgement.fields[0][1] & high))
+
+
 def keeps(variable: str) -> React:
     """Return an effect: the variable stays as it was before the frame."""
     return lambda device, event, reaction: replace(
         reaction, state=replace(reaction.state, **{variable: getattr(event.before, variable)})
-    )
-
-
-def then(*changes: React) -> React:
-    """Return an effect that makes the changes one after the other."""
-
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        for change in changes:
-            reaction = change(device, event, reaction)
-        return reaction
-
-    return react
-
-
-def twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    """Effect: each answer is sent twice."""
-    return replace(reaction, answers=reaction.answers * 2)
-
-
-def late(milliseconds: float) -> React:
-    """Return an effect: the answers come `milliseconds` later."""
-    return lambda device, event, reaction: answers(
-        reaction, *(code for _, code in reaction.answers), delay=int(milliseconds * MS)
     )
 
 
@@ -214,21 +262,66 @@ def resumes_after(milliseconds: float) -> React:
     )
 
 
+# -- effects on both, and effects that remember --------------------------------------------------
+
+
+def then(*changes: React) -> React:
+    """Return an effect that makes the changes one after the other."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        for change in changes:
+            reaction = change(device, event, reaction)
+        return reaction
+
+    return react
+
+
+accepts = then(drives_on, answers_ok)
+loses = then(drives_on, silent)
+
+
 def as_if(device: MutatedDevice, event: Event, reaction: Reaction, frame: bytes) -> Reaction:
     """Return the reaction of a conforming device to another frame, `frame`."""
     judgement, state = device.step(frame, event.before)
     return replace(answers(reaction, judgement.response.code), state=state)
 
 
-# -- parts of a fault's name ---------------------------------------------------------------------
+def latched(begins: Condition, change: React, ends: Condition = lambda event: False) -> React:
+    """Return an effect: the change is made from a frame that begins it until one that ends it."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if ends(event):
+            device.memory.pop("latched", None)
+        elif begins(event):
+            device.memory["latched"] = 1
+        return change(device, event, reaction) if "latched" in device.memory else reaction
+
+    return react
 
 
-def words(motion: Motion) -> str:
-    """Return a motion as it is written in a fault's name: `rotate-left`."""
-    return motion.value.replace("_", "-")
+def restarts(condition: Condition, settings: int = 0) -> React:
+    """Return an effect: the motion that the last fault ended resumes if the condition holds.
 
+    `settings` is the number of valid frames since then at which it resumes; 0 for any. An
+    instruction that sets the motion ends the wait.
+    """
 
-def ordinal(number: int) -> str:
-    """Return an ordinal number in digits: `1st`, `2nd`, `13th`."""
-    last = "th" if 10 <= number % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{last}"
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        memory = device.memory
+        if faulty(event) and event.before.moving:
+            memory["motion"] = list(Motion).index(event.before.motion)
+            memory["settings"] = 0
+            return reaction
+        instruction = event.judgement.instruction
+        if valid(event) and instruction and instruction.effect.sets("motion"):
+            memory.pop("motion", None)
+        if "motion" not in memory:
+            return reaction
+        if valid(event):
+            memory["settings"] = min(memory["settings"] + 1, settings + 1)
+        if not condition(event) or (settings and memory["settings"] != settings):
+            return reaction
+        motion = list(Motion)[memory.pop("motion")]
+        return replace(reaction, state=replace(reaction.state, motion=motion))
+
+    return react
