@@ -34,10 +34,10 @@ from bilprov.conformance.mutation.faults.framing import (
 from bilprov.conformance.mutation.faults.history import (
     count_faults,
     history_faults,
-    pair_faults,
     power_on_faults,
 )
 from bilprov.conformance.mutation.faults.motion import motion_faults, setting_faults, stop_faults
+from bilprov.conformance.mutation.faults.sequences import pair_faults
 from bilprov.conformance.mutation.faults.timing import timing_faults
 from bilprov.spec.protocol import Protocol
 

@@ -38,7 +38,7 @@ from bilprov.spec.by_effect import moving_motions, setters, variable_of
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import WHEELS, State
-from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.protocol import Protocol
 
 narrow_fault = Family("narrow", "instructions")
 steering_fault = Family("narrow", "instructions safety", READING)
@@ -156,23 +156,18 @@ def _at_one_bit(protocol: Protocol) -> Iterator[Fault]:
         for part in spec.fields:
             if not part.bits or not list(bad_data(spec)):
                 continue
+            low_bits = shows_low_bits(part.high)
             for bit in range(len(part.bits) + 1, 8 * part.size):
                 yield narrow_fault(
                     f"accepts-{spec.name}-bit-{bit}",
                     f"does not see bit {bit} of {spec.name}'s data: OK, the low bits shown",
-                    when(
-                        _only_bit(spec.name, part, bit),
-                        then(accepts, shows_low_bits(part.high)),
-                    ),
+                    when(_bad_value(spec.name, 1 << bit, ~part.high), then(accepts, low_bits)),
                     clauses="instructions responses",
                 )
             yield narrow_fault(
                 f"ok-and-stop-on-{spec.name}-upper-bits",
                 f"stops at bad data of {spec.name}, answers OK and shows the low bits",
-                when(
-                    is_outcome(Outcome.BAD_DATA),
-                    then(answers_ok, shows_low_bits(part.high)),
-                ),
+                when(is_outcome(Outcome.BAD_DATA), then(answers_ok, low_bits)),
                 clauses="responses instructions",
             )
 
@@ -255,22 +250,13 @@ def _bad_values(protocol: Protocol, turn: int) -> Iterator[tuple[str, int]]:
             yield spec.name, part.parse(data[part.offset : part.offset + part.size])
 
 
-def _bad_value(name: str, value: int) -> Condition:
+def _bad_value(name: str, value: int, mask: int = -1) -> Condition:
+    """Return a trigger: bad data of that instruction, with this value in the bits of the mask."""
     return lambda event: (
         event.judgement.outcome is Outcome.BAD_DATA
         and event.judgement.name == name
-        and event.judgement.fields[0][1] == value
+        and event.judgement.fields[0][1] & mask == value
     )
-
-
-def _only_bit(name: str, part: FieldSpec, bit: int) -> Condition:
-    """Return a trigger: bad data in which this is the only bit set outside the range."""
-
-    def condition(event: Event) -> bool:
-        bad = event.judgement.outcome is Outcome.BAD_DATA and event.judgement.name == name
-        return bad and event.judgement.fields[0][1] & ~part.high == 1 << bit
-
-    return condition
 
 
 def _signed(variable: str) -> React:

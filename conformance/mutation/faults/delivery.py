@@ -14,6 +14,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     answers_as,
     answers_as_before,
     answers_ok,
+    becomes,
     drives_on,
     every,
     faulty,
@@ -36,6 +37,7 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 
 burst_fault = Family("delivery", "responses instructions", PIPELINED)
+burst_instruction_fault = Family("delivery", "instructions", PIPELINED)
 buffer_fault = Family("delivery", "responses instructions header", PIPELINED)
 split_fault = Family("delivery", "responses instructions header", SPLIT)
 time_out_fault = Family("delivery", "instructions responses safety", ("truncated/*",))
@@ -94,25 +96,22 @@ def burst_faults(protocol: Protocol) -> Iterator[Fault]:
         "answers what is sent ahead with the code of the frame before",
         when(pipelined, answers_as_before),
     )
-    yield burst_fault(
+    yield burst_instruction_fault(
         "sent-ahead-stop-lost",
         f"loses {stop.name} where it is sent ahead, answered all the same",
         when(every(pipelined, is_named(stop)), drives_on),
-        clauses="instructions",
     )
     for setter in setters(protocol):
-        yield burst_fault(
+        yield burst_instruction_fault(
             f"sent-ahead-{setter.name}-ignored",
             f"{setter.name} sent ahead is answered and ignored",
             when(every(pipelined, is_named(setter)), drives_on),
-            clauses="instructions",
         )
     for mover in movers(protocol)[::3]:
-        yield burst_fault(
+        yield burst_instruction_fault(
             f"sent-ahead-{mover.name}-ignored",
             f"{mover.name} sent ahead is answered and does not move it",
             when(every(pipelined, is_named(mover)), drives_on),
-            clauses="instructions",
         )
     yield burst_fault(
         "runs-on-after-fault-in-a-burst",
@@ -162,11 +161,12 @@ def burst_faults(protocol: Protocol) -> Iterator[Fault]:
 def split_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults that a pause inside a frame triggers."""
     a_split = "a valid frame with a pause of more than 1 ms:"
-    usual = _usual_time_out(protocol)
+    stops = becomes(lambda e, state: protocol.on_fault.apply(e.before))
+    usual = int(protocol.timing.truncation_timeout * MS)
     yield split_fault(
         "split-is-too-few",
         "answers a frame with a pause of more than 1 ms as one with too few data, and stops",
-        when(every(split, valid), then(answers_as(Outcome.TOO_FEW), _stops_as_at_a_fault)),
+        when(every(split, valid), then(answers_as(Outcome.TOO_FEW), stops)),
     )
     yield split_fault(
         "split-is-ignored",
@@ -200,7 +200,7 @@ def split_faults(protocol: Protocol) -> Iterator[Fault]:
 
 def time_out_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults in which frames are truncated, and in what comes after one that was."""
-    usual = _usual_time_out(protocol)
+    usual = int(protocol.timing.truncation_timeout * MS)
     few = protocol.answers[Outcome.TOO_FEW].code
     longest = protocol.data_lengths[-1]
     fitting = {(spec.id, spec.length) for spec in protocol.instructions if spec.length}
@@ -276,14 +276,6 @@ def idle_faults(protocol: Protocol) -> Iterator[Fault]:
         _forgetful,
         clauses="instructions",
     )
-
-
-def _usual_time_out(protocol: Protocol) -> int:
-    return int(protocol.timing.truncation_timeout * MS)
-
-
-def _stops_as_at_a_fault(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    return replace(reaction, state=device.protocol.on_fault.apply(event.before))
 
 
 def _queue(room: int) -> React:

@@ -1,4 +1,4 @@
-"""Faults triggered by history: the frames since power-on, the frame before, counts, latches."""
+"""Faults triggered by history: power-on, counts of frames or faults, and latched events."""
 
 from __future__ import annotations
 
@@ -16,11 +16,7 @@ from bilprov.conformance.mutation.faults.family import (
     ordinal,
 )
 from bilprov.conformance.mutation.faults.vocabulary import (
-    Condition,
     accepts,
-    after,
-    after_a_fault,
-    answers_as_before,
     answers_ok,
     at_count,
     becomes,
@@ -32,29 +28,27 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     is_named,
     is_outcome,
     is_truncated,
+    keeps,
     latched,
     moving,
-    restarts,
     sets,
     silent,
-    stands_still,
     twice,
     valid,
     when,
 )
 from bilprov.spec.by_effect import movers, setters, variable_of
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import WHEELS, Motion, State
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
 
 power_on_fault = Family("power-on", "responses instructions", POWER_ON)
 history_fault = Family("history", "safety responses instructions", WATCHED_FAULTS)
-pair_fault = Family("pair", "instructions")
-fault_pair_fault = Family("pair", "safety")
 count_fault = Family("history", "instructions")
+stop_count_fault = Family("history", "safety instructions")
+answer_count_fault = Family("history", "responses instructions")
 soak_fault = Family("history", "instructions", SOAK)
 
-_PAIRS = 10
 _WRAP, _LONG_WRAP = 1 << 8, 1 << 16
 
 
@@ -124,143 +118,11 @@ def history_faults(protocol: Protocol) -> Iterator[Fault]:
     )
 
 
-def pair_faults(protocol: Protocol) -> Iterator[Fault]:
-    """Yield the faults that show only after a certain instruction or fault."""
-    yield from _after_an_instruction(protocol)
-    yield from _the_same_again(protocol)
-    yield from _after_faults(protocol)
-
-
-def _after_an_instruction(protocol: Protocol) -> Iterator[Fault]:
-    settings, moves = setters(protocol), movers(protocol)
-    for one, other in _some_pairs(protocol):
-        yield pair_fault(
-            f"{other.name}-ignored-after-{one.name}",
-            f"{other.name} right after {one.name} is answered and not carried out",
-            when(every(is_named(other), after(one)), drives_on),
-            # Homing ends with stops, so a set-up cannot make this setting: it shows after faults.
-            clauses="instructions safety" if one is protocol.stop else "instructions",
-        )
-    for setter in settings:
-        yield fault_pair_fault(
-            f"no-stop-after-{setter.name}",
-            f"a fault right after {setter.name} does not stop it",
-            when(every(faulty, after(setter)), drives_on),
-        )
-    for setter, mover in zip(settings, reversed(moves), strict=False):
-        yield pair_fault(
-            f"{setter.name}-stops-it-after-{mover.name}",
-            f"{setter.name} right after {mover.name} stops it",
-            when(every(is_named(setter), after(mover)), stands_still),
-        )
-    for one, other in _opposite(moves):
-        yield pair_fault(
-            f"{other.name}-ignored-while-{one.name}",
-            f"{other.name} does nothing as long as it moves by {one.name}: it wants a stop between",
-            when(every(is_named(other), _moves_by(one)), drives_on),
-        )
-    turning = [s for s in moves if s.effect.motion and _turns(s.effect.motion)]
-    straight = [s for s in moves if s not in turning]
-    for mover in straight[:1]:
-        yield pair_fault(
-            f"{mover.name}-mirrors-steering-after-a-rotation",
-            f"{mover.name} during a rotation takes the steering to the other side",
-            when(
-                every(is_named(mover), lambda e: _turns(e.before.motion)),
-                becomes(lambda e, state: replace(state, steering=-state.steering)),
-            ),
-        )
-    if turning:
-        yield fault_pair_fault(
-            "no-stop-once-it-has-rotated",
-            f"once it has rotated no fault stops it until {protocol.stop.name} comes",
-            latched(_rotating, when(faulty, drives_on), ends=is_named(protocol.stop)),
-        )
-    steers = [s for s in settings if variable_of(s) == "steering"]
-    for one, other in zip(steers, reversed(steers), strict=True):
-        if one is not other:
-            yield pair_fault(
-                f"{other.name}-adds-to-{one.name}",
-                f"{other.name} right after {one.name} is added to it instead of replacing it",
-                when(every(is_named(other), after(one)), _adds(protocol.limits["steering"])),
-            )
-
-
-def _the_same_again(protocol: Protocol) -> Iterator[Fault]:
-    for mover in movers(protocol):
-        yield pair_fault(
-            f"{mover.name}-again-stops-it",
-            f"a second {mover.name} in a row stops it, as if it were a switch",
-            when(every(is_named(mover), after(mover)), stands_still),
-        )
-    for setter in setters(protocol):
-        yield pair_fault(
-            f"{setter.name}-again-ignored",
-            f"the second {setter.name} in a row is answered and ignored",
-            when(every(is_named(setter), after(setter)), drives_on),
-        )
-
-
-def _after_faults(protocol: Protocol) -> Iterator[Fault]:
-    for setter in setters(protocol):
-        yield fault_pair_fault(
-            f"restarts-on-{setter.name}-after-a-fault",
-            f"{setter.name} right after the fault that stopped it makes it drive on as before",
-            restarts(every(is_named(setter), after_a_fault)),
-            clauses="safety instructions responses",
-        )
-    yield fault_pair_fault(
-        "restarts-on-second-setting-after-a-fault",
-        "the second setting after the fault that stopped it makes it drive on as before",
-        restarts(every(valid, at_count("row", 0)), settings=2),
-    )
-    yield fault_pair_fault(
-        "restarts-on-second-fault",
-        "a second fault in a row makes it drive on as before the first",
-        restarts(every(faulty, at_count("row", 1))),
-    )
-    yield fault_pair_fault(
-        "ok-to-second-fault",
-        f"the second fault in a row is answered {protocol.answers[Outcome.VALID].name}",
-        when(every(faulty, at_count("row", 1)), answers_ok),
-        clauses="responses instructions",
-    )
-    yield fault_pair_fault(
-        "silent-on-third-fault",
-        "the third fault in a row is not answered",
-        when(every(faulty, at_count("row", 2)), silent),
-        clauses="responses instructions",
-    )
-    yield fault_pair_fault(
-        "no-stop-at-the-fault-after-a-truncation",
-        "after a frame that was cut short the next fault does not stop it",
-        _no_stop_next_after_truncation,
-    )
-    yield fault_pair_fault(
-        "stays-dead-after-two-faults",
-        f"after two faults in a row it never moves again until {protocol.stop.name} comes",
-        latched(every(faulty, from_count("row", 1)), stands_still, ends=is_named(protocol.stop)),
-        clauses="instructions safety",
-    )
-    yield fault_pair_fault(
-        "speed-lost-by-two-faults",
-        "the second fault in a row zeroes the speed, the first does not",
-        when(every(faulty, at_count("row", 1)), sets(speed=0)),
-        clauses="safety instructions",
-    )
-    yield fault_pair_fault(
-        "answer-sticks-after-two-faults",
-        "the valid instruction after two faults is answered as if it were the third",
-        when(every(valid, from_count("row", 2)), answers_as_before),
-        clauses="responses instructions",
-    )
-
-
 def count_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults that a count of frames or faults, or a latched event, triggers."""
     yield from _after_so_many(protocol)
     yield from _every_so_often()
-    yield from _latched(protocol)
+    yield from _after_an_event(protocol)
     yield from _only_a_soak()
 
 
@@ -273,11 +135,10 @@ def _after_so_many(protocol: Protocol) -> Iterator[Fault]:
             clauses="safety",
         )
     for count in (5, 20):
-        yield count_fault(
+        yield answer_count_fault(
             f"silent-after-{count}-faults-in-a-row",
             f"after {count} faults without a valid instruction between it answers none more",
             when(every(faulty, from_count("row", count)), silent),
-            clauses="responses instructions",
         )
     for count, setter in zip((100, 200, 300, 255), setters(protocol), strict=False):
         yield count_fault(
@@ -295,17 +156,15 @@ def _after_so_many(protocol: Protocol) -> Iterator[Fault]:
 
 def _every_so_often() -> Iterator[Fault]:
     for count in (10, 100, _WRAP):
-        yield count_fault(
+        yield answer_count_fault(
             f"every-{ordinal(count)}-frame-unanswered",
             f"carries out every {ordinal(count)} frame and does not answer it",
             when(every_nth("frames", count), silent),
-            clauses="responses instructions",
         )
-    yield count_fault(
+    yield answer_count_fault(
         "every-50th-frame-answered-twice",
         "answers every 50th frame twice",
         when(every_nth("frames", 50), twice),
-        clauses="responses instructions",
     )
     yield count_fault(
         "every-13th-instruction-ignored",
@@ -313,11 +172,10 @@ def _every_so_often() -> Iterator[Fault]:
         when(every(valid, every_nth("frames", 13)), drives_on),
     )
     for count in (16, 100, _WRAP):
-        yield count_fault(
+        yield stop_count_fault(
             f"every-{ordinal(count)}-fault-missed",
             f"drives on after every {ordinal(count)} fault",
             when(every(faulty, every_nth("faults", count)), drives_on),
-            clauses="safety instructions",
         )
     yield count_fault(
         "every-5th-cut-missed",
@@ -325,23 +183,21 @@ def _every_so_often() -> Iterator[Fault]:
         when(every(is_truncated, every_nth("truncated", 5)), drives_on),
         clauses="safety responses instructions",
     )
-    yield count_fault(
+    yield stop_count_fault(
         "each-fault-slows-it",
         "every tenth fault takes one step off the speed",
         when(
             every(faulty, every_nth("faults", 10)),
             becomes(lambda e, state: replace(state, speed=max(0, state.speed - 1))),
         ),
-        clauses="safety instructions",
     )
 
 
-def _latched(protocol: Protocol) -> Iterator[Fault]:
-    yield count_fault(
+def _after_an_event(protocol: Protocol) -> Iterator[Fault]:
+    yield stop_count_fault(
         "first-fault-missed",
         "the first fault after power-on that finds it moving does not stop it",
         when(every(faulty, moving), _first_time_drives_on),
-        clauses="safety instructions",
         caught_by=("power-on/first-fault",),
     )
     yield count_fault(
@@ -355,17 +211,16 @@ def _latched(protocol: Protocol) -> Iterator[Fault]:
         "after ten changes of motion while it moves, each motion is the first one",
         _worn_reverser(10),
     )
-    yield count_fault(
+    yield answer_count_fault(
         "ok-for-ever-after-20-bad-data",
         "after twenty bad data it answers OK to all of them",
         _after_outcomes(Outcome.BAD_DATA, 20, answers_ok),
-        clauses="responses instructions",
     )
     for setter in setters(protocol)[-1:]:
         yield count_fault(
             f"{setter.name}-latches",
             f"{setter.name} at its highest value can never be changed again until power-off",
-            _latching(variable_of(setter), setter.fields[0].high),
+            _latches(variable_of(setter), setter.fields[0].high),
         )
 
 
@@ -390,60 +245,6 @@ def _only_a_soak() -> Iterator[Fault]:
         when(from_count("frames", 40_000), sets(led=0)),
         needs="soak",
     )
-
-
-def _some_pairs(protocol: Protocol) -> list[tuple[InstructionSpec, InstructionSpec]]:
-    """Return some pairs of instructions, spread over all; one is a setting after the stop."""
-    acting = [s for s in protocol.instructions if s.effect.assignments and s is not protocol.stop]
-    stop = protocol.stop
-    first = [(stop, s) for s in setters(protocol)[:1]] + [(s, stop) for s in acting[-1:]]
-    pairs = [(one, other) for one in acting for other in acting if one is not other]
-    return first + pairs[:: max(1, len(pairs) // (_PAIRS - len(first)))]
-
-
-def _opposite(
-    moves: tuple[InstructionSpec, ...],
-) -> Iterator[tuple[InstructionSpec, InstructionSpec]]:
-    """Yield the pairs of motion instructions whose wheels turn in opposite directions."""
-    for one in moves:
-        for other in moves:
-            ways = [WHEELS[s.effect.motion] for s in (one, other) if s.effect.motion]
-            if ways[0] == tuple(-side for side in ways[1]):
-                yield one, other
-
-
-def _turns(motion: Motion) -> bool:
-    left, right = WHEELS[motion]
-    return left != right
-
-
-def _rotating(event: Event) -> bool:
-    """Trigger: the robot rotated when the frame came."""
-    return event.before.moving and _turns(event.before.motion)
-
-
-def _moves_by(spec: InstructionSpec) -> Condition:
-    return lambda event: event.before.moving and event.before.motion is spec.effect.motion
-
-
-def _adds(limits: tuple[int, int]) -> React:
-    """Return an effect: the steering is added to the steering before, within the limits."""
-    low, high = limits
-
-    def added(event: Event, state: State) -> State:
-        return replace(state, steering=min(max(state.steering + event.before.steering, low), high))
-
-    return becomes(added)
-
-
-def _no_stop_next_after_truncation(
-    device: MutatedDevice, event: Event, reaction: Reaction
-) -> Reaction:
-    if is_truncated(event):
-        device.memory["cut"] = 1
-    elif faulty(event) and device.memory.pop("cut", 0):
-        return replace(reaction, state=event.before)
-    return reaction
 
 
 def _first_time_drives_on(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -476,10 +277,6 @@ def _after_outcomes(outcome: Outcome, count: int, change: React) -> React:
     return react
 
 
-def _latching(variable: str, high: int) -> React:
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        if getattr(event.before, variable) == high:
-            return sets(**{variable: high})(device, event, reaction)
-        return reaction
-
-    return react
+def _latches(variable: str, value: int) -> React:
+    """Return an effect: once the variable has that value it keeps it."""
+    return when(lambda event: getattr(event.before, variable) == value, keeps(variable))

@@ -93,7 +93,7 @@ def standing(event: Event) -> bool:
     return not event.before.moving
 
 
-def moving_in(motion: Motion) -> Condition:
+def moving_in(motion: Motion | None) -> Condition:
     """Return a trigger: the robot was in that motion when the frame came."""
     return lambda event: event.before.moving and event.before.motion is motion
 
