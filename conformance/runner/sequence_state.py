@@ -85,7 +85,7 @@ def watch_idle(trial: Trial, step: Step, time: int) -> Procedure[Mismatch | None
 def _rest_on(trial: Trial, look: Look) -> None:
     """Give the state axis the verdict of each other choice on which the matching state rests."""
     run = trial.run
-    for point in trial.expected.rests_on:
+    for point in sorted(trial.expected.rests_on):
         verdict, reading = run.profile.choices.verdict(point), POINTS[point].reading
         axis = trial.axes.get("state")
         if axis is None or verdict > axis.verdict:
