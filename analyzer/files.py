@@ -1,21 +1,46 @@
-"""Writes files atomically: a reader finds the complete file, the old one, or none."""
+"""Reads files up to a bound, and writes them atomically: complete, or not at all."""
 
 from __future__ import annotations
 
-import contextlib
+import errno
 import os
 import shutil
-import stat
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
 
-def write_whole(file: Path, data: bytes) -> None:
-    """Write a file atomically: to a temporary file beside it, which then replaces it.
+def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
+    """The content of a regular file (or, with `pipes`, of a pipe) of at most `most` bytes.
 
-    So no reader ever finds a half-written file. A pipe or a terminal is written to directly.
-    Raises OSError.
+    Raises OSError, whose `strerror` says why, for any other.
+    """
+    try:
+        if path.exists() and not (path.is_file() or (pipes and path.is_fifo())):
+            raise OSError(errno.EINVAL, "it is no regular file")
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except ValueError as error:
+        raise OSError(errno.EINVAL, "no file can have this name") from error
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"it is larger than {most >> 20} MiB")
+    return data
+
+
+def why_not_writable(file: Path) -> str:
+    """Why a file cannot be written and what to do instead, "" if it can."""
+    if file.is_dir() or not file.absolute().parent.is_dir():
+        return "name a file in a folder that exists"
+    allowed = not file.exists() or os.access(file, os.W_OK)
+    if not file.exists() or file.is_file():  # anything else, as a pipe, is written as it is
+        allowed = allowed and os.access(file.resolve().parent, os.W_OK | os.X_OK)
+    return "" if allowed else "this user may not; name another file"
+
+
+def write_whole(file: Path, data: bytes) -> None:
+    """Write a file atomically: to a temporary file beside it, synced, which then replaces it.
+
+    So a reader, or a crash, finds the old content or the new one, never a half. A pipe or a
+    terminal is written to directly. Raises OSError.
     """
     file = file.resolve()
     if file.exists() and not file.is_file():
@@ -23,37 +48,14 @@ def write_whole(file: Path, data: bytes) -> None:
         return
     part = file.with_name(f".{file.name[:200]}.{os.getpid()}.part")
     try:
-        part.write_bytes(data)
+        with part.open("wb") as beside:
+            beside.write(data)
+            beside.flush()
+            os.fsync(beside.fileno())
         if file.exists():
             shutil.copymode(file, part)
         part.replace(file)
     except BaseException:
         with suppress(OSError):
             part.unlink()
-        raise
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Replace a file atomically and sync it, so that a crash leaves the old or the new content.
-
-    Raises OSError.
-    """
-    target = path.resolve()
-    mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    beside = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if mode is None:
-            umask = os.umask(0)
-            os.umask(umask)
-            mode = 0o666 & ~umask
-        beside.chmod(mode)
-        beside.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            beside.unlink()
         raise

@@ -37,7 +37,7 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.profile_file import profile_from
 from bilprov.conformance.oracle.timers import Observability
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.report.run_report import Report, make_report
+from bilprov.conformance.report.run_report import Ending, Report, RunFacts, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.environment import Environment
 from bilprov.conformance.runner.executor import Runner, SkipPolicy
@@ -321,22 +321,19 @@ def run_on(
         spare=spare,
     )
     drive(runner.execute(), link, interrupted)
-    ended = runner.ended
     report = make_report(
         grammar,
         [log.attached(result) for result in run.results],
         cases,
         run.profile,
-        device=environment.device,
-        link=environment.link,
-        options=asdict(options),
-        seed=options.seed,
-        unusable=runner.unusable,
-        ended=str(ended) if ended else "",
-        timing=meter.report(run.waiting.timeouts),
-        dropped=_dropped(grammar, options, cases, line),
-        error=bool(ended and ended.error),
-        interrupted=bool(ended and not ended.error),
+        RunFacts(
+            environment.device,
+            environment.link,
+            asdict(options),
+            meter.report(run.waiting.timeouts),
+            _dropped(grammar, options, cases, line),
+        ),
+        Ending.of(runner.unusable, runner.ended),
     )
     if journal:
         journal.reported(report)

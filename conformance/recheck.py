@@ -23,7 +23,8 @@ from bilprov.captures.text import printable
 from bilprov.conformance.api import Options, run_on
 from bilprov.conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from bilprov.conformance.oracle.verdicts import CaseResult, worst
-from bilprov.conformance.report.run_report import Report, as_json
+from bilprov.conformance.report.json_report import as_json
+from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.environment import Environment
 from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
 from bilprov.spec.protocol import GrammarError, Protocol, load

@@ -37,12 +37,11 @@ from bilprov.conformance.cli.options import (
     with_expected,
 )
 from bilprov.conformance.cli.outputs import (
-    STANDARD_OUTPUT,
     Output,
     deliver,
-    report_options,
+    onto_standard_output,
+    output_options,
     require_writable,
-    wanted,
 )
 from bilprov.conformance.dut.boards.target import board_named
 from bilprov.conformance.dut.power import by_command
@@ -106,10 +105,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @_milliseconds("--deadline", "How soon an answer is due: later is slow, and non-strict.")
 @_milliseconds("--silence", "How long the line is listened to after an answer.")
 @_milliseconds("--truncation-timeout", "The pause that ends a frame; measured unless given.")
-@click.option(
-    "--json", "json_path", metavar="FILE", help="The report as JSON; - is standard output."
-)
-@report_options
+@output_options()
 @expect_failures_option
 @update_expected_option
 @click.option("--record", metavar="FILE.mcap", help="Record the run into a new capture.")
@@ -140,10 +136,7 @@ def conform(
     deadline: float | None,
     silence: float | None,
     truncation_timeout: float | None,
-    json_path: str | None,
-    junit: str | None,
-    markdown: str | None,
-    html: str | None,
+    outputs: list[Output],
     expect_failures: str | None,
     update_expected: bool,
     record: str | None,
@@ -208,7 +201,6 @@ def conform(
     if power is not None and (virtual or board or not power.startswith("exec:")):
         raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
     fresh = profile_path if not given else None
-    outputs = wanted({"json": json_path, "junit": junit, "markdown": markdown, "html": html})
     require_writable(outputs)
     known = expected_file(protocol, options, expect_failures, settings, update=update_expected)
     switch = by_command(power.removeprefix("exec:")) if power else None
@@ -234,7 +226,7 @@ def conform(
             begin = Begin()  # the time until the user confirmed does not count
             report = job.on_port(stack, port, eye, probe, count)
     report = begin.told(report)
-    onto_stdout = any(output.path == STANDARD_OUTPUT for output in outputs)
+    onto_stdout = onto_standard_output(outputs)
     if fresh is not None and not report.unusable:
         outputs.append(Output("--profile", fresh, _profile))
     # What can be written is, even if something else fails: the robot should not drive again for it.

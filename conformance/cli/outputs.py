@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import rich_click as click
 
-from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.files import why_not_writable, write_whole
 from bilprov.analyzer.transport.signals import undisturbed
-from bilprov.conformance.report.formats import FORMATS, Writer, writer_of
+from bilprov.conformance.report.formats import FORMATS, Writer
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 STANDARD_OUTPUT = "-"
-
-
-def report_options(command: Command) -> Command:
-    """Add `--junit`, `--markdown` and `--html` to a command: path, - (standard output) or None."""
-    for form in reversed([form for name, form in FORMATS.items() if name != "json"]):
-        command = click.option(form.option, metavar="FILE", help=form.help)(command)
-    return command
 
 
 class Output(NamedTuple):
@@ -36,13 +29,36 @@ class Output(NamedTuple):
     write: Writer
 
 
-def wanted(paths: Mapping[str, str | None]) -> list[Output]:
-    """The outputs that are asked for; `paths` are keyed by the names of FORMATS."""
-    return [
-        Output(FORMATS[name].option, path, writer_of(FORMATS[name]))
-        for name, path in paths.items()
-        if path is not None
-    ]
+def output_options(
+    names: Iterable[str] = tuple(FORMATS), *, help: str = ""
+) -> Callable[[Command], Callable[..., Any]]:
+    """Add the options of some formats to a command, which gets the outputs asked for: `outputs`.
+
+    `help` stands in for the help text of the format.
+    """
+
+    def decorated(command: Command) -> Callable[..., Any]:
+        @wraps(command)
+        def called(*arguments: Any, **options: Any) -> Any:
+            paths = {name: options.pop(name) for name in names}
+            outputs = [
+                Output(f"--{name}", path, FORMATS[name].write)
+                for name, path in paths.items()
+                if path is not None
+            ]
+            return command(*arguments, outputs=outputs, **options)
+
+        for name in reversed(tuple(names)):
+            text = help or FORMATS[name].help
+            click.option(f"--{name}", name, metavar="FILE", help=text)(called)
+        return called
+
+    return decorated
+
+
+def onto_standard_output(outputs: Iterable[Output]) -> bool:
+    """Whether one of the outputs goes to standard output, where nothing else may then stand."""
+    return any(output.path == STANDARD_OUTPUT for output in outputs)
 
 
 def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> None:
@@ -62,15 +78,9 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
             on_standard_output = option
             continue
         file = Path(path)
-        folder = file.absolute().parent
-        if file.is_dir() or not folder.is_dir():
-            raise click.UsageError(
-                f"{option} {path} cannot be written: name a file in a folder that exists"
-            )
-        if not _may_write(file):
-            raise click.UsageError(
-                f"{option} {path} cannot be written: this user may not; name another file"
-            )
+        why_not = why_not_writable(file)
+        if why_not:
+            raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
         if file.resolve() in taken:
             raise click.UsageError(
                 f"{option} {path} would overwrite {taken[file.resolve()]}: name another file"
@@ -78,15 +88,13 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
         taken[file.resolve()] = option
 
 
-def _may_write(file: Path) -> bool:
-    if file.exists() and not file.is_file():  # a pipe, a terminal: written as it is
-        return os.access(file, os.W_OK)
-    kept = not file.exists() or os.access(file, os.W_OK)
-    return kept and os.access(file.resolve().parent, os.W_OK | os.X_OK)
-
-
 def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Protocol) -> None:
-    """Write every output, the files first, even if one of them cannot be written.
+    """Write every output as `write_each` does."""
+    write_each((output.path, output.write(reports, protocol)) for output in outputs)
+
+
+def write_each(texts: Iterable[tuple[str, str]]) -> None:
+    """Write texts to their paths, the files first, even if one of them cannot be written.
 
     Ctrl-C and the like take effect only when the files are written. Raises the first OSError. An
     existing file that could not be written stays as it was.
@@ -94,13 +102,12 @@ def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Prot
     failed: list[OSError] = []
     onto_stdout: list[str] = []
     with undisturbed(again=False):
-        for output in outputs:
-            text = output.write(reports, protocol)
-            if output.path == STANDARD_OUTPUT:
+        for path, text in texts:
+            if path == STANDARD_OUTPUT:
                 onto_stdout.append(text)
                 continue
             try:
-                write_whole(Path(output.path), text.encode(errors="backslashreplace"))
+                write_whole(Path(path), text.encode(errors="backslashreplace"))
             except OSError as error:
                 failed.append(error)
     for text in onto_stdout:

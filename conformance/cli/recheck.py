@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import rich_click as click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable
+from bilprov.conformance.cli.outputs import (
+    Output,
+    onto_standard_output,
+    output_options,
+    require_writable,
+    write_each,
+)
 from bilprov.conformance.recheck import Difference, Recheck
 from bilprov.conformance.recheck import recheck as judged_again
-from bilprov.conformance.report.run_report import as_json
+from bilprov.conformance.report.json_report import as_json
 
 
 @click.command()
 @click.argument("path", metavar="FILE.mcap")
-@click.option(
-    "--json", "json_path", metavar="FILE", help="The new report as JSON; - is standard output."
-)
+@output_options(["json"], help="The new report as JSON; - is standard output.")
 @click.pass_obj
-def recheck(grammar: str | None, path: str, json_path: str | None) -> int:
+def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
     """Judge a recorded run again, from its bytes and looks alone.
 
     Every byte of FILE.mcap is checked against its hash and its checksums first. Then the cases are
@@ -35,32 +37,24 @@ def recheck(grammar: str | None, path: str, json_path: str | None) -> int:
     recording goes that was never finished.
     """
     promise_verdict()
-    if json_path not in (None, "-") and not Path(str(json_path)).absolute().parent.is_dir():
-        raise click.UsageError(
-            f"--json {json_path} cannot be written: name a file in a folder that exists"
-        )
+    require_writable(outputs, inputs=[path])
+    to_stdout = onto_standard_output(outputs)
     found = judged_again(path, load_protocol(grammar) if grammar else None)
     try:
-        if json_path is not None and found.report is not None:
-            _write(json_path, as_json(found.report))
+        if found.report is not None:
+            text = as_json(found.report).decode()
+            write_each((output.path, text) for output in outputs)
     finally:
         for sentence in found.notes:
             note(sentence)
         for difference in found.differences:
-            click.echo(_line(difference), err=json_path == "-")
-        click.echo(_sum(found), err=json_path == "-")
-    if json_path is not None and found.report is None:
+            click.echo(_line(difference), err=to_stdout)
+        click.echo(_sum(found), err=to_stdout)
+    if outputs and found.report is None:
         raise CaptureError(
             f"{printable(path)} has no new report to write: the run strayed from its recording"
         )
     return found.exit
-
-
-def _write(path: str, report: bytes) -> None:
-    if path == "-":
-        click.echo(report, nl=False)
-    else:
-        write_whole(Path(path), report)
 
 
 def _line(difference: Difference) -> str:

@@ -9,40 +9,41 @@ from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cli.outputs import (
     STANDARD_OUTPUT,
+    Output,
     deliver,
-    report_options,
+    output_options,
     require_writable,
-    wanted,
 )
-from bilprov.conformance.report.json_report import read_report
+from bilprov.conformance.report.formats import SEVERAL
+from bilprov.conformance.report.json_report import ReportError, read_report
 from bilprov.conformance.report.side_by_side_table import show_compared
 from bilprov.conformance.report.summary import show, visible_report
 
+*_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
+_HELP = f"""Write pages from what conform --json wrote, several runs side by side.
 
-@click.command()
+Without {", ".join(_FIRST)} or {_LAST} a table is shown here. Exit code: 0 once it is written,
+whatever the verdicts are.
+"""
+
+
+@click.command(help=_HELP)
 @click.argument("results", nargs=-1, required=True, metavar="A.json [B.json ...]")
-@report_options
+@output_options(SEVERAL)
 @click.option("-v", "--verbose", is_flag=True, help="List every case that differs or did not pass.")
 @click.pass_obj
 def report(
     grammar: str | None,
     results: tuple[str, ...],
-    junit: str | None,
-    markdown: str | None,
-    html: str | None,
+    outputs: list[Output],
     verbose: bool,
 ) -> int:
-    """Write pages from what conform --json wrote, several runs side by side.
-
-    Without --html, --junit or --markdown a table is shown here. Exit code: 0 once it is written,
-    whatever the verdicts are.
-    """
+    """Write reports that are read from files in other formats, or show them."""
     promise_verdict()
-    outputs = wanted({"junit": junit, "markdown": markdown, "html": html})
     require_writable(outputs, inputs=results)
     try:
         reports = [read_report(path) for path in results]
-    except ValueError as error:
+    except ReportError as error:
         raise click.UsageError(str(error)) from error
     protocol = load_protocol(grammar)
     deliver(outputs, reports, protocol)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import msgspec
 import rich_click as click
@@ -13,6 +12,14 @@ from rich.table import Table
 from rich.text import Text
 
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.conformance.cli.outputs import (
+    STANDARD_OUTPUT,
+    Output,
+    onto_standard_output,
+    output_options,
+    require_writable,
+    write_each,
+)
 from bilprov.conformance.mutation.score import Score, chosen_faults, levels, score
 
 _SHOWN = 4  # faults named behind a case group
@@ -31,9 +38,7 @@ _SHOWN = 4  # faults named behind a case group
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="The suite's seed.")
 @click.option("--only", multiple=True, metavar="GLOB", help="Only faults of these names.")
-@click.option(
-    "--json", "json_path", metavar="FILE", help="All of it as JSON; - is standard output."
-)
+@output_options(["json"], help="All of it as JSON; - is standard output.")
 @click.option(
     "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
 )
@@ -44,7 +49,7 @@ def command(
     drawn: int,
     seed: int,
     only: tuple[str, ...],
-    json_path: str | None,
+    outputs: list[Output],
     jobs: int | None,
 ) -> int:
     """Score the suite: run it, in virtual time, against every faulty device there is.
@@ -60,9 +65,8 @@ def command(
     faults = chosen_faults(protocol, drawn, only)
     if not faults:
         raise click.UsageError(f"no fault matches {' or '.join(only)}; see simulate --list-faults")
-    if json_path not in (None, "-") and not Path(str(json_path)).absolute().parent.is_dir():
-        raise click.UsageError(f"--json {json_path} cannot be written: there is no such folder")
-    console = Console(stderr=json_path == "-", highlight=False, soft_wrap=True)
+    require_writable(outputs)
+    console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
     with _bar() as bar:
         task = bar.add_task("", total=len(faults) * max(1, len(at)))
 
@@ -73,11 +77,15 @@ def command(
             protocol, faults, at=at, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=told
         )
     _show(found, console)
-    if json_path == "-":
-        click.echo(msgspec.json.encode(found))
-    elif json_path is not None:
-        Path(json_path).write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))
+    write_each((output.path, _as_json(found, output.path)) for output in outputs)
     return 1 if found.failures else 0
+
+
+def _as_json(found: Score, path: str) -> str:
+    """The score on one line of standard output, or indented in a file."""
+    text = msgspec.json.encode(found)
+    indented = msgspec.json.format(text, indent=1)
+    return (text + b"\n" if path == STANDARD_OUTPUT else indented).decode()
 
 
 def _bar() -> Progress:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal, cast
 
 import msgspec
+
+Label = Literal["skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"]
+WireKind = Literal["sent", "received", "look", "clipped"]
 
 
 class Verdict(IntEnum):
@@ -21,9 +25,9 @@ class Verdict(IntEnum):
     ERROR = 5
 
     @property
-    def label(self) -> str:
+    def label(self) -> Label:
         """The verdict's name as it is written out: `non-strict`."""
-        return self.name.lower().replace("_", "-")
+        return cast(Label, self.name.lower().replace("_", "-"))
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
@@ -61,7 +65,7 @@ class WireEvent(msgspec.Struct, frozen=True, gc=False):
     """
 
     t: int
-    kind: str
+    kind: WireKind
     hex: str = ""
     look: str = ""
 
@@ -86,6 +90,11 @@ class CaseResult(msgspec.Struct, frozen=True):
     log: tuple[WireEvent, ...] = ()
     reproduce: str = ""
     planned: str = ""
+
+    @property
+    def group(self) -> str:
+        """The first part of the id."""
+        return self.id.split("/")[0]
 
     @property
     def own_clause(self) -> str:

@@ -13,7 +13,13 @@ from bilprov.captures.text import printable
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
-from bilprov.conformance.report.run_report import evidence, make_report, reproduce
+from bilprov.conformance.report.run_report import (
+    Ending,
+    RunFacts,
+    evidence,
+    make_report,
+    reproduce,
+)
 
 NAME = "conformance"
 
@@ -79,16 +85,8 @@ class CaseItem(pytest.Item):
 
     def _evidence(self, result: CaseResult) -> str:
         bench = self.parent.bench
-        nothing = make_report(
-            bench.protocol,
-            (),
-            (),
-            Profile(),
-            device=bench.target,
-            link=bench.device,
-            options=asdict(bench.options),
-            seed=bench.options.seed,
-        )
+        facts = RunFacts(bench.target, bench.device, asdict(bench.options))
+        nothing = make_report(bench.protocol, (), (), Profile(), facts, Ending())
         rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
         lines = [f"{label:10}{printable(words)}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])

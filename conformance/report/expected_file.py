@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from pathlib import Path
 
-from bilprov.analyzer.files import replace_file
+from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.conformance.report.expected import (
     Comparison,
@@ -40,9 +39,10 @@ class ExpectedFile:
         self._update = update
         self._text = _read(self._path, self._name, missing_ok=update)
         entries = parse_expected(self._text, self._name)
-        if update:
-            _require_writable(self._path, self._name)
-        else:
+        why_not = why_not_writable(self._path) if update else ""
+        if why_not:
+            raise ExpectedError(f"{self._name} cannot be written: {why_not}")
+        if not update:
             require_known(entries, self._name, known)
 
     def applied(self, report: Report) -> tuple[Report, Update | None]:
@@ -67,7 +67,7 @@ class ExpectedFile:
 
     def _write(self) -> None:
         try:
-            replace_file(self._path, self._text.encode())
+            write_whole(self._path, self._text.encode())
         except OSError as error:
             raise ExpectedError(
                 f"{self._name} cannot be written ({error.strerror}); it is as it was before"
@@ -75,34 +75,19 @@ class ExpectedFile:
 
 
 def _read(path: Path, name: str, *, missing_ok: bool) -> str:
+    if missing_ok and not path.exists():
+        return ""
     try:
-        if missing_ok and not path.exists():
-            return ""
-        if not path.is_file() and path.exists():
-            raise ExpectedError(f"{name} is no regular file; name a text file of GLOB : MESSAGE")
-        with path.open("rb") as file:
-            data = file.read(_MOST + 1)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "no file can have this name"
-        hint = "; --update-expected makes a new one" if isinstance(error, FileNotFoundError) else ""
-        raise ExpectedError(f"{name} cannot be read ({why}){hint}") from error
-    if len(data) > _MOST:
-        raise ExpectedError(f"{name} is larger than 1 MiB: that is no list of expected failures")
-    try:
-        text = data.decode("utf-8")
+        text = read_bounded(path, _MOST).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ExpectedError(
             f"{name} is no text in UTF-8 (byte {error.start}); it takes lines of GLOB : MESSAGE"
         ) from error
+    except OSError as error:
+        hint = "it takes lines of GLOB : MESSAGE"
+        if isinstance(error, FileNotFoundError):
+            hint = "--update-expected makes a new one"
+        raise ExpectedError(f"{name} cannot be read ({error.strerror}); {hint}") from error
     if "\0" in text:
         raise ExpectedError(f"{name} has zero bytes in it; it takes lines of GLOB : MESSAGE")
     return text.removeprefix("\ufeff")
-
-
-def _require_writable(path: Path, name: str) -> None:
-    """Raise ExpectedError, before the robot moves, where the file could not be written after it."""
-    folder = path.resolve().parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise ExpectedError(
-            f"{name} cannot be written: name a file in a folder that exists and is yours"
-        )

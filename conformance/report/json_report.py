@@ -1,128 +1,139 @@
-"""Reads a report back from its JSON, as an equal value. The content may be hostile."""
+"""Writes a report as JSON and reads it back as an equal value. A file's content may be hostile."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
 import msgspec
 
+from bilprov.analyzer.files import read_bounded
+from bilprov.captures.text import printable
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.report import schema
 from bilprov.conformance.report.expected import Comparison
-from bilprov.conformance.report.foreign_parts import Seconds, planned, require_readable
-from bilprov.conformance.report.run_report import AXES, NO_AXIS, Report
+from bilprov.conformance.report.run_report import AXES, Report, reproduce
+from bilprov.spec.errors import UserError
 
-LABELS = {verdict.label: verdict for verdict in Verdict}
-
-_Hex = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2}( [0-9a-f]{2})*)?$")]
-_Count = Annotated[int, msgspec.Meta(ge=0)]
-_Label = Literal["skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"]
+LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
+NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
+_MOST = 1 << 28  # bytes of a report
 
 
-class _Axis(msgspec.Struct):
-    verdict: _Label
-    expected: str
-    actual: str
-    reason: str
-    reading: str | None = None
+class ReportError(UserError):
+    """A report cannot be read. The message is one sentence."""
 
 
-class _Byte(msgspec.Struct):
-    hex: _Hex
-    t: Seconds
+def as_json(report: Report) -> bytes:
+    """The report as JSON (see `schema`): one object in which every key is always present."""
+    head = _unclosed(head_of(report))
+    cases = b",\n".join(_case(report, result) for result in report.results)
+    return head + b',\n "cases": [' + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n"
 
 
-class _Event(msgspec.Struct):
-    t: Annotated[float, msgspec.Meta(ge=0, le=1e9)]
-    kind: Literal["sent", "received", "look", "clipped"]
-    hex: _Hex
-    look: str
+def _unclosed(part: msgspec.Struct) -> bytes:
+    """A JSON object without its closing brace."""
+    return msgspec.json.format(msgspec.json.encode(part), indent=1).removesuffix(b"\n}")
 
 
-class _Case(msgspec.Struct):
-    id: str
-    clause: str
-    requirement: str
-    verdict: _Label
-    axes: dict[str, _Axis]
-    reading: str | None
-    sent: list[_Hex]
-    received: list[_Byte]
-    reproduce: str
-    expected_failure: bool = False
-    log: list[_Event] = []
-    planned_clause: str | None = None
+def _case(report: Report, result: CaseResult) -> bytes:
+    """One case, with each entry of its log on a line of its own."""
+    text = _unclosed(case_of(report, result))
+    log = b",\n    ".join(
+        msgspec.json.encode(schema.WireEvent(e.t / 1e9, e.kind, e.hex, e.look)) for e in result.log
+    )
+    log = b"\n    " + log + b"\n   " if log else b""
+    return b"  " + text.replace(b"\n", b"\n  ") + b',\n   "log": [' + log + b"]\n  }"
 
 
-class _Grammar(msgspec.Struct):
-    name: str
-    version: str
-    sha256: str
-    file: str
+def head_of(report: Report) -> schema.Head:
+    """What the JSON says of the whole run."""
+    return schema.Head(
+        kit=report.kit,
+        grammar=schema.Grammar(**report.grammar),
+        device=report.device,
+        link=report.link,
+        options=report.options,
+        seed=report.seed,
+        verdict=report.verdict.label,
+        exit=report.exit,
+        unusable=report.unusable or None,
+        ended=report.ended or None,
+        ended_by=report.ended_by or None,
+        counts=report.counts,
+        coverage={name: schema.Covered(*pair) for name, pair in report.coverage.items()},
+        timing=report.timing,
+        dropped=report.dropped,
+        profile=report.profile,
+        expected_failures=_expected_failures(report.comparison),
+        begun=report.begun or None,
+        took_s=report.took_s,
+        host=report.host or None,
+        versions=report.versions,
+    )
 
 
-class _Covered(msgspec.Struct):
-    done: _Count
-    of: _Count
+def case_of(report: Report, result: CaseResult) -> schema.Case:
+    """What the JSON says of a case, without its log."""
+    return schema.Case(
+        id=result.id,
+        clause=result.clause,
+        planned_clause=result.own_clause,
+        requirement=result.requirement,
+        verdict=result.verdict.label,
+        axes={name: _axis(result.axes.get(name, NO_AXIS)) for name in AXES},
+        reading=result.reading or None,
+        sent=list(result.sent),
+        received=[schema.AnswerByte(byte.hex, byte.t / 1e9) for byte in result.received],
+        reproduce=reproduce(report, result),
+        expected_failure=bool(report.comparison and result.id in report.comparison.expected),
+    )
 
 
-class _Expected(msgspec.Struct):
-    file: str
-    expected: _Count
-    unexpected: _Count
-    stale: list[str]
+def _axis(axis: Axis) -> schema.Axis:
+    return schema.Axis(
+        axis.verdict.label, axis.expected, axis.actual, axis.reason, axis.reading or None
+    )
 
 
-class _Document(msgspec.Struct):
-    kit: str
-    grammar: _Grammar
-    device: str
-    link: dict[str, Any]
-    options: dict[str, Any]
-    seed: int
-    verdict: _Label
-    exit: Annotated[int, msgspec.Meta(ge=0, le=3)]
-    unusable: str | None
-    ended: str | None
-    counts: dict[str, _Count]
-    coverage: dict[str, _Covered]
-    profile: dict[str, Any]
-    cases: list[_Case]
-    ended_by: str | None = None
-    timing: dict[str, int | float] = {}
-    dropped: dict[str, int] = {}
-    expected_failures: _Expected | None = None
-    begun: str | None = None
-    took_s: Seconds | None = None
-    host: str | None = None
-    versions: dict[str, str] = {}
+def _expected_failures(comparison: Comparison | None) -> schema.ExpectedFailures | None:
+    if comparison is None:
+        return None
+    return schema.ExpectedFailures(
+        comparison.file, len(comparison.expected), comparison.unexpected, list(comparison.stale)
+    )
+
+
+def report_file(path: str) -> bytes:
+    """The content of a report's file. Raises ReportError."""
+    try:
+        return read_bounded(Path(path), _MOST, pipes=True)
+    except OSError as error:
+        raise ReportError(
+            f"{printable(path)} cannot be read ({error.strerror}); name what conform --json wrote"
+        ) from error
 
 
 def read_report(path: str) -> Report:
     """The report that a JSON file of `conform --json` holds.
 
-    Keys that this version does not know are ignored. Raises ValueError, in one sentence, for a
-    file that cannot be read, that is no such result, or whose verdict and counts are not those of
-    its cases.
+    Raises ReportError, in one sentence, for a file that cannot be read, that is no such result, or
+    whose verdict and counts are not those of its cases.
     """
+    data = report_file(path)
     try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
-    try:
-        document = msgspec.json.decode(data, type=_Document)
-        require_readable(data)
+        document = msgspec.json.decode(data, type=schema.Document)
+        msgspec.json.decode(data, type=schema.OpenParts)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(
+        raise ReportError(
             f"{path} is no result of bilprov ({error}); give a file that conform --json wrote"
         ) from error
-    report = _report(document)
+    report = report_from(document, document.cases)
     said = {name: count for name, count in document.counts.items() if count}
     found = dict(Counter(str(case.verdict) for case in document.cases))
     if LABELS[document.verdict] is not report.verdict or said != found:
-        raise ValueError(
+        raise ReportError(
             f"{path} contradicts itself: it says {document.verdict} ({_counted(said)}), its cases "
             f"say {report.verdict.label} ({_counted(found)}); run conform --json again"
         )
@@ -133,43 +144,46 @@ def _counted(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{counts[name]} {name}" for name in LABELS if counts.get(name)) or "no case"
 
 
-def _report(document: _Document) -> Report:
+def report_from(head: schema.Head, cases: Sequence[schema.Case]) -> Report:
+    """The report that the JSON of a run and its cases tells."""
+    comparison = None
+    if head.expected_failures is not None:
+        told = head.expected_failures
+        expected = frozenset(case.id for case in cases if case.expected_failure)
+        comparison = Comparison(told.file, expected, told.unexpected, tuple(told.stale))
     return Report(
-        grammar=msgspec.to_builtins(document.grammar),
-        device=document.device,
-        link=document.link,
-        options=document.options,
-        seed=document.seed,
-        exit=document.exit,
-        unusable=document.unusable or "",
-        ended=document.ended or "",
-        profile=document.profile,
-        coverage={name: (entry.done, entry.of) for name, entry in document.coverage.items()},
-        results=tuple(_case(case) for case in document.cases),
-        kit=document.kit,
-        ended_by=document.ended_by or "",
-        timing=document.timing,
-        dropped=document.dropped,
-        comparison=_comparison(document),
-        begun=document.begun or "",
-        took_s=document.took_s,
-        host=document.host or "",
-        versions=document.versions,
-        again={case.id: case.reproduce for case in document.cases},
+        grammar=msgspec.to_builtins(head.grammar),
+        device=head.device,
+        link=head.link,
+        options=head.options,
+        seed=head.seed,
+        exit=head.exit,
+        unusable=head.unusable or "",
+        ended=head.ended or "",
+        profile=head.profile,
+        coverage={name: (entry.done, entry.of) for name, entry in head.coverage.items()},
+        results=tuple(_result(case) for case in cases),
+        kit=head.kit,
+        ended_by=head.ended_by or "",
+        timing=head.timing,
+        dropped=head.dropped,
+        comparison=comparison,
+        begun=head.begun or "",
+        took_s=head.took_s,
+        host=head.host or "",
+        versions=head.versions,
+        again={case.id: case.reproduce for case in cases},
     )
 
 
-def _comparison(document: _Document) -> Comparison | None:
-    """The comparison with a file of expected failures, None where there was none."""
-    told = document.expected_failures
-    if told is None:
-        return None
-    expected = frozenset(case.id for case in document.cases if case.expected_failure)
-    return Comparison(told.file, expected, told.unexpected, tuple(told.stale))
-
-
-def _case(case: _Case) -> CaseResult:
-    axes = {name: _axis(axis) for name, axis in case.axes.items() if name in AXES}
+def _result(case: schema.Case) -> CaseResult:
+    axes = {
+        name: Axis(LABELS[a.verdict], a.expected, a.actual, a.reason, a.reading or "")
+        for name, a in case.axes.items()
+        if name in AXES
+    }
+    log = case.log if isinstance(case, schema.LoggedCase) else []
+    own_clause = case.planned_clause or case.clause
     return CaseResult(
         id=case.id,
         clause=case.clause,
@@ -179,10 +193,6 @@ def _case(case: _Case) -> CaseResult:
         reading=case.reading or "",
         sent=tuple(case.sent),
         received=tuple(AnswerByte(byte.hex, round(byte.t * 1e9)) for byte in case.received),
-        planned=planned(case.clause, case.planned_clause),
-        log=tuple(WireEvent(round(e.t * 1e9), e.kind, e.hex, e.look) for e in case.log),
+        planned="" if own_clause == case.clause else own_clause,
+        log=tuple(WireEvent(round(e.t * 1e9), e.kind, e.hex, e.look) for e in log),
     )
-
-
-def _axis(axis: _Axis) -> Axis:
-    return Axis(LABELS[axis.verdict], axis.expected, axis.actual, axis.reason, axis.reading or "")

@@ -16,29 +16,58 @@ from bilprov.captures.text import printable
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.report.expected import Comparison
-from bilprov.conformance.report.run_report import (
-    Report,
-    case_as_json,
-    compared,
-    coverage,
-    decided_exit,
-)
+from bilprov.conformance.report.json_report import case_of, head_of
+from bilprov.conformance.report.run_report import Report, compared, coverage, decided_exit
 from bilprov.conformance.report.shard import ShardReport
 from bilprov.spec.codec import spaced
 from bilprov.spec.protocol import Protocol
 
-# Keys that are computed anew; all others at the top are kept, or listed for each shard.
-_WORKED_OUT = ("coverage", "counts", "cases", "profile", "options", "expected_failures")
+# Keys that stay as the shards have them; those of the others that the schema has are made anew.
+_KEPT = ("kit", "grammar", "link", "seed", "timing", "dropped")
+# Keys of which the whole run's value says enough: they are not listed for each shard.
+_SUMMED = ("coverage", "counts", "cases", "profile", "options", "expected_failures")
 
 _SHOWN = 8  # missing shards
 
 
 @dataclass(frozen=True)
 class Merged:
-    """The whole run, as a report and as JSON."""
+    """The whole run as a report, and what its JSON is made of: the shards and the cases' JSON."""
 
     report: Report
-    document: dict[str, Any]
+    parts: Sequence[ShardReport]
+    cases: Sequence[dict[str, Any]]
+
+    def as_json(self, report: Report) -> bytes:
+        """The whole run as JSON; `report` is the merged one, or that with another comparison."""
+        return msgspec.json.format(msgspec.json.encode(self._document(report)), indent=1) + b"\n"
+
+    def _document(self, report: Report) -> dict[str, Any]:
+        raws = [part.raw for part in self.parts]
+        names = dict.fromkeys(name for raw in raws for name in raw)
+        agreed = {
+            name: raws[0].get(name)
+            for name in names
+            if all(raw.get(name) == raws[0].get(name) for raw in raws)
+        }
+        apart = [name for name in names if name not in agreed and name not in _SUMMED]
+        shards = [
+            {
+                "file": part.name,
+                "shard": [part.index, part.of],
+                "profile": part.report.profile,
+                **{name: part.raw[name] for name in apart if name in part.raw},
+            }
+            for part in self.parts
+        ]
+        head = msgspec.to_builtins(head_of(report))
+        document = {name: agreed.get(name) for name in names if name != "cases"}
+        document |= {name: value for name, value in head.items() if name not in _KEPT}
+        cases = self.cases
+        if report.comparison:
+            known = report.comparison.expected
+            cases = [case | {"expected_failure": case["id"] in known} for case in cases]
+        return document | {"shards": shards, "cases": cases}
 
 
 def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
@@ -48,7 +77,7 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
     (the opening ones) counts once, with its worst verdict. One that no shard ran is inconclusive.
     """
     parts = sorted(parts, key=lambda part: part.index)
-    first = parts[0].told
+    first = parts[0].report
     raws, results = _worst_of_each(parts)
     unrun = [case for case in cases if case.id not in results]
     ended, ended_by = _endings(parts, len(unrun))
@@ -58,30 +87,30 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
     ids = sorted(results, key=lambda ident: order.get(ident, -1))  # the opening ones first
     merged = [results[ident] for ident in ids]
     options = {**first.options, "shard": None}
-    report = Report(
-        grammar=msgspec.to_builtins(first.grammar),
-        device=first.device,
-        link=parts[0].raw["link"],
+    report = msgspec.structs.replace(
+        first,
         options=options,
-        seed=first.seed,
         exit=decided_exit(merged, options, "", ended_by),
         unusable="",
         ended=ended,
+        ended_by=ended_by,
         profile=_profile(parts),
         coverage=coverage(protocol, merged, cases),
         results=tuple(merged),
-        ended_by=ended_by,
+        comparison=None,
+        timing={},
+        dropped={},
         **_run_facts(parts),
-        again={ident: str(raw.get("reproduce", "")) for ident, raw in raws.items()},
+        again={ident: raw["reproduce"] for ident, raw in raws.items()},
     )
     for case in unrun:
-        raws[case.id] = case_as_json(report, results[case.id])
-    devices = ", ".join(dict.fromkeys(part.told.device for part in parts))
+        raws[case.id] = msgspec.to_builtins(case_of(report, results[case.id]))
+    devices = ", ".join(dict.fromkeys(part.report.device for part in parts))
     report = msgspec.structs.replace(report, device=devices)
     comparison = _expected(parts, merged)
     if comparison:
         report = compared(report, comparison)
-    return Merged(report, _document(report, parts, [raws[ident] for ident in ids]))
+    return Merged(report, parts, [raws[ident] for ident in ids])
 
 
 def _not_run(case: AnyCase, why: str) -> CaseResult:
@@ -101,20 +130,20 @@ def _not_run(case: AnyCase, why: str) -> CaseResult:
 
 def _expected(parts: Sequence[ShardReport], results: Sequence[CaseResult]) -> Comparison | None:
     """The shards' comparisons with expected failures as one, None where there were none."""
-    told = [part.raw.get("expected_failures") for part in parts]
-    known = [summary for summary in told if isinstance(summary, dict)]
+    comparisons = [part.report.comparison for part in parts]
+    known = [comparison for comparison in comparisons if comparison]
     if not known:
         return None
     failed = {result.id for result in results if result.verdict is Verdict.FAIL}
     surprising = {
         result.id
-        for part in parts
-        for raw, result in zip(part.raw["cases"], part.results, strict=True)
-        if result.verdict is Verdict.FAIL and raw.get("expected_failure") is not True
+        for part, comparison in zip(parts, comparisons, strict=True)
+        for result in part.report.results
+        if result.verdict is Verdict.FAIL and not (comparison and result.id in comparison.expected)
     }
-    stale = [sentence for summary in known for sentence in summary.get("stale") or ()]
+    stale = [sentence for comparison in known for sentence in comparison.stale]
     return Comparison(
-        file=", ".join(dict.fromkeys(printable(summary.get("file")) for summary in known)),
+        file=", ".join(dict.fromkeys(printable(comparison.file) for comparison in known)),
         expected=frozenset(failed - surprising),
         unexpected=len(failed & surprising),
         stale=tuple(dict.fromkeys(printable(sentence) for sentence in stale)),
@@ -128,7 +157,7 @@ def _worst_of_each(
     raws: dict[str, dict[str, Any]] = {}
     results: dict[str, CaseResult] = {}
     for part in parts:
-        for raw, result in zip(part.raw["cases"], part.results, strict=True):
+        for raw, result in zip(part.raw["cases"], part.report.results, strict=True):
             if result.id not in results or result.verdict > results[result.id].verdict:
                 raws[result.id], results[result.id] = raw, result
     return raws, results
@@ -139,10 +168,10 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
     told = []
     causes = set()
     for part in parts:
-        why = part.told.unusable or part.told.ended
+        why = part.report.unusable or part.report.ended
         if why:
             told.append(f"shard {part.index}/{part.of}: {printable(why)}")
-            causes.add("error" if part.told.unusable else part.told.ended_by or "error")
+            causes.add("error" if part.report.unusable else part.report.ended_by or "error")
     of = parts[0].of
     missing = sorted(set(range(1, of + 1)) - {part.index for part in parts})
     if missing:
@@ -159,8 +188,8 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
 def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:
     """The merged profile: the largest of each `..._max_ms`, else the value if all shards agree."""
     found: dict[str, Any] = {}
-    for name in dict.fromkeys(name for part in parts for name in part.told.profile):
-        values = [part.told.profile.get(name) for part in parts]
+    for name in dict.fromkeys(name for part in parts for name in part.report.profile):
+        values = [part.report.profile.get(name) for part in parts]
         numbers = [value for value in values if isinstance(value, int | float)]
         if name.endswith("_max_ms") and numbers:
             found[name] = max(numbers)
@@ -171,56 +200,13 @@ def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:
 
 def _run_facts(parts: Sequence[ShardReport]) -> dict[str, Any]:
     """The earliest begin, the sum of the times (spent on all devices), hosts and versions."""
-    begun = sorted(part.told.begun for part in parts if part.told.begun)
-    took = [part.told.took_s for part in parts if part.told.took_s is not None]
-    hosts = dict.fromkeys(part.told.host for part in parts if part.told.host)
-    versions = parts[0].told.versions
+    begun = sorted(part.report.begun for part in parts if part.report.begun)
+    took = [part.report.took_s for part in parts if part.report.took_s is not None]
+    hosts = dict.fromkeys(part.report.host for part in parts if part.report.host)
+    versions = parts[0].report.versions
     return {
         "begun": begun[0] if begun else "",
         "took_s": round(sum(took), 3) if took else None,
         "host": ", ".join(hosts),
-        "versions": versions if all(p.told.versions == versions for p in parts) else {},
+        "versions": versions if all(p.report.versions == versions for p in parts) else {},
     }
-
-
-def _document(
-    report: Report, parts: Sequence[ShardReport], cases: Sequence[dict[str, Any]]
-) -> dict[str, Any]:
-    """The whole run as JSON, from the JSON of the shards."""
-    names = dict.fromkeys(name for part in parts for name in part.raw)
-    agreed = {
-        name: parts[0].raw.get(name)
-        for name in names
-        if all(part.raw.get(name) == parts[0].raw.get(name) for part in parts)
-    }
-    apart = [name for name in names if name not in agreed and name not in _WORKED_OUT]
-    shards = [
-        {
-            "file": part.name,
-            "shard": [part.index, part.of],
-            "profile": part.told.profile,
-            **{name: part.raw[name] for name in apart if name in part.raw},
-        }
-        for part in parts
-    ]
-    document = {name: agreed.get(name) for name in names}
-    document |= {
-        "device": report.device,
-        "options": report.options,
-        "verdict": report.verdict.label,
-        "exit": report.exit,
-        "unusable": None,
-        "ended": report.ended or None,
-        "ended_by": report.ended_by or None,
-        "counts": report.counts,
-        "coverage": {name: {"done": d, "of": of} for name, (d, of) in report.coverage.items()},
-        "profile": report.profile,
-        "expected_failures": None,
-        "begun": report.begun or None,
-        "took_s": report.took_s,
-        "host": report.host or None,
-        "versions": report.versions,
-        "shards": shards,
-    }
-    del document["cases"]
-    return document | {"cases": list(cases)}

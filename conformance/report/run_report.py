@@ -1,4 +1,4 @@
-"""The report of a run as one value, from which the summary, the JSON and the exit code come."""
+"""The report of a run as one value, from which every form of it and the exit code come."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import covered
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.expected import Comparison
 from bilprov.spec.protocol import Protocol
 
 AXES = ("answer", "stop", "state")
-NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -72,28 +72,40 @@ class Report(msgspec.Struct, frozen=True):
         return {verdict.label: found[verdict] for verdict in Verdict}
 
 
+class RunFacts(msgspec.Struct, frozen=True):
+    """What a run was made with, and what it spent: values as in a Report."""
+
+    device: str
+    link: dict[str, Any]
+    options: dict[str, Any]
+    timing: dict[str, float] = {}
+    dropped: dict[str, int] = {}
+
+
+class Ending(msgspec.Struct, frozen=True):
+    """How a run ended, values as in a Report; all are "" for one that went to its end."""
+
+    unusable: str = ""
+    ended: str = ""
+    ended_by: str = ""
+
+    @classmethod
+    def of(cls, unusable: str, ended: Ended | None) -> Ending:
+        """The ending of a run that `ended` has cut short, unless it is None."""
+        if ended is None:
+            return cls(unusable)
+        return cls(unusable, str(ended), "error" if ended.error else "user")
+
+
 def make_report(
     protocol: Protocol,
     results: Sequence[CaseResult],
     cases: Sequence[AnyCase],
     profile: Profile,
-    *,
-    device: str,
-    link: dict[str, Any],
-    options: dict[str, Any],
-    seed: int,
-    timing: dict[str, float] | None = None,
-    dropped: dict[str, int] | None = None,
-    unusable: str = "",
-    ended: str = "",
-    error: bool = False,
-    interrupted: bool = False,
+    facts: RunFacts,
+    ending: Ending,
 ) -> Report:
-    """Put a report together. `error` says that the kit, the port or the probe ended the run.
-
-    An interrupted run with nothing failed has exit code 3, because the rest was not judged.
-    """
-    ended_by = "error" if error else "user" if interrupted else ""
+    """Put a report together."""
     return Report(
         grammar={
             "name": protocol.name,
@@ -101,20 +113,20 @@ def make_report(
             "sha256": protocol.sha256,
             "file": protocol.origin,
         },
-        device=device,
-        link=link,
-        options=options,
-        seed=seed,
-        exit=decided_exit(results, options, unusable, ended_by),
-        unusable=unusable,
-        ended=ended,
+        device=facts.device,
+        link=facts.link,
+        options=facts.options,
+        seed=facts.options["seed"],
+        exit=decided_exit(results, facts.options, ending.unusable, ending.ended_by),
+        unusable=ending.unusable,
+        ended=ending.ended,
         profile=_measured(profile),
         coverage=coverage(protocol, results, cases),
         results=tuple(results),
         kit=kit_version(),
-        timing=timing or {},
-        dropped=dropped or {},
-        ended_by=ended_by,
+        timing=facts.timing,
+        dropped=facts.dropped,
+        ended_by=ending.ended_by,
     )
 
 
@@ -133,7 +145,10 @@ def compared(report: Report, comparison: Comparison) -> Report:
 def decided_exit(
     results: Sequence[CaseResult], options: dict[str, Any], unusable: str, ended_by: str
 ) -> int:
-    """The exit code of a run with these results; `unusable` and `ended_by` as in a Report."""
+    """The exit code of a run with these results; `unusable` and `ended_by` as in a Report.
+
+    An interrupted run with nothing failed has exit code 3, because the rest was not judged.
+    """
     code = exit_code((r.verdict for r in results), strict=bool(options.get("strict")))
     if unusable or (ended_by == "error" and code != 1):
         return 2
@@ -178,107 +193,6 @@ def coverage(
         c for c in cases if c.id in done and not (isinstance(c, SequenceCase) and c.id in broken)
     ]
     return covered(protocol, run)
-
-
-def as_json(report: Report) -> bytes:
-    """The report as JSON: one object in which every key is always present.
-
-    `verdict` and `exit` sum up, `counts` has each verdict, `coverage` what was exercised (`done`)
-    and how much there is (`of`), `profile` what was measured (ms) and what the device chose where
-    the document is silent, `timing` where the time went, `dropped` what a budget has left out.
-
-    Each of `cases` has `id`, `clause` (the one that its failure violates, where it fails),
-    `planned_clause` (the one that the case stands under in every format of the report),
-    `requirement`, `verdict`, `axes` (`answer`, `stop`, `state`: each `verdict`, `expected`,
-    `actual`, `reason`, `reading`; `skipped` where a case has no such axis), `reading`, `sent` (hex
-    of each frame), `received` (`hex` and `t`, in s since the stimulus had gone), `log` (`t` in s
-    since its first entry, `kind`: `sent`, `received`, `look` or `clipped`, `hex`, `look`),
-    `reproduce` and `expected_failure` (its verdict stays `fail`).
-
-    `expected_failures` sums these up: `file`, `expected` and `unexpected` (how many cases), `stale`
-    (a sentence for each entry that no longer fails); null without such a file. `ended_by` is
-    `error`, `user` or null. `options.shard` is [I, N] for a shard, else null. `begun` is when the
-    run began (ISO 8601, UTC), `took_s` how long it took (real time, s), `host` the machine's name,
-    each null where it is not known; `versions` those of Python, its platform and the libraries that
-    reports depend on.
-    """
-    document = {
-        "kit": report.kit,
-        "grammar": report.grammar,
-        "device": report.device,
-        "link": report.link,
-        "options": report.options,
-        "seed": report.seed,
-        "verdict": report.verdict.label,
-        "exit": report.exit,
-        "unusable": report.unusable or None,
-        "ended": report.ended or None,
-        "ended_by": report.ended_by or None,
-        "counts": report.counts,
-        "coverage": {name: {"done": d, "of": of} for name, (d, of) in report.coverage.items()},
-        "timing": report.timing,
-        "dropped": report.dropped,
-        "profile": report.profile,
-        "expected_failures": expected_failures(report.comparison),
-        "begun": report.begun or None,
-        "took_s": report.took_s,
-        "host": report.host or None,
-        "versions": report.versions,
-    }
-    head = msgspec.json.format(msgspec.json.encode(document), indent=1).removesuffix(b"\n}")
-    cases = b",\n".join(_case(report, result) for result in report.results)
-    return head + b',\n "cases": [' + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n"
-
-
-def _case(report: Report, result: CaseResult) -> bytes:
-    """One case, with each entry of its log on a line of its own."""
-    case = case_as_json(report, result)
-    text = msgspec.json.format(msgspec.json.encode(case), indent=1).removesuffix(b"\n}")
-    log = b",\n    ".join(
-        msgspec.json.encode({"t": e.t / 1e9, "kind": e.kind, "hex": e.hex, "look": e.look})
-        for e in result.log
-    )
-    log = b"\n    " + log + b"\n   " if log else b""
-    return b"  " + text.replace(b"\n", b"\n  ") + b',\n   "log": [' + log + b"]\n  }"
-
-
-def case_as_json(report: Report, result: CaseResult) -> dict[str, Any]:
-    """One of `cases` of the JSON, without its log."""
-    return {
-        "id": result.id,
-        "clause": result.clause,
-        "planned_clause": result.own_clause,
-        "requirement": result.requirement,
-        "verdict": result.verdict.label,
-        "axes": {name: _axis(result.axes.get(name, NO_AXIS)) for name in AXES},
-        "reading": result.reading or None,
-        "sent": result.sent,
-        "received": [{"hex": byte.hex, "t": byte.t / 1e9} for byte in result.received],
-        "reproduce": reproduce(report, result),
-        "expected_failure": bool(report.comparison and result.id in report.comparison.expected),
-    }
-
-
-def expected_failures(comparison: Comparison | None) -> dict[str, Any] | None:
-    """The value of `expected_failures` in the JSON."""
-    if comparison is None:
-        return None
-    return {
-        "file": comparison.file,
-        "expected": len(comparison.expected),
-        "unexpected": comparison.unexpected,
-        "stale": comparison.stale,
-    }
-
-
-def _axis(axis: Axis) -> dict[str, str | None]:
-    return {
-        "verdict": axis.verdict.label,
-        "expected": axis.expected,
-        "actual": axis.actual,
-        "reason": axis.reason,
-        "reading": axis.reading or None,
-    }
 
 
 def run_facts(report: Report) -> dict[str, str]:

@@ -20,7 +20,7 @@ from bilprov.captures.storage.limits import ATTACHMENT_BYTES
 from bilprov.captures.storage.seal import SEAL_NAME
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.recheck import recheck
-from bilprov.conformance.report.run_report import as_json
+from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command

@@ -21,7 +21,7 @@ from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.timers import Observability
 from bilprov.conformance.recheck import recheck
-from bilprov.conformance.report.run_report import as_json
+from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
 from tests.support.commands import command, process

@@ -119,7 +119,7 @@ def _columns(told: list[str]) -> Safe:
 def _filters(reports: Sequence[Report], cases: list[Row]) -> Safe:
     """Buttons for the verdicts and a text field; hidden until the script, which they need, runs."""
     counts = tally([result for row in cases for result in row.results])
-    per = [
+    per: list[tuple[str, str, int]] = [
         (verdict.label, verdict.label, sum(verdict in _verdicts(row) for row in cases))
         for verdict in counts
     ]

@@ -27,7 +27,8 @@ from bilprov.conformance.dut.operations import (
     Received,
 )
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.report.run_report import Report, as_json
+from bilprov.conformance.report.json_report import as_json
+from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.environment import Environment
 from bilprov.spec.protocol import Protocol
 

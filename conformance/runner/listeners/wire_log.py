@@ -23,7 +23,7 @@ import msgspec
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Link
 from bilprov.conformance.dut.operations import Observation, Operation, Received, Send
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.spec.codec import spaced
 
@@ -33,7 +33,7 @@ WIDEST = 64
 """Bytes that are kept of one write or read."""
 
 
-Entry = tuple[int, str, bytes | str]
+Entry = tuple[int, WireKind, bytes | str]
 """The link's time (ns), the kind, and the bytes or words of an entry."""
 
 
@@ -98,7 +98,7 @@ class WireLog:
         kept = _joined(log) if result.verdict is Verdict.PASS else log
         return msgspec.structs.replace(result, log=_events(kept))
 
-    def _bytes(self, kind: str, data: bytes, t: int) -> None:
+    def _bytes(self, kind: WireKind, data: bytes, t: int) -> None:
         if not self._open:
             return
         self._open.add((t, kind, data[:WIDEST]))

@@ -167,7 +167,7 @@ def test_the_command_scores_on_several_processes_and_writes_json() -> None:
     [
         (("--only", "nothing"), "no fault matches nothing"),
         (("--level", "deepest"), "there is no level 'deepest'"),
-        (("--json", "/nowhere/x.json"), "no such folder"),
+        (("--json", "/nowhere/x.json"), "a folder that exists"),
         (("--jobs", "0"), "jobs"),
     ],
 )

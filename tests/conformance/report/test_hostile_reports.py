@@ -15,7 +15,7 @@ from bilprov.__main__ import main
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.report.run_report import as_json
+from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol
 
 SHARDS = [

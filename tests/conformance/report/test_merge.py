@@ -12,8 +12,8 @@ import pytest
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.merge import merge
-from bilprov.conformance.report.run_report import as_json
 from bilprov.conformance.report.shard import MergeError, ShardReport, require_together, shard_from
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
@@ -43,9 +43,8 @@ def merged(protocol: Protocol, *data: bytes) -> dict[str, Any]:
     parts = [shard_from(f"{n}.json", part) for n, part in enumerate(data)]
     require_together(parts, protocol)
     cases = select_cases(protocol, Options(only=ONLY))
-    document = merge(parts, protocol, cases).document
-    assert isinstance(document, dict)
-    return msgspec.json.decode(msgspec.json.encode(document))  # type: ignore[no-any-return]
+    whole = merge(parts, protocol, cases)
+    return msgspec.json.decode(whole.as_json(whole.report), type=dict[str, Any])
 
 
 # -- as one run -----------------------------------------------------------------------------------
@@ -340,4 +339,4 @@ def test_shards_of_a_real_port_merge(protocol: Protocol, tmp_path: Path) -> None
 def test_a_part_keeps_its_results(protocol: Protocol) -> None:
     part: ShardReport = shard_from("a", report_of(protocol, "", (1, 1)))
 
-    assert (part.index, part.of, len(part.results)) == (1, 1, len(part.raw["cases"]))
+    assert (part.index, part.of, len(part.report.results)) == (1, 1, len(part.raw["cases"]))

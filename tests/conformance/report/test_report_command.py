@@ -22,10 +22,10 @@ from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.html.page import as_html
-from bilprov.conformance.report.json_report import read_report
+from bilprov.conformance.report.json_report import ReportError, as_json, read_report
 from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
-from bilprov.conformance.report.run_report import Report, as_json, reproduce
+from bilprov.conformance.report.run_report import Report, reproduce
 from bilprov.conformance.report.side_by_side import names, rows
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
@@ -162,7 +162,7 @@ def test_a_wrong_file_is_one_sentence(
     file = tmp_path / "wrong.json"
     file.write_text(changed(json.loads(as_json(a_run(protocol, "valid/LED/1"))), path, value))
 
-    with pytest.raises(ValueError, match=words) as raised:
+    with pytest.raises(ReportError, match=words) as raised:
         read_report(str(file))
 
     assert "wrong.json" in str(raised.value)

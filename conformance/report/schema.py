@@ -1,0 +1,182 @@
+"""The JSON of a report as structs, from which it is written, read back and merged.
+
+The fields of a struct are the keys of its object, in this order. A file may be hostile: hex,
+verdicts and numbers are checked here. Keys that no struct has (a later kit wrote them) are ignored.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+
+from bilprov.conformance.oracle.verdicts import Label, WireKind
+
+Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Milliseconds = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
+Hex = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2}( [0-9a-f]{2})*)?$")]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+_Bounded = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+
+
+class Axis(msgspec.Struct):
+    """One axis of a case; its verdict is `skipped` where the case has no such axis."""
+
+    verdict: Label
+    expected: str
+    actual: str
+    reason: str
+    reading: str | None = None
+
+
+class AnswerByte(msgspec.Struct):
+    """One answer byte; `t` is in s since the stimulus had gone."""
+
+    hex: Hex
+    t: Seconds
+
+
+class WireEvent(msgspec.Struct):
+    """One entry of a wire log; `t` is in s since the log's first entry."""
+
+    t: Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+    kind: WireKind
+    hex: Hex
+    look: str
+
+
+class Case(msgspec.Struct, kw_only=True):
+    """One case without its wire log.
+
+    `clause` is the one that its failure violates, `planned_clause` the one that the case stands
+    under in every format of the report. `axes` are `answer`, `stop` and `state`. The verdict of an
+    `expected_failure` stays `fail`.
+    """
+
+    id: str
+    clause: str
+    planned_clause: str | None = None
+    requirement: str
+    verdict: Label
+    axes: dict[str, Axis]
+    reading: str | None
+    sent: list[Hex]
+    received: list[AnswerByte]
+    reproduce: str
+    expected_failure: bool = False
+
+
+class LoggedCase(Case, kw_only=True):
+    """One case with its wire log."""
+
+    log: list[WireEvent] = []
+
+
+class Grammar(msgspec.Struct):
+    """The grammar that the cases were judged by."""
+
+    name: str
+    version: str
+    sha256: str
+    file: str
+
+
+class Covered(msgspec.Struct):
+    """How much of one kind was exercised, and how much there is."""
+
+    done: Count
+    of: Count
+
+
+class ExpectedFailures(msgspec.Struct):
+    """The comparison with a file of expected failures.
+
+    `expected` and `unexpected` are how many cases, `stale` has a sentence for each entry that no
+    longer fails.
+    """
+
+    file: str
+    expected: Count
+    unexpected: Count
+    stale: list[str]
+
+
+class Head(msgspec.Struct, kw_only=True):
+    """A report without its cases.
+
+    `verdict` and `exit` sum up, `counts` has each verdict. `ended_by` is `error`, `user` or null.
+    `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
+    measured (ms) and what the device chose where the document is silent. `options.shard` is [I, N]
+    for a shard, else null. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
+    (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
+    of Python, its platform and the libraries that reports depend on.
+    """
+
+    kit: str
+    grammar: Grammar
+    device: str
+    link: dict[str, Any]
+    options: dict[str, Any]
+    seed: int
+    verdict: Label
+    exit: Annotated[int, msgspec.Meta(ge=0, le=3)]
+    unusable: str | None
+    ended: str | None
+    ended_by: str | None = None
+    counts: dict[str, Count]
+    coverage: dict[str, Covered]
+    timing: dict[str, int | float] = {}
+    dropped: dict[str, int] = {}
+    profile: dict[str, Any]
+    expected_failures: ExpectedFailures | None = None
+    begun: str | None = None
+    took_s: Seconds | None = None
+    host: str | None = None
+    versions: dict[str, str] = {}
+
+
+class Document(Head, kw_only=True):
+    """A whole report."""
+
+    cases: list[LoggedCase]
+
+
+class Link(msgspec.Struct, kw_only=True):
+    """The keys of `link` that this kit reads."""
+
+    kind: str
+    line: str | None = None
+    probe: str | None = None
+    fault: str | None = None
+
+
+class _Options(msgspec.Struct):
+    only: list[str] = []
+    level: str = "standard"
+    strict: bool = False
+    soak: _Bounded = 0
+    allow: list[str] = []
+    budget: Seconds | None = None
+    shard: tuple[_Bounded, _Bounded] | None = None
+
+    def __post_init__(self) -> None:
+        if self.shard and not 1 <= self.shard[0] <= self.shard[1]:
+            raise ValueError(f"shard {list(self.shard)} is none, it can be [I, N], I from 1 to N")
+
+
+class _Profile(msgspec.Struct):
+    truncation_timeout_ms: Milliseconds | None = None
+    latency_median_ms: Milliseconds | None = None
+    latency_max_ms: Milliseconds | None = None
+    readings: dict[str, Any] = {}
+
+
+class OpenParts(msgspec.Struct, kw_only=True):
+    """The objects of a report that may have any further keys; those read here have their type.
+
+    A file is decoded as this too, beside its struct above, which keeps every key of these objects.
+    """
+
+    link: Link
+    options: _Options
+    profile: _Profile
