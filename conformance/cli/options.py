@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import rich_click as click
 
@@ -55,28 +53,18 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
 
 _SHOWN = 8  # changed lines
 
-
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def expect_failures_option(command: Command) -> Command:
-    """Add `--expect-failures FILE` to a command, as its argument `expect_failures`."""
-    return click.option(
-        "--expect-failures",
-        metavar="FILE",
-        help="Failures that do not count: lines of GLOB : MESSAGE, a glob of case ids and how the "
-        "failure begins (answer: no answer came); # begins a comment. One that no longer fails is "
-        "itself a failure.",
-    )(command)
-
-
-def update_expected_option(command: Command) -> Command:
-    """Add `--update-expected` to a command, as its argument `update_expected`."""
-    return click.option(
-        "--update-expected",
-        is_flag=True,
-        help="Write that file anew from what fails now; comments stay.",
-    )(command)
+expect_failures_option = click.option(
+    "--expect-failures",
+    metavar="FILE",
+    help="Failures that do not count: lines of GLOB : MESSAGE, a glob of case ids and how the "
+    "failure begins (answer: no answer came); # begins a comment. One that no longer fails is "
+    "itself a failure.",
+)
+update_expected_option = click.option(
+    "--update-expected",
+    is_flag=True,
+    help="Write that file anew from what fails now; comments stay.",
+)
 
 
 def expected_file(

@@ -17,6 +17,9 @@ STYLES = {
     Verdict.SKIPPED: "dim",
 }
 
+# The verdict whose sign or colour stands for an exit code.
+EXIT_VERDICTS = {0: Verdict.PASS, 1: Verdict.FAIL, 2: Verdict.ERROR, 3: Verdict.INCONCLUSIVE}
+
 
 def conclusion(report: Report) -> Text:
     """The line that says how the run ended, in the colour of its verdict."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.grouping import by_group
 from bilprov.conformance.report.run_report import AXES, Report, reproduce, run_facts
 from bilprov.spec.protocol import Protocol
 
@@ -26,7 +27,7 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
     root = Element("testsuites", name="bilprov conform")
     for report in reports:
         before = f"{escape_controls(report.device)}: " if len(reports) > 1 else ""
-        for name, results in _groups(report.results).items():
+        for name, results in by_group(report.results).items():
             suite = _suite(root, report, before + escape_controls(name))
             for result in results:
                 _case(suite, report, result, before)
@@ -46,13 +47,6 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
     root.set("time", f"{sum(float(suite.get('time', 0)) for suite in root):.6f}")
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, "unicode") + "\n"
-
-
-def _groups(results: Iterable[CaseResult]) -> dict[str, list[CaseResult]]:
-    groups: dict[str, list[CaseResult]] = {}
-    for result in results:
-        groups.setdefault(result.id.split("/")[0], []).append(result)
-    return groups
 
 
 def _suite(root: Element, report: Report, name: str) -> Element:

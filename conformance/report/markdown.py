@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
+from bilprov.conformance.report.grouping import by_group, by_reason, tally
 from bilprov.conformance.report.run_report import Report, reproduce, run_facts
 from bilprov.spec.protocol import Protocol
 
@@ -26,7 +26,6 @@ _SIGNS = {
     Verdict.FAIL: "❌",
     Verdict.ERROR: "💥",
 }
-_EXITS = {0: "✅", 1: "❌", 2: "💥", 3: "❔"}
 
 
 def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
@@ -73,7 +72,7 @@ def _clipped(text: str) -> str:
 
 
 def _report(report: Report) -> Iterator[str]:
-    yield f"## {_EXITS.get(report.exit, '')} {prose(conclusion(report).plain)}"
+    yield f"## {_SIGNS[EXIT_VERDICTS[report.exit]]} {prose(conclusion(report).plain)}"
     yield ""
     grammar = report.grammar
     facts = [f"{prose(grammar['name'])} {prose(grammar['version'])}", f"seed {report.seed}"]
@@ -101,17 +100,16 @@ def _report(report: Report) -> Iterator[str]:
 
 
 def _table(report: Report) -> Iterator[str]:
-    columns = [v for v in Verdict if any(r.verdict is v for r in report.results)]
-    groups: dict[str, Counter[Verdict]] = {}
-    for result in report.results:
-        groups.setdefault(result.id.split("/")[0], Counter())[result.verdict] += 1
+    total = tally(report.results)
+    columns = list(reversed(total))
+    groups = by_group(report.results)
     yield f"| cases | {' | '.join(f'{_SIGNS[v]} {v.label}' for v in columns)} |"
     yield f"|---|{'--:|' * len(columns)}"
-    for name, counts in list(groups.items())[:_GROUPS]:
-        yield f"| {code(name)} | {' | '.join(str(counts[v] or '') for v in columns)} |"
+    for name, results in list(groups.items())[:_GROUPS]:
+        counts = tally(results)
+        yield f"| {code(name)} | {' | '.join(str(counts.get(v, '')) for v in columns)} |"
     if len(groups) > _GROUPS:
         yield f"| and {len(groups) - _GROUPS} more | {' | ' * (len(columns) - 1)} |"
-    total = Counter(result.verdict for result in report.results)
     yield f"| **all** | {' | '.join(f'**{total[v]}**' for v in columns)} |"
     yield ""
 
@@ -138,11 +136,9 @@ def _reasons(found: list[CaseResult]) -> Iterator[str]:
         return
     yield f"### {_SIGNS[Verdict.INCONCLUSIVE]} {len(found)} not judged"
     yield ""
-    counts = Counter(result.reason for result in found)
-    for reason, count in counts.most_common(_REASONS):
-        first = next(result.id for result in found if result.reason == reason)
-        cases = "1 case" if count == 1 else f"{count} cases"
+    reasons = by_reason(found)
+    for cases, first, reason in reasons[:_REASONS]:
         yield f"- {cases}, {code(first)} is the first: {prose(reason)}"
-    if len(counts) > _REASONS:
-        yield f"- and {len(counts) - _REASONS} more reasons"
+    if len(reasons) > _REASONS:
+        yield f"- and {len(reasons) - _REASONS} more reasons"
     yield ""

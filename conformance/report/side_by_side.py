@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report
 
 
@@ -33,7 +33,7 @@ class Row(NamedTuple):
     @property
     def group(self) -> str:
         """The first part of the case's id."""
-        return self.id.split("/")[0]
+        return self.any.group
 
     @property
     def differs(self) -> bool:
@@ -73,12 +73,6 @@ def _merged(order: list[tuple[str, int]], more: list[tuple[str, int]]) -> list[t
     for key in order:
         merged += [key, *after.get(key, ())]
     return merged
-
-
-def tally(results: Sequence[CaseResult | None]) -> dict[Verdict, int]:
-    """How many of the results have each verdict, the worst first; missing ones do not count."""
-    counts = Counter(result.verdict for result in results if result)
-    return {verdict: counts[verdict] for verdict in reversed(Verdict) if counts[verdict]}
 
 
 def names(reports: Sequence[Report]) -> list[str]:

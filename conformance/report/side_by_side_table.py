@@ -10,8 +10,9 @@ from rich.text import Text
 
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.conclusion import STYLES, conclusion
+from bilprov.conformance.report.grouping import by_group, tally
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.side_by_side import Row, names, rows, tally
+from bilprov.conformance.report.side_by_side import Row, names, rows
 
 _SHOWN = 20
 
@@ -43,9 +44,7 @@ def _table(told: Sequence[str], cases: Sequence[Row]) -> Table:
     table.add_column("cases")
     for name in told:
         table.add_column(Text(name))
-    groups: dict[str, list[Row]] = {}
-    for row in cases:
-        groups.setdefault(row.group, []).append(row)
+    groups = by_group(cases)
     for group, found in groups.items():
         table.add_row(Text(group), *(_cell(found, index) for index in range(len(told))))
     if len(groups) > 1:

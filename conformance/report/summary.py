@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 
 import msgspec
@@ -14,6 +13,7 @@ from bilprov.captures.text import escape_all_controls
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import STYLES, conclusion
+from bilprov.conformance.report.grouping import by_group, by_reason, tally
 from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
 
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
@@ -89,19 +89,18 @@ def _facts(report: Report) -> Iterator[str]:
 
 
 def _table(report: Report) -> Table:
-    columns = [v for v in Verdict if any(r.verdict is v for r in report.results)]
+    total = tally(report.results)
+    columns = list(reversed(total))
     title = f"{report.device}, {report.grammar['name']} {report.grammar['version']}"
     table = Table(title=Text(title, "table.title"))
     table.add_column("cases")
     for verdict in columns:
         table.add_column(verdict.label, justify="right", style=STYLES[verdict])
-    groups: dict[str, Counter[Verdict]] = {}
-    for result in report.results:
-        groups.setdefault(result.id.split("/")[0], Counter())[result.verdict] += 1
-    for name, counts in groups.items():
-        table.add_row(Text(name), *(str(counts[v] or "") for v in columns))
+    groups = by_group(report.results)
+    for name, results in groups.items():
+        counts = tally(results)
+        table.add_row(Text(name), *(str(counts.get(v, "")) for v in columns))
     if len(groups) > 1:
-        total = Counter(result.verdict for result in report.results)
         table.add_section()
         table.add_row("all", *(str(total[v]) for v in columns))
     return table
@@ -109,20 +108,14 @@ def _table(report: Report) -> Table:
 
 def _reasons(found: list[CaseResult], console: Console) -> None:
     """The inconclusive cases by reason, because many cases often share one."""
-    counts = Counter(result.reason for result in found)
-    for reason, count in counts.most_common(_REASONS):
-        cases = "1 case" if count == 1 else f"{count} cases"
-        first = next(result.id for result in found if result.reason == reason)
+    for cases, first, reason in by_reason(found)[:_REASONS]:
         line = Text(f"inconclusive {cases}", STYLES[Verdict.INCONCLUSIVE])
         console.print(line.append(f" ({first} is the first): {reason}", "default"))
 
 
 def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:
     """Print the first `most` cases of each group in full, and how many others there are."""
-    classes: dict[str, list[CaseResult]] = {}
-    for result in found:
-        classes.setdefault(result.id.split("/")[0], []).append(result)
-    for name, results in classes.items():
+    for name, results in by_group(found).items():
         for result in results[:most]:
             _case(report, result, console)
         left = len(results) - most

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.grouping import by_group, tally
 from bilprov.conformance.report.html.markup import Safe, joined, tag
-from bilprov.conformance.report.side_by_side import Row, tally
+from bilprov.conformance.report.side_by_side import Row
 
 _BAR = 160  # units of a bar's width
 
@@ -17,11 +18,10 @@ def matrix(told: Sequence[str], cases: Sequence[Row]) -> Safe:
     About one report the columns are verdicts, about several they are the reports. Each number
     leads to its cases: `data-c`, `data-g` and `data-v` say which those are.
     """
-    clauses: dict[str, dict[str, list[Row]]] = {}
+    clauses: dict[str, list[Row]] = {}
     for row in cases:
-        clauses.setdefault(row.clause, {}).setdefault(row.group, []).append(row)
-    worst_first = list(tally([result for row in cases for result in row.results]))
-    columns = list(reversed(worst_first))
+        clauses.setdefault(row.clause, []).append(row)
+    columns = list(reversed(tally(result for row in cases for result in row.results)))
     several = len(told) > 1
     titles = (
         [tag("th", name, scope="col", class_="run") for name in told]
@@ -31,12 +31,11 @@ def matrix(told: Sequence[str], cases: Sequence[Row]) -> Safe:
     )
     head = tag("thead", tag("tr", tag("th", "clause and cases", scope="col"), *titles))
     bodies = []
-    for clause, groups in clauses.items():
-        everything = [row for found in groups.values() for row in found]
-        lines = [_line(clause, clause, "", everything, columns, several, "clause")]
+    for clause, its in clauses.items():
+        lines = [_line(clause, clause, "", its, columns, several, "clause")]
         lines += [
             _line(name, clause, name, found, columns, several, "group")
-            for name, found in groups.items()
+            for name, found in by_group(its).items()
         ]
         bodies.append(tag("tbody", *lines))
     foot = tag("tfoot", _line("all cases", "", "", cases, columns, several, "all"))

@@ -12,17 +12,17 @@ from pathlib import Path
 
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.report.conclusion import conclusion
+from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
+from bilprov.conformance.report.grouping import tally
 from bilprov.conformance.report.html.cases import case_data, case_rows
 from bilprov.conformance.report.html.facts import coverage, facts, profile
 from bilprov.conformance.report.html.markup import Safe, joined, json_block, tag
 from bilprov.conformance.report.html.matrix import matrix
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.side_by_side import Row, names, rows, tally
+from bilprov.conformance.report.side_by_side import Row, names, rows
 from bilprov.spec.protocol import Protocol
 
 _PAGE = Path(__file__).parent / "assets"
-_EXIT_LOOK = {0: "pass", 1: "fail", 2: "error", 3: "inconclusive"}
 
 
 def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
@@ -71,7 +71,7 @@ def _header(reports: Sequence[Report], told: Sequence[str]) -> Safe:
             "p",
             tag("span", name, class_="device") if several else "",
             conclusion(report).plain,
-            class_=f"conclusion v-{_EXIT_LOOK[report.exit]}",
+            class_=f"conclusion v-{EXIT_VERDICTS[report.exit].label}",
         )
         for name, report in zip(told, reports, strict=True)
     ]
@@ -118,7 +118,7 @@ def _columns(told: list[str]) -> Safe:
 
 def _filters(reports: Sequence[Report], cases: list[Row]) -> Safe:
     """Buttons for the verdicts and a text field; hidden until the script, which they need, runs."""
-    counts = tally([result for row in cases for result in row.results])
+    counts = tally(result for row in cases for result in row.results)
     per: list[tuple[str, str, int]] = [
         (verdict.label, verdict.label, sum(verdict in _verdicts(row) for row in cases))
         for verdict in counts
