@@ -8,7 +8,6 @@ from pathlib import Path
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.conformance.report.expected import (
-    Comparison,
     ExpectedError,
     Update,
     compare,
@@ -59,11 +58,9 @@ class ExpectedFile:
             if change.text != self._text or not self._path.exists():
                 self._text = change.text
                 self._write()
-        return compared(report, self._compared(report, whole=whole)), change
-
-    def _compared(self, report: Report, *, whole: bool) -> Comparison:
         entries = parse_expected(self._text, self._name)
-        return compare(entries, self._name, report.results, self._suite, whole=whole)
+        comparison = compare(entries, self._name, report.results, self._suite, whole=whole)
+        return compared(report, comparison), change
 
     def _write(self) -> None:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -18,6 +19,12 @@ from bilprov.spec.errors import UserError
 
 LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
 NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
+# The values that a Report and its JSON have in common, and those whose "" is null in the JSON.
+_SAME = (
+    *("kit", "device", "link", "options", "seed", "exit", "timing", "dropped", "profile"),
+    *("took_s", "versions"),
+)
+_NULLED = ("unusable", "ended", "ended_by", "begun", "host")
 _MOST = 1 << 28  # bytes of a report
 
 
@@ -49,28 +56,15 @@ def _case(report: Report, result: CaseResult) -> bytes:
 
 def head_of(report: Report) -> schema.Head:
     """What the JSON says of the whole run."""
+    values: dict[str, Any] = {name: getattr(report, name) for name in _SAME}
+    values |= {name: getattr(report, name) or None for name in _NULLED}
     return schema.Head(
-        kit=report.kit,
+        **values,
         grammar=schema.Grammar(**report.grammar),
-        device=report.device,
-        link=report.link,
-        options=report.options,
-        seed=report.seed,
         verdict=report.verdict.label,
-        exit=report.exit,
-        unusable=report.unusable or None,
-        ended=report.ended or None,
-        ended_by=report.ended_by or None,
         counts=report.counts,
         coverage={name: schema.Covered(*pair) for name, pair in report.coverage.items()},
-        timing=report.timing,
-        dropped=report.dropped,
-        profile=report.profile,
         expected_failures=_expected_failures(report.comparison),
-        begun=report.begun or None,
-        took_s=report.took_s,
-        host=report.host or None,
-        versions=report.versions,
     )
 
 
@@ -151,27 +145,14 @@ def report_from(head: schema.Head, cases: Sequence[schema.Case]) -> Report:
         told = head.expected_failures
         expected = frozenset(case.id for case in cases if case.expected_failure)
         comparison = Comparison(told.file, expected, told.unexpected, tuple(told.stale))
+    values: dict[str, Any] = {name: getattr(head, name) for name in _SAME}
+    values |= {name: getattr(head, name) or "" for name in _NULLED}
     return Report(
+        **values,
         grammar=msgspec.to_builtins(head.grammar),
-        device=head.device,
-        link=head.link,
-        options=head.options,
-        seed=head.seed,
-        exit=head.exit,
-        unusable=head.unusable or "",
-        ended=head.ended or "",
-        profile=head.profile,
         coverage={name: (entry.done, entry.of) for name, entry in head.coverage.items()},
         results=tuple(_result(case) for case in cases),
-        kit=head.kit,
-        ended_by=head.ended_by or "",
-        timing=head.timing,
-        dropped=head.dropped,
         comparison=comparison,
-        begun=head.begun or "",
-        took_s=head.took_s,
-        host=head.host or "",
-        versions=head.versions,
         again={case.id: case.reproduce for case in cases},
     )
 

@@ -113,20 +113,14 @@ def make_report(
             "sha256": protocol.sha256,
             "file": protocol.origin,
         },
-        device=facts.device,
-        link=facts.link,
-        options=facts.options,
         seed=facts.options["seed"],
         exit=decided_exit(results, facts.options, ending.unusable, ending.ended_by),
-        unusable=ending.unusable,
-        ended=ending.ended,
         profile=_measured(profile),
         coverage=coverage(protocol, results, cases),
         results=tuple(results),
         kit=kit_version(),
-        timing=facts.timing,
-        dropped=facts.dropped,
-        ended_by=ending.ended_by,
+        **msgspec.structs.asdict(facts),
+        **msgspec.structs.asdict(ending),
     )
 
 
