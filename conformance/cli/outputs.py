@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -100,18 +99,18 @@ def write_each(texts: Iterable[tuple[str, str]]) -> None:
     existing file that could not be written stays as it was.
     """
     failed: list[OSError] = []
-    onto_stdout: list[str] = []
+    onto_stdout: list[bytes] = []
     with undisturbed(again=False):
         for path, text in texts:
+            data = text.encode(errors="backslashreplace")
             if path == STANDARD_OUTPUT:
-                onto_stdout.append(text)
+                onto_stdout.append(data)
                 continue
             try:
-                write_whole(Path(path), text.encode(errors="backslashreplace"))
+                write_whole(Path(path), data)
             except OSError as error:
                 failed.append(error)
-    for text in onto_stdout:
-        sys.stdout.write(text)
-        sys.stdout.flush()
+    for data in onto_stdout:
+        click.echo(data, nl=False)  # in UTF-8, as in a file, whatever the locale is
     if failed:
         raise failed[0]

@@ -180,6 +180,19 @@ def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> Non
     assert judged == made | {"begun": None, "took_s": None, "host": None, "versions": {}}
 
 
+def test_a_report_does_not_replace_its_recording(tmp_path: Path, protocol: Protocol) -> None:
+    run = tmp_path / "run.mcap"
+    recorded(run, protocol, "valid/LED/1")
+    before = run.read_bytes()
+
+    same, folder = (command("recheck", str(run), "--json", str(out)) for out in (run, tmp_path))
+
+    assert (same.returncode, folder.returncode) == (2, 2)
+    assert "would overwrite the input" in sentence(same)
+    assert "cannot be written" in sentence(folder)
+    assert run.read_bytes() == before
+
+
 @pytest.mark.slow
 def test_the_whole_suite_in_virtual_time_by_the_command(tmp_path: Path) -> None:
     run = tmp_path / "run.mcap"

@@ -9,7 +9,7 @@ import resource
 import stat
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from xml.etree.ElementTree import fromstring
 
 import pytest
@@ -19,8 +19,9 @@ from msgspec.structs import replace
 
 from bilprov.analyzer.files import write_whole
 from bilprov.conformance.cli.outputs import Output, require_writable
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict
 from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.formats import FORMATS, SEVERAL
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, read_report
 from bilprov.conformance.report.junit import as_junit
@@ -92,6 +93,7 @@ def test_nothing_that_a_run_says_is_lost(protocol: Protocol, tmp_path: Path) -> 
 
 
 def test_every_verdict_is_read_back(protocol: Protocol, tmp_path: Path) -> None:
+    assert set(get_args(Label)) == {verdict.label for verdict in Verdict}
     report = every_verdict(protocol)
     again = read_report(str(saved(report, tmp_path)))
 
@@ -192,6 +194,26 @@ def test_a_file_that_is_not_there_is_refused_with_2(tmp_path: Path) -> None:
 
     assert result.returncode == 2
     assert "none.json cannot be read" in sentence(result)
+
+
+@pytest.mark.parametrize("name", ["report", "merge"])
+def test_a_result_is_read_from_a_pipe_but_not_from_a_folder(
+    protocol: Protocol, tmp_path: Path, name: str
+) -> None:
+    report = a_run(protocol, "valid/LED/1")
+    report = replace(report, options=report.options | {"shard": [1, 1]})
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_bytes, args=(as_json(report),))
+    writer.start()
+
+    piped = command(name, str(pipe))
+    writer.join(PATIENCE)
+    folder = command(name, str(tmp_path))
+
+    assert piped.returncode == 0, piped.stderr
+    assert folder.returncode == 2
+    assert "no regular file" in sentence(folder)
 
 
 # -- side by side ---------------------------------------------------------------------------------
@@ -325,6 +347,14 @@ def test_conform_writes_every_kind_from_one_run(tmp_path: Path, passes: int) -> 
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
         file.name for file in files.values()
     )
+
+
+def test_every_format_of_the_table_is_an_option() -> None:
+    helps = [command(name, "--help").stdout.decode() for name in ("conform", "report")]
+    options = [{n for n in FORMATS if re.search(rf"--{n} +\[?FILE", text)} for text in helps]
+
+    assert options == [set(FORMATS), set(SEVERAL)]
+    assert SEVERAL == ("junit", "markdown", "html")
 
 
 @pytest.mark.parametrize(
