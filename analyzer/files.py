@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path
@@ -39,23 +40,24 @@ def why_not_writable(file: Path) -> str:
 def write_whole(file: Path, data: bytes) -> None:
     """Write a file atomically: to a temporary file beside it, synced, which then replaces it.
 
-    So a reader, or a crash, finds the old content or the new one, never a half. A pipe or a
-    terminal is written to directly. Raises OSError.
+    So a reader, or a crash, finds the old content or the new one, never a half. The temporary file
+    is always a new one: nobody can plant a link under its name. A pipe or a terminal is written to
+    directly. Raises OSError.
     """
     file = file.resolve()
     if file.exists() and not file.is_file():
         file.write_bytes(data)
         return
-    part = file.with_name(f".{file.name[:200]}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as beside:
+    part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
+    with part.open("xb") as beside:
+        try:
             beside.write(data)
             beside.flush()
             os.fsync(beside.fileno())
-        if file.exists():
-            shutil.copymode(file, part)
-        part.replace(file)
-    except BaseException:
-        with suppress(OSError):
-            part.unlink()
-        raise
+            if file.exists():
+                shutil.copymode(file, part)
+            part.replace(file)
+        except BaseException:
+            with suppress(OSError):
+                part.unlink()
+            raise

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import resource
+import secrets
 import stat
 import threading
 from pathlib import Path
@@ -469,6 +470,20 @@ def test_a_link_stays_a_link_and_a_pipe_a_pipe(tmp_path: Path) -> None:
     assert target.read_bytes() == b"through"
     assert came == [b"along"]
     assert pipe.is_fifo()
+
+
+def test_a_link_under_the_temporary_name_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(secrets, "token_hex", lambda size: "guessed")
+    somebodys = tmp_path / "somebody's"
+    somebodys.write_text("theirs")
+    (tmp_path / ".run.json.guessed.part").symlink_to(somebodys)
+
+    with pytest.raises(FileExistsError):
+        write_whole(tmp_path / "run.json", b"ours")
+
+    assert somebodys.read_text() == "theirs"
 
 
 # -- a case stands under one clause, whatever became of it ----------------------------------------
