@@ -6,16 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
-from bilprov.analyzer.decode.session import BOTH, Session
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_session import capture_session
-from bilprov.analyzer.taps.passive import Taps, require_two_lines
-from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.taps.passive import open_taps
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.spec import codec
@@ -99,17 +97,9 @@ def sniff(
     names mean one line.
     """
     protocol = protocol or load_protocol()
-    line = protocol.line
-    settings = settings or LineSettings(line.baud, line.parity, line.stopbits)
-    if device is not None:
-        require_two_lines(host, device)
-    with ExitStack() as opened:
-        taps = Taps(
-            opened.enter_context(open_port(host, settings)),
-            opened.enter_context(open_port(device, settings)) if device is not None else None,
-        )
-        heard: frozenset[Direction] = frozenset({"host"}) if device is None else BOTH
-        session = Session(protocol, heard=heard, attached=True)
+    settings = settings or line_settings(protocol, None, None, None)
+    with open_taps(settings, host, device) as taps:
+        session = Session(protocol, heard=taps.heard, attached=taps.attached)
         while not taps.ended:
             now, due = taps.now(), session.deadline
             wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)

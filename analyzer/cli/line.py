@@ -12,7 +12,7 @@ import rich_click as click
 
 from bilprov.analyzer.cli.options import line_options, note
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.taps.ends import End, open_end, require_two_ends
+from bilprov.analyzer.taps.ends import SERVED, End, open_end, require_two_ends
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults
 from bilprov.analyzer.taps.noise import Noise
 from bilprov.analyzer.taps.relay import join
@@ -52,7 +52,29 @@ def _time(name: str, text: str) -> Callable[[Command], Command]:
     return click.option(name, metavar="TIME", default="0", callback=_in_ns, help=text)
 
 
-@click.command()
+SERVED_IN_WORDS = ", or ".join(kind.help for kind in SERVED)
+
+HELP = f"""\
+Join A and B by a bad line: bytes go both ways, and some are lost, changed, doubled or late.
+
+A and B are each a device that is opened (a path or a pyserial URL), {SERVED_IN_WORDS}. What was
+made is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
+every byte passes unchanged and at once. What arrives at a listening end without a client is gone;
+at a pty it waits for the program that opens it, as in a driver's buffer.
+
+A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
+or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
+give the same faults, in each direction by itself.
+
+To try a device behind it: bilprov line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty, and then
+bilprov conform with the path that is printed.
+
+Ends by Ctrl-C or SIGTERM with 0, by an end that is lost with 2; either way standard error says
+how many bytes went each way, and what happened to how many of them.
+"""
+
+
+@click.command(help=HELP)
 @click.argument("a", metavar="A")
 @click.argument("b", metavar="B")
 @_rate("--drop", "Bytes that vanish.")
@@ -79,24 +101,7 @@ def line(
     parity: str | None,
     stopbits: str | None,
 ) -> int:
-    """Join A and B by a bad line: bytes go both ways, and some are lost, changed, doubled or late.
-
-    A and B are each a device that is opened (a path or a pyserial URL), pty (a pseudo terminal is
-    made for a program to open), or listen:HOST:PORT (raw TCP is served; port 0: any). What was made
-    is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
-    every byte passes unchanged and at once. What arrives at a listening end without a client is
-    gone; at a pty it waits for the program that opens it, as in a driver's buffer.
-
-    A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
-    or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
-    give the same faults, in each direction by itself.
-
-    To try a device behind it: bilprov line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty, and then
-    bilprov conform with the path that is printed.
-
-    Ends by Ctrl-C or SIGTERM with 0, by an end that is lost with 2; either way standard error says
-    how many bytes went each way, and what happened to how many of them.
-    """
+    """Join two ends by a bad line; the command's help is `HELP`."""
     try:
         require_two_ends(a, b)
         faults = LineFaults(Noise(flip, drop, double), delay, jitter, late)

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 import rich_click as click
 
 from bilprov.analyzer.cli.options import (
+    Command,
     compiled,
     filter_option,
     judge_option,
@@ -24,21 +25,28 @@ from bilprov.analyzer.output.outputs import Format, Shown, chosen_format
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.taps.bridge import Bridge
-from bilprov.analyzer.taps.passive import Taps, require_two_lines
+from bilprov.analyzer.taps.kinds import TAPS, opened_tap
+from bilprov.analyzer.taps.source import Source
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Direction, Line
+from bilprov.captures.schemas import Line
 
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
+
+
+def tap_options(command: Command) -> Command:
+    """Add the option of each kind of tap that has one, under the option's name."""
+    for tap in reversed(TAPS):
+        if tap.option:
+            command = click.option(f"--{tap.option}", metavar=tap.metavar, help=tap.help)(command)
+    return command
 
 
 @click.command()
 @click.argument("host", required=False)
 @click.argument("device", required=False)
-@click.option("--bridge", metavar="PORT", help="Instead of taps: sit between. Prints a pty's name.")
+@tap_options
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
 @filter_option
 @click.option(
@@ -56,9 +64,9 @@ LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 @click.pass_obj
 def sniff(
     grammar: str | None,
+    /,
     host: str | None,
     device: str | None,
-    bridge: str | None,
     path: str | None,
     expression: str | None,
     style: Format | None,
@@ -70,6 +78,7 @@ def sniff(
     stopbits: str | None,
     truncation_timeout: float | None,
     yes: bool,
+    **taps: str | None,
 ) -> int:
     """Listen to a line, decode and log it.
 
@@ -87,36 +96,43 @@ def sniff(
     timeout = timeout_in_ns(protocol, truncation_timeout)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
-        source, ports = _source(host, device, bridge, settings)
-        stack.enter_context(source)
-        heard: frozenset[Direction] = BOTH if bridge or device else frozenset({"host"})
-        skew = 0 if bridge else SKEW
-        attached = not bridge  # no traffic has passed yet through a pty that was just made
+        given = {"": (host, device), **{option: (name,) for option, name in taps.items()}}
+        try:
+            source = stack.enter_context(opened_tap(given, settings))
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        skew = 0 if source.one_clock else SKEW
         recorder = None
         if path:
             metadata = session_metadata(
                 protocol,
-                ports=ports,
+                ports=source.names,
                 line=str(settings),
                 timeout=timeout,
                 skew=skew,
-                heard=heard,
-                attached=attached,
+                heard=source.heard,
+                attached=source.attached,
             )
             recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
         statistics = Statistics(protocol, settings.byte_time)
         judge = None
         if judged:
-            judge = PassiveJudge(protocol, paired=heard >= BOTH, attached=attached)
-        if bridge:
-            note(ports["pty"])
-        title = " ".join(f"{part} {name}" for part, name in ports.items())
+            judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
+        if source.served:
+            note(source.served)
+        title = " ".join(f"{part} {name}" for part, name in source.names.items())
         output = opened_output(
             chosen_format(style), protocol, statistics, f"{title} {settings}", _kept(recorder)
         )
         stack.callback(output.close)
         pipeline = Pipeline(
-            Session(protocol, timeout=timeout, heard=heard, skew=skew, attached=attached),
+            Session(
+                protocol,
+                timeout=timeout,
+                heard=source.heard,
+                skew=skew,
+                attached=source.attached,
+            ),
             statistics,
             output,
             Shown(output, test, count),
@@ -135,35 +151,7 @@ def sniff(
     return code
 
 
-def _source(
-    host: str | None, device: str | None, bridge: str | None, settings: LineSettings
-) -> tuple[Taps | Bridge, dict[str, str]]:
-    """Open the taps or the bridge; also return the names of the ports by role."""
-    if bridge is not None:
-        if host is not None:
-            raise click.UsageError("give either HOST [DEVICE] or --bridge PORT, not both")
-        between = Bridge(open_port(bridge, settings))
-        return between, {"bridge": bridge, "pty": between.pty_name}
-    if host is None:
-        raise click.UsageError("what is to be sniffed? Give HOST [DEVICE] or --bridge PORT")
-    if device is None:
-        return Taps(open_port(host, settings), None), {"host": host}
-    try:
-        require_two_lines(host, device)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-    first = open_port(host, settings)
-    try:
-        second = open_port(device, settings)
-    except LinkError:
-        first.close()
-        raise
-    return Taps(first, second), {"host": host, "device": device}
-
-
-def _listen(
-    source: Taps | Bridge, pipeline: Pipeline, stopper: Stopper, duration: float | None
-) -> str:
+def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> str:
     """Process events until the end; return a sentence about a lost port, or an empty string."""
     end = None if duration is None else round(duration * 1e9)
     while not stopper.stopped and not pipeline.full:

@@ -24,20 +24,20 @@ class Bridge(Source):
     device is lost. `close` also closes the port.
     """
 
+    one_clock = True
+    attached = False  # no traffic has passed yet through a pty that was just made
+
     def __init__(self, port: Port) -> None:
         super().__init__({"device": port})
         self._pty = open_pty()
-        self.pty_name = self._pty.name
+        self.pty_name = self.served = self._pty.name
+        self.names = {"bridge": port.name, "pty": self.served}
         self._port = port
         self._to_device = Forward(port.write_some, "the device does not read")
         self._to_host = Forward(self._pty.write_some, "the host program does not read")
 
     def poll(self, timeout_s: float | None, also: Sequence[int] = ()) -> list[Chunk | Line]:
-        """Return the new events in order, after waiting at most `timeout_s` s for the first.
-
-        `also` are descriptors (such as a Stopper's) that end the wait too. The host's events come
-        first.
-        """
+        """Return the new events, as every source does, and pass their bytes on."""
         events: list[Chunk | Line] = []
         if self.ended:
             return events

@@ -6,16 +6,15 @@ Every end reads and writes without waiting, and passes every byte unchanged.
 from __future__ import annotations
 
 import os
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
-
-PTY = "pty"
-LISTEN = "listen:"
 
 
 class End(Protocol):
@@ -45,73 +44,45 @@ def require_two_ends(a: str, b: str) -> None:
 
     Call this before opening: opening a path twice would only report that it is in use.
     """
-    if a == PTY or a.startswith(LISTEN):
+    if _served_kind(a) is not None:
         return
     if a == b or ("://" not in a + b and os.path.realpath(a) == os.path.realpath(b)):
         raise ValueError(f"both ends are {b}; a line joins two, so give another one")
 
 
 def open_end(name: str, settings: LineSettings) -> End:
-    """Open an end: `pty`, `listen:HOST:PORT` (port 0 takes a free one), or a path or pyserial URL.
+    """Open an end: a kind of `SERVED`, or a path or pyserial URL of a device.
 
     `settings` apply to a device. Raises ValueError for an invalid listen address, LinkError for an
     end that cannot be opened.
     """
-    if name == PTY:
-        return PtyEnd(open_pty())
-    if name.startswith(LISTEN):
-        return ListeningEnd(name.removeprefix(LISTEN))
-    return DeviceEnd(open_port(name, settings))
+    kind = _served_kind(name)
+    if kind is not None:
+        return kind.opened(name.removeprefix(kind.prefix))
+    port = open_port(name, settings)
+    return OpenedEnd(port.read, port.write_some, port.close, port=port)
 
 
-class DeviceEnd:
-    """An opened port as an end; it is lost when unplugged or closed by the other side."""
+@dataclass(slots=True)
+class OpenedEnd:
+    """An opened port or pty as an end; a port is lost when unplugged, a pty never."""
 
-    def __init__(self, port: Port) -> None:
-        self.served = ""
-        self.port = port
-
-    def descriptors(self) -> list[int]:
-        """Return an empty list: the port itself is waited for."""
-        return []
-
-    def read(self) -> bytes:
-        """Return the available bytes. Raises LinkError once the port is lost."""
-        return self.port.read()
-
-    def write_some(self, data: bytes) -> int:
-        """Write what the port takes now. Raises LinkError."""
-        return self.port.write_some(data)
-
-    def close(self) -> None:
-        """Close the port."""
-        self.port.close()
-
-
-class PtyEnd:
-    """A pty as an end; programs open it by its path, one after the other. It is never lost."""
-
-    port = None
-
-    def __init__(self, pair: PtyPair) -> None:
-        self.served = pair.name
-        self._pair = pair
+    read: Callable[[], bytes]
+    write_some: Callable[[bytes], int]
+    close: Callable[[], None]
+    served: str = ""
+    port: Port | None = None
+    waited: tuple[int, ...] = ()
 
     def descriptors(self) -> list[int]:
-        """Return the pty's master."""
-        return [self._pair.master]
+        """Return the descriptors that select waits for besides the port."""
+        return list(self.waited)
 
-    def read(self) -> bytes:
-        """Return what the program at the path has written."""
-        return self._pair.read()
 
-    def write_some(self, data: bytes) -> int:
-        """Write what the pty takes now."""
-        return self._pair.write_some(data)
-
-    def close(self) -> None:
-        """Close both sides of the pty."""
-        self._pair.close()
+def _pty_end(_: str) -> End:
+    """Return a new pty as an end; programs open it by its path, one after the other."""
+    pair = open_pty()
+    return OpenedEnd(pair.read, pair.write_some, pair.close, pair.name, waited=(pair.master,))
 
 
 class ListeningEnd:
@@ -170,3 +141,28 @@ class ListeningEnd:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+class ServedKind(NamedTuple):
+    """A kind of end that is made for others to open: its prefix and its help; how it is opened.
+
+    A prefix without a colon is the whole name. `opened` gets what follows the prefix.
+    """
+
+    prefix: str
+    help: str
+    opened: Callable[[str], End]
+
+
+SERVED = (
+    ServedKind("pty", "pty (a pseudo terminal is made for a program to open)", _pty_end),
+    ServedKind("listen:", "listen:HOST:PORT (raw TCP is served; port 0: any)", ListeningEnd),
+)
+
+
+def _served_kind(name: str) -> ServedKind | None:
+    """Return the kind of served end that a name asks for, None for a device."""
+    for kind in SERVED:
+        if name == kind.prefix or (kind.prefix.endswith(":") and name.startswith(kind.prefix)):
+            return kind
+    return None

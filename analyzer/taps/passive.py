@@ -6,11 +6,13 @@ One loop polls the taps; all times `t` are in ns (monotonic) since the taps were
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from bilprov.analyzer.taps.source import Source
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.captures.schemas import Chunk, Line
 
 
@@ -36,13 +38,10 @@ class Taps(Source):
         if device is not None:
             require_two_lines(host.name, device.name)
         super().__init__({"host": host} if device is None else {"host": host, "device": device})
+        self.heard = frozenset(self._ports)
 
     def poll(self, timeout_s: float | None, also: Sequence[int] = ()) -> list[Chunk | Line]:
-        """Return the new events in order, after waiting at most `timeout_s` s for the first.
-
-        `also` are descriptors (such as a Stopper's) that end the wait too. When both sides are
-        readable the host comes first, since an instruction is older than its answer.
-        """
+        """Return the new events, as every source does."""
         events: list[Chunk | Line] = []
         if self.ended:
             return events
@@ -51,6 +50,20 @@ class Taps(Source):
             self._read(tap, events)
         self._count(events)
         return events
+
+
+def open_taps(settings: LineSettings, host: str, device: str | None = None) -> Taps:
+    """Open the tap on `host`, and the one on `device` unless it is None.
+
+    Raises ValueError if both are the same line, LinkError for a port that cannot be opened.
+    """
+    if device is not None:
+        require_two_lines(host, device)
+    with ExitStack() as opened:
+        first = opened.enter_context(open_port(host, settings))
+        taps = Taps(first, None if device is None else open_port(device, settings))
+        opened.pop_all()
+    return taps
 
 
 def _resolved(name: str) -> Path:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
@@ -24,9 +25,21 @@ def counted(
 
 
 class Source(Closing):
-    """A source of events: a clock, and one port per direction with its error counts."""
+    """A source of events: a clock, and one port per direction with its error counts.
+
+    `names` are the names of the ports by role, `heard` the directions that are listened to, and
+    `served` the name under which the host program opens the source, "" if there is none.
+    `one_clock` is true if one clock stamps both directions; `attached` is true if traffic may have
+    passed before listening began.
+    """
+
+    heard: frozenset[Direction] = frozenset({"host", "device"})
+    one_clock = False
+    attached = True
+    served = ""
 
     def __init__(self, ports: Mapping[Direction, Port]) -> None:
+        self.names = {str(tap): port.name for tap, port in ports.items()}
         self._ports = dict(ports)  # the ports that are not lost, host before device
         self._all = tuple(ports.values())
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
@@ -41,6 +54,14 @@ class Source(Closing):
     def now(self) -> int:
         """Return the time since the start in ns."""
         return time.monotonic_ns() - self._start
+
+    @abstractmethod
+    def poll(self, timeout_s: float | None, also: Sequence[int] = ()) -> list[Chunk | Line]:
+        """Return the new events in order, after waiting at most `timeout_s` s for the first.
+
+        `also` are descriptors (such as a Stopper's) that end the wait too. When both sides have
+        bytes the host comes first, since an instruction is older than its answer.
+        """
 
     def close(self) -> None:
         """Close the ports; further calls do nothing."""

@@ -11,16 +11,20 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.taps import kinds
 from bilprov.analyzer.taps.bridge import Bridge
+from bilprov.analyzer.taps.kinds import TAPS, Tap, opened_tap
 from bilprov.analyzer.taps.passive import Taps, require_two_lines
 from bilprov.analyzer.taps.source import counted
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
 
 pytestmark = pytest.mark.waits
 
@@ -339,3 +343,39 @@ def test_closing_a_source_closes_its_ports(bridge: Bridge, device_line: PtyPair)
         pass
     with pytest.raises(LinkError, match="there is no"):
         open_port(bridge.pty_name)
+
+
+# the table of taps
+
+
+def test_a_new_kind_of_tap_is_one_row(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, device_line: PtyPair
+) -> None:
+    row = Tap("mirror", "PORT", "Hears itself.", lambda names, line: Bridge(open_port(*names)))
+    monkeypatch.setattr(kinds, "TAPS", (*TAPS, row))
+    line = line_settings(protocol, None, None, None)
+    nothing = dict.fromkeys(("", "bridge", "mirror"), (None,))
+
+    with opened_tap(nothing | {"mirror": (device_line.name,)}, line) as source:
+        assert source.names == {"bridge": device_line.name, "pty": source.served}
+    with pytest.raises(
+        ValueError, match=r"Give HOST \[DEVICE\] or --bridge PORT or --mirror PORT$"
+    ):
+        opened_tap(nothing, line)
+    with pytest.raises(ValueError, match=r"or --mirror PORT, not both$"):
+        opened_tap(nothing | {"": ("a", None), "bridge": ("b",)}, line)
+
+
+def test_taps_hear_traffic_that_went_on_before(
+    taps: Taps, host_line: PtyPair, device_line: PtyPair
+) -> None:
+    assert taps.heard == {"host", "device"}
+    assert (taps.attached, taps.one_clock, taps.served) == (True, False, "")
+    assert taps.names == {"host": host_line.name, "device": device_line.name}
+    with open_pty() as other, Taps(open_port(other.name), None) as alone:
+        assert alone.heard == {"host"}
+
+
+def test_a_bridge_hears_both_sides_from_the_first_byte_on_with_one_clock(bridge: Bridge) -> None:
+    assert bridge.heard == {"host", "device"}
+    assert (bridge.attached, bridge.one_clock, bridge.served) == (False, True, bridge.pty_name)
