@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import prod
 from typing import Any
 
 from construct import BitStruct, Construct, ConstructError, Renamed
@@ -66,6 +67,16 @@ class InstructionSpec:
     length: int
     fields: tuple[FieldSpec, ...]
     effect: Effect
+
+    @property
+    def valid_count(self) -> int:
+        """How many valid frames there are."""
+        return prod(part.high - part.low + 1 for part in self.fields)
+
+    @property
+    def bad_data_count(self) -> int:
+        """How many frames of the right length there are whose data are out of range."""
+        return int(256**self.length) - self.valid_count
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import prod
 
 import msgspec
 
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import Protocol
 
 _KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions
 
@@ -72,16 +71,18 @@ class Coverage:
         yield Covered(clauses.header, "headers", len(self._headers), len(protocol.headers))
         met = sum(1 for frames in self._valid.values() if frames)
         yield Covered(clauses.instructions, "instructions", met, len(specs))
-        of = sum(_frames(spec) for spec in specs)
+        of = sum(spec.valid_count for spec in specs)
         done = sum(len(frames) for frames in self._valid.values())
         yield Covered(clauses.instructions, "valid frames", done, of)
         for spec in specs:
             if spec.fields:
                 what = f"data of {spec.name}"
-                yield Covered(clauses.instructions, what, len(self._valid[spec.id]), _frames(spec))
+                yield Covered(
+                    clauses.instructions, what, len(self._valid[spec.id]), spec.valid_count
+                )
         unused = len(protocol.unused_ids) * len(protocol.data_lengths)
         yield Covered(clauses.instructions, "headers with an unused ID", len(self._unused), unused)
-        bad = sum(256**spec.length - _frames(spec) for spec in specs)
+        bad = sum(spec.bad_data_count for spec in specs)
         yield Covered(clauses.instructions, "data out of range", len(self._bad_data), bad)
         wrong = len(specs) * (len(protocol.data_lengths) - 1)
         yield Covered(clauses.responses, "headers with a wrong length", len(self._wrong), wrong)
@@ -107,11 +108,6 @@ class Coverage:
                 found.add(Outcome.TOO_MANY)
             if spec.length:
                 found.add(Outcome.TOO_FEW)
-            if 256**spec.length > _frames(spec):
+            if spec.bad_data_count:
                 found.add(Outcome.BAD_DATA)
         return len(found)
-
-
-def _frames(spec: InstructionSpec) -> int:
-    """How many valid frames an instruction has."""
-    return prod(part.high - part.low + 1 for part in spec.fields)

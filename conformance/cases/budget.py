@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 from bilprov.conformance.cases.coverage import Fact, facts
-from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
 from bilprov.spec.protocol import Protocol
 
 
@@ -54,5 +54,5 @@ def dropped(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> dict[str, in
 
 def group(ident: str) -> str:
     """The group that a case belongs to: the first part of its id, for sequences the first two."""
-    first, *rest = ident.split("/")
-    return f"{first}/{rest[0]}" if first in ("sequence", "pipelined", "split") and rest else first
+    parts = 2 if ident.startswith(SEQUENCE_PREFIXES) else 1
+    return "/".join(ident.split("/")[:parts])

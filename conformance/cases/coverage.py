@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from math import prod
 
+from bilprov.conformance.cases.frame_source import TOO_FEW, TOO_MANY
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.spec.by_effect import moves, moving_motions
 from bilprov.spec.codec import bad_data
 from bilprov.spec.motion import Motion, State
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import Protocol
 
 Fact = tuple[str, object]
 
@@ -29,8 +29,7 @@ CUTS = "truncations"
 STATES = "instructions and faults x kinds of motion"
 PAIRS = "pairs in a row"
 TRIPLES = "pairs in a row x kinds of motion"
-DELIVERIES = "instructions and faults x deliveries"
-_WAYS = ("waited", "pipelined", "split", "left alone")
+WAYS = "instructions and faults x deliveries"
 
 
 def kind_of(protocol: Protocol, step: Step) -> str:
@@ -48,7 +47,7 @@ def kind_of(protocol: Protocol, step: Step) -> str:
         return FrameClass.UNUSED_ID
     if length == spec.length:
         return FrameClass.BAD_DATA
-    return "too-many" if length > spec.length else "too-few"
+    return TOO_MANY if length > spec.length else TOO_FEW
 
 
 def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
@@ -64,7 +63,7 @@ def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[
     yield HEADERS, step.frame[0]
     yield STATES, (kind, motion)
     if not step.truncated and way != "cut":
-        yield DELIVERIES, (kind, way)
+        yield WAYS, (kind, way)
     if step.truncated:
         yield CUTS, (step.frame[0], len(step.frame) - 1)
     elif not step.faulty:
@@ -92,19 +91,14 @@ def _after(protocol: Protocol, state: State, step: Step) -> State:
     return (step.frame_effect.effect or protocol.on_fault).apply(state, step.frame_effect.values)
 
 
-def _frames(spec: InstructionSpec) -> int:
-    """How many valid frames an instruction has."""
-    return prod(part.high - part.low + 1 for part in spec.fields)
-
-
 @lru_cache(maxsize=4)
 def totals(protocol: Protocol) -> dict[str, int]:
     """How many facts of each kind there are."""
     lengths, specs = protocol.lengths, protocol.instructions
     motions = (Motion.STOPPED, *moving_motions(protocol))
-    faults = [FrameClass.TRUNCATED, "too-many"]
+    faults = [FrameClass.TRUNCATED, TOO_MANY]
     faults += [FrameClass.UNUSED_ID] if protocol.unused_ids else []
-    faults += ["too-few"] if any(spec.length for spec in specs) else []
+    faults += [TOO_FEW] if any(spec.length for spec in specs) else []
     faults += [FrameClass.BAD_DATA] if any(True for s in specs for _ in bad_data(s)) else []
     kinds = len(specs) + len(faults)
     # After a motion the robot moves so, or stands still (speed 0); a setting leaves any motion on.
@@ -114,14 +108,14 @@ def totals(protocol: Protocol) -> dict[str, int]:
     return {
         HEADERS: len(protocol.headers),
         # These totals hold every value; where data are wide, a level sends only a sample of them.
-        VALID: sum(map(_frames, specs)),
-        BAD: sum(256**spec.length - _frames(spec) for spec in specs),
+        VALID: sum(spec.valid_count for spec in specs),
+        BAD: sum(spec.bad_data_count for spec in specs),
         CUTS: sum(lengths),
         STATES: kinds * len(motions),
         PAIRS: kinds * kinds,
         TRIPLES: reached * kinds,
         # A truncated frame has one delivery: its end cannot come in pieces or be waited for.
-        DELIVERIES: (kinds - 1) * len(_WAYS),
+        WAYS: (kinds - 1) * len(DELIVERIES),
     }
 
 

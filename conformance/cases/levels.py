@@ -6,9 +6,10 @@ way of delivery. deep: every truncation of every frame, and almost four times as
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
@@ -34,68 +35,91 @@ _DWELLS = (65, 35, 130, 65, 35, 65, 140, 35, 65, 20, 130, 65)
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """How much a level holds: sequences of each kind, truncations in a tour, faults in a row."""
+    """A level of the suite; `GENERATORS` say how many sequences it holds."""
 
     name: str
     promise: str
-    tours: int
-    pipelined: int
-    long: int
-    split: int
-    cuts: int
-    alone: int
-    faults: int
-    sweeps: bool
+    cuts: int  # truncations in every second tour
     singles: str  # `few`, `headers` (one truncation of each) or `all` (every truncation)
     idle: int  # ms for which a moving robot is sent nothing
 
 
-SMOKE = Level(
-    name="smoke",
-    promise="a look at everything in about 5 s",
-    tours=12,
-    pipelined=4,
-    long=1,
-    split=2,
-    cuts=0,
-    alone=1,
-    faults=30,
-    sweeps=False,
-    singles="few",
-    idle=300,
-)
-STANDARD = Level(
-    name="standard",
-    promise="every single frame, every pair in every kind of motion, every way of delivery",
-    tours=130,
-    pipelined=40,
-    long=3,
-    split=10,
-    cuts=1,
-    alone=10,
-    faults=300,
-    sweeps=True,
-    singles="headers",
-    idle=1200,
-)
-DEEP = Level(
-    name="deep",
-    promise="every cut of every frame, almost four times the tours",
-    tours=500,
-    pipelined=150,
-    long=10,
-    split=40,
-    cuts=2,
-    alone=40,
-    faults=1100,
-    sweeps=True,
-    singles="all",
-    idle=5000,
-)
+SMOKE = Level("smoke", "a look at everything", cuts=0, singles="few", idle=300)
+STANDARD = Level("standard", "every frame and pair", cuts=1, singles="headers", idle=1200)
+DEEP = Level("deep", "every cut", cuts=2, singles="all", idle=5000)
 LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP)}
 
 
-SEQUENCE_PREFIXES = ("sequence/", "pipelined/", "split/")
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What the sequences of one level are made from; the tours remember what they have covered."""
+
+    protocol: Protocol
+    level: Level
+    seed: int
+    tours: Tours
+
+
+Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
+
+
+class Generator(NamedTuple):
+    """A generator of sequences: its group, with which their ids begin, and how they are made.
+
+    `amounts` are how many sequences, or faults, each level of `LEVELS` holds of it; a level with 0
+    leaves it out. `make` gets that amount.
+    """
+
+    group: str
+    amounts: tuple[int, int, int]
+    make: Make
+
+
+def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
+    """Make as many sequences as a level holds, one for each number from 1."""
+    return lambda source, amount: (make(source, number) for number in range(1, amount + 1))
+
+
+# In the order in which the sequences run. What a tour covers depends on the tours before it.
+GENERATORS = (
+    Generator("pipelined/dense", (0, 1, 1), lambda of, _: [dense(of.protocol)]),
+    Generator(
+        "sequence/tour",
+        (12, 130, 500),
+        _numbered(lambda of, n: of.tours.waited("tour", n, cuts=0 if n % 2 else of.level.cuts)),
+    ),
+    Generator(
+        "sequence/left-alone",
+        (1, 10, 40),
+        _numbered(lambda of, n: of.tours.left_alone("left-alone", n, _DWELLS)),
+    ),
+    Generator(
+        "pipelined/tour",
+        (4, 40, 150),
+        _numbered(lambda of, n: of.tours.pipelined("tour", n, 24, (2, 6))),
+    ),
+    Generator(
+        "pipelined/long",
+        (1, 3, 10),
+        _numbered(lambda of, n: of.tours.pipelined("long", n, 4, (30, 60))),
+    ),
+    Generator("split/tour", (2, 10, 40), _numbered(lambda of, n: of.tours.split("tour", n, 30))),
+    Generator("sequence/data", (0, 1, 1), lambda of, _: data_sweep(of.protocol)),
+    Generator("sequence/bad-data", (0, 1, 1), lambda of, _: bad_data_sweep(of.protocol)),
+    Generator("sequence/headers", (0, 1, 1), lambda of, _: header_sweep(of.protocol)),
+    Generator(
+        "sequence/faults-in-a-row",
+        (30, 300, 1100),
+        lambda of, count: [faults_in_a_row(of.protocol, of.seed, count)],
+    ),
+    Generator(
+        "sequence/faults-alone",
+        (30, 300, 1100),
+        lambda of, count: [faults_alone(of.protocol, of.seed, count)],
+    ),
+)
+
+SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for row in GENERATORS))
 """What the id of a sequence begins with."""
 
 
@@ -132,23 +156,9 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
 
 
 def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
-    tours = Tours(protocol, seed)
-    if level.sweeps:
-        yield dense(protocol)
-    for number in range(level.tours):
-        yield tours.waited("tour", number + 1, cuts=level.cuts if number % 2 else 0)
-    for number in range(level.alone):
-        yield tours.left_alone("left-alone", number + 1, _DWELLS)
-    for number in range(level.pipelined):
-        yield tours.pipelined("tour", number + 1, 24, (2, 6))
-    for number in range(level.long):
-        yield tours.pipelined("long", number + 1, 4, (30, 60))
-    for number in range(level.split):
-        yield tours.split("tour", number + 1, 30)
-    if level.sweeps:
-        yield from data_sweep(protocol)
-        yield from bad_data_sweep(protocol)
-        yield from header_sweep(protocol)
-    if level.faults:
-        yield faults_in_a_row(protocol, seed, level.faults)
-        yield faults_alone(protocol, seed, level.faults)
+    source = Source(protocol, level, seed, Tours(protocol, seed))
+    place = list(LEVELS).index(level.name)
+    for generator in GENERATORS:
+        amount = generator.amounts[place]
+        if amount:
+            yield from generator.make(source, amount)

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 
 from bilprov.conformance.cases.steps import Step
 
+DELIVERIES = ("waited", "pipelined", "split", "left alone")
+"""The ways in which a burst that ends with a complete frame is delivered."""
+
 
 @dataclass(frozen=True, slots=True)
 class Burst:

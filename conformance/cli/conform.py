@@ -78,7 +78,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     type=click.Choice(list(LEVELS)),
     default=STANDARD.name,
     show_default=True,
-    help="smoke: a look at everything; standard: every frame and pair; deep: every cut.",
+    help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
 )
 @click.option("--soak", metavar="N", type=click.IntRange(0), default=0, help="And N faults more.")
 @click.option(

@@ -9,7 +9,9 @@ from fnmatch import fnmatchcase
 import pytest
 
 from bilprov.conformance.api import Options, select_cases
+from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import (
+    GENERATORS,
     LEVELS,
     SEQUENCE_PREFIXES,
     level_cases,
@@ -326,6 +328,15 @@ def test_pauses_fall_inside_frames_and_between_them(protocol: Protocol) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("place", range(len(LEVELS)), ids=list(LEVELS))
+def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
+    protocol: Protocol, place: int
+) -> None:
+    found = {group(sequence.id) for sequence in sequences_of(protocol, list(LEVELS)[place])}
+
+    assert found == {row.group for row in GENERATORS if row.amounts[place]}
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
     counted = Counter(case.id for case in level_cases(protocol, level, 1, 500))
