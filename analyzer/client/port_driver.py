@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from os import PathLike
-from types import TracebackType
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver
@@ -87,12 +86,7 @@ class PortDriver(Driver):
         self._signals.enter_context(ending_in_order())
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         with self._signals:
             try:
                 self.close()

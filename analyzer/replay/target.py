@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
 
 from bilprov.analyzer.client.homing import home, home_once
 from bilprov.analyzer.decode.records import Record
@@ -17,11 +15,12 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.wire import PortWire
+from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
 
 
-class Target:
+class Target(Closing):
     """One device on an open port; a context manager that homes it on every way out.
 
     `timeout` (ns) is the longest pause inside a frame as it is sent here. `run` holds the
@@ -95,15 +94,8 @@ class Target:
         self.run.record(record)
         self._shown(record)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Home the device and close its port; further calls do nothing."""
         with contextlib.suppress(LinkError):  # the port is lost: nothing can be sent to it
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
             home_once(self._protocol, self._wire)

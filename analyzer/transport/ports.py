@@ -16,21 +16,8 @@ import serial
 from serial.tools import list_ports as serial_list_ports
 
 from bilprov.analyzer.transport.errors import LinkError, opening_failed
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
-
-__all__ = [
-    "LineSettings",
-    "LinkError",
-    "Port",
-    "PortInfo",
-    "PtyPair",
-    "list_ports",
-    "open_port",
-    "open_pty",
-    "wait_readable",
-]
 
 _POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
 
@@ -79,8 +66,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
 def _usual_settings() -> LineSettings:
     from bilprov.analyzer.grammar_file import load_protocol
 
-    line = load_protocol().line
-    return LineSettings(line.baud, line.parity, line.stopbits)
+    return line_settings(load_protocol(), None, None, None)
 
 
 def wait_readable(

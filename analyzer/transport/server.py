@@ -14,10 +14,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from bilprov.analyzer.transport.pty import open_pty
-from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
-
-__all__ = ["ByteDevice", "Stop", "Stopper", "serve"]
 
 _REQUEST_LIMIT = 1024  # bytes of a probe's request line
 _LINGER = 3_000_000_000  # ns without a byte after which a client that ended its sending is closed

@@ -9,11 +9,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
+from bilprov.captures.closing import Closing
 
-class Stopper:
+
+class Stopper(Closing):
     """Turns SIGINT, SIGTERM and SIGHUP into a clean stop: `fileno()` is readable from then on.
 
     As a context manager it installs handlers for the three signals (in the main thread; elsewhere
@@ -70,14 +72,6 @@ class Stopper:
                 self._writer.fileno(), warn_on_full_buffer=False
             )
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.stop()

@@ -142,11 +142,6 @@ def attachment_record(content: bytes, own: bool = True) -> tuple[str, bytes]:
     return name, data
 
 
-def check_attachment(content: bytes, own: bool) -> None:
-    """Raise Damaged if an attachment's fields or its checksum are wrong."""
-    attachment_record(content, own)
-
-
 def check_schema(content: bytes, own: bool) -> None:
     """Raise Damaged if a schema record's fields are inconsistent; the schema itself is not read."""
     cursor = Cursor(content)

@@ -40,7 +40,7 @@ CHECKS: dict[int, Callable[[bytes, bool], object]] = {
     records.HEADER: records.header_library,
     records.CHANNEL: records.channel_record,
     records.METADATA: records.metadata_record,
-    records.ATTACHMENT: records.check_attachment,
+    records.ATTACHMENT: records.attachment_record,
     records.SCHEMA: records.check_schema,
     records.MESSAGE_INDEX: records.check_message_index,
 }

@@ -57,10 +57,5 @@ def _zstd(packed: memoryview, size: int) -> bytes:
 
 
 def _lz4(packed: memoryview, size: int) -> bytes:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    parts = [decompressor.decompress(packed, max_length=size + 1)]
-    room = size + 1 - len(parts[0])
-    while room > 0 and parts[-1] and not decompressor.eof and not decompressor.needs_input:
-        parts.append(decompressor.decompress(b"", max_length=room))
-        room -= len(parts[-1])
-    return b"".join(parts)
+    data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+    return data

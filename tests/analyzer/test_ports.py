@@ -41,7 +41,9 @@ NAMED = {
 # A child that may not open what its owner root may.
 AS_NOBODY = """
 import os, sys
-from bilprov.analyzer.transport.ports import LineSettings, LinkError, open_port
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.ports import open_port
 if os.geteuid() == 0:
     os.setgroups([]); os.setegid(65534); os.seteuid(65534)
 try:

@@ -356,7 +356,8 @@ def test_nothing_to_serve_is_refused() -> None:
 # Stopping
 
 SERVING = """
-from bilprov.analyzer.transport.server import Stopper, serve
+from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.signals import Stopper
 from tests.analyzer.test_server import Echo
 with Stopper() as stopper:
     serve(Echo(), pty=True, listen="127.0.0.1:0", probe_listen=None,
