@@ -10,12 +10,11 @@ from typing import Literal
 
 import rich_click as click
 
-from bilprov.analyzer.cli.options import compiled, filter_option, note, opened_output
+from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.outputs import Shown
-from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.analyzer.replay.capture_session import capture_session, said_about
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
@@ -29,14 +28,7 @@ PIECE = 1 << 16  # bytes
 
 @click.command()
 @click.argument("words", metavar="[FILE|-|HEX]...", nargs=-1)
-@click.option(
-    "--from",
-    "sender",
-    type=click.Choice(["host", "device"]),
-    default="host",
-    show_default=True,
-    help="Who sent the bytes.",
-)
+@sender_option
 @click.option(
     "--format",
     "style",
@@ -63,8 +55,7 @@ def decode(
     if not words and sys.stdin.isatty():
         raise click.UsageError("what is to be decoded? Give HEX, a FILE or - for standard input")
     session, events = _input(words or ("-",), sender, protocol)
-    statistics = Statistics(protocol, 0)
-    out = Shown(opened_output(style, protocol, statistics, ""), test)
+    out = Shown(stream_output(style), test)
     for event in events:
         for record in session.feed(event):
             out.show(record)

@@ -1,18 +1,18 @@
-"""Options that several commands share, and the conversion of their values."""
+"""Options that several commands share, and the conversion of their values.
+
+It loads nothing that takes long, since commands that only print a help import it too.
+"""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import rich_click as click
 
-from bilprov.analyzer.output.filter_names import HELP as FILTER_HELP
-from bilprov.analyzer.output.json_lines import JsonLine
-from bilprov.analyzer.output.outputs import Format, JsonOutput, LinesOutput, Output
-from bilprov.analyzer.output.statistics import Statistics
-from bilprov.spec.protocol import Protocol
+if TYPE_CHECKING:
+    from bilprov.analyzer.output.json_lines import JsonLine
+    from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -37,7 +37,43 @@ def line_options(command: Command) -> Command:
 
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    return click.option("--filter", "expression", metavar="EXPR", help=FILTER_HELP)(command)
+    from bilprov.analyzer.output.filter_names import HELP
+
+    return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
+
+
+def sender_option(command: Command) -> Command:
+    """Add `--from` (host or device), as `sender`."""
+    return click.option(
+        "--from",
+        "sender",
+        type=click.Choice(["host", "device"]),
+        default="host",
+        show_default=True,
+        help="Who sent the bytes.",
+    )(command)
+
+
+def text_format_option(command: Command) -> Command:
+    """Add `--format` (text or json), as `style`."""
+    return click.option(
+        "--format",
+        "style",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        show_default=True,
+        help="For people or for programs.",
+    )(command)
+
+
+def session_format_option(command: Command) -> Command:
+    """Add `--format` (live, lines or jsonl), as `style`, None if it is not given."""
+    return click.option(
+        "--format",
+        "style",
+        type=click.Choice(["live", "lines", "jsonl"]),
+        help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
+    )(command)
 
 
 def timeout_option(command: Command) -> Command:
@@ -67,23 +103,6 @@ def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine],
     from bilprov.analyzer.output.filter import compile_filter
 
     return compile_filter(expression, protocol)
-
-
-def opened_output(
-    style: Format,
-    protocol: Protocol,
-    statistics: Statistics,
-    title: str,
-    captured: Callable[[], str] = lambda: "",
-) -> Output:
-    """Open the output of the format `style` on standard output."""
-    if style == "jsonl":
-        return JsonOutput(sys.stdout)
-    if style == "lines":
-        return LinesOutput(sys.stdout)
-    from bilprov.analyzer.output.live_output import LiveOutput
-
-    return LiveOutput(protocol, statistics, title, captured)
 
 
 def note(sentence: str) -> None:

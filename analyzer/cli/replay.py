@@ -16,7 +16,7 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
-    opened_output,
+    session_format_option,
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -32,7 +32,7 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import Format, Output, Shown, chosen_format
+from bilprov.analyzer.output.outputs import Format, Output, Shown, chosen_format, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_session import (
@@ -68,12 +68,7 @@ from bilprov.spec.protocol import Protocol
 @click.option("--start", type=click.FloatRange(0), help="Begin at this second of the capture.")
 @click.option("--end", type=click.FloatRange(0), help="End before this second of the capture.")
 @filter_option
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["live", "lines", "jsonl"]),
-    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
-)
+@session_format_option
 @click.option(
     "--to",
     "port",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from typing import Literal
 
 import rich_click as click
 
@@ -10,7 +10,7 @@ from bilprov.analyzer.cli.confirm import confirm_motion
 from bilprov.analyzer.cli.options import line_options, note, timeout_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.outputs import JsonOutput, LinesOutput, Output
+from bilprov.analyzer.output.outputs import stream_output
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.ports import open_port
@@ -36,7 +36,7 @@ def send(
     port: str,
     items: tuple[str, ...],
     together: bool,
-    style: str,
+    style: Literal["lines", "jsonl"],
     yes: bool,
     baud: int | None,
     parity: str | None,
@@ -59,10 +59,9 @@ def send(
     opened = open_port(port, settings)
     with opened:
         confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
-        output: Output = JsonOutput(sys.stdout) if style == "jsonl" else LinesOutput(sys.stdout)
         with (
             Stopper() as stopper,
-            Target(protocol, opened, timeout, stopper, output.show) as target,
+            Target(protocol, opened, timeout, stopper, stream_output(style).show) as target,
         ):
             target.begin()
             for what in steps:

@@ -14,14 +14,14 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
-    opened_output,
+    session_format_option,
     timeout_option,
 )
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import Format, Shown, chosen_format
+from bilprov.analyzer.output.outputs import Format, Shown, chosen_format, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
@@ -49,12 +49,7 @@ def tap_options(command: Command) -> Command:
 @tap_options
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
 @filter_option
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["live", "lines", "jsonl"]),
-    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
-)
+@session_format_option
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after S seconds.")
 @judge_option

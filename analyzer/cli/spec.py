@@ -6,7 +6,7 @@ from pathlib import Path
 
 import rich_click as click
 
-from bilprov.analyzer.cli.format_option import output_format
+from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.output.console import show, show_json
 
@@ -17,7 +17,7 @@ def spec() -> None:
 
 
 @spec.command("show")
-@output_format
+@text_format_option
 @click.pass_obj
 def spec_show(grammar: str | None, style: str) -> None:
     """Show header, instructions, responses, effects and defaults of the grammar in use."""
@@ -39,7 +39,7 @@ def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) ->
 
 @spec.command("readings")
 @click.argument("ids", metavar="[ID]...", nargs=-1, shell_complete=_reading_ids)
-@output_format
+@text_format_option
 def spec_readings(ids: tuple[str, ...], style: str) -> None:
     """Show how the document is read where it is silent: our default, and what others get.
 
@@ -66,7 +66,7 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 
 
 @spec.command("errata")
-@output_format
+@text_format_option
 @click.pass_obj
 def spec_errata(grammar: str | None, style: str) -> None:
     """Run the document's own examples through the grammar and show where it contradicts itself."""

@@ -7,21 +7,14 @@ from typing import Any
 
 import rich_click as click
 
-from bilprov.analyzer.cli.format_option import output_format
+from bilprov.analyzer.cli.options import sender_option, text_format_option
 from bilprov.analyzer.output.console import show, show_json
 
 
 @click.command()
 @click.argument("words", metavar="HEX...", nargs=-1, required=True)
-@click.option(
-    "--from",
-    "sender",
-    type=click.Choice(["host", "device"]),
-    default="host",
-    show_default=True,
-    help="Who sent the bytes.",
-)
-@output_format
+@sender_option
+@text_format_option
 @click.pass_obj
 def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str) -> None:
     """Explain every bit of some bytes.
@@ -92,7 +85,7 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
 
 
 @click.command()
-@output_format
+@text_format_option
 def ports(style: str) -> None:
     """List the serial ports of this machine; USB adapters and boards are marked with a star."""
     from dataclasses import asdict
@@ -125,7 +118,7 @@ def ports(style: str) -> None:
 
 @click.command()
 @click.argument("file", metavar="FILE.mcap")
-@output_format
+@text_format_option
 @click.pass_obj
 def info(grammar: str | None, file: str, style: str) -> None:
     """Tell what a capture holds, who recorded it and whether it is whole."""

@@ -12,7 +12,9 @@ from typing import Literal, Protocol, TextIO
 
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
+from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
+from bilprov.spec.protocol import Protocol as Grammar
 
 Format = Literal["live", "lines", "jsonl"]
 
@@ -33,37 +35,18 @@ class Output(Protocol):
         ...
 
 
-class LinesOutput:
-    """Writes one line of text per record; colours on a terminal only, unless NO_COLOR is set."""
+class StreamOutput:
+    """Writes what `line` makes of each record as a line of text; None stands for no line."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO, line: Callable[[Record], str | None]) -> None:
         self._stream = stream
-        arrows = ("→", "←") if _can_encode(stream, "→←") else ASCII_ARROWS
-        self._renderer = LineRenderer(colour=_wants_colour(stream), arrows=arrows)
+        self._line = line
 
     def show(self, record: Record) -> None:
         """Print the record's line."""
-        self._stream.write(self._renderer.line(record) + "\n")
-        self._stream.flush()
-
-    def tick(self, now: int) -> None:
-        """Nothing waits here."""
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class JsonOutput:
-    """Writes one JSON line per record that has one (see `bilprov.analyzer.output.json_lines`)."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def show(self, record: Record) -> None:
-        """Print the record's line."""
-        line = json_line(record)
+        line = self._line(record)
         if line is not None:
-            self._stream.write(encode(line).decode() + "\n")
+            self._stream.write(line + "\n")
             self._stream.flush()
 
     def tick(self, now: int) -> None:
@@ -71,6 +54,38 @@ class JsonOutput:
 
     def close(self) -> None:
         """Nothing is held."""
+
+
+def stream_output(style: Literal["lines", "jsonl"]) -> Output:
+    """The output to standard output as lines of text or as JSON lines.
+
+    Lines of text have colours on a terminal only, unless NO_COLOR is set.
+    """
+    if style == "jsonl":
+        return StreamOutput(sys.stdout, _json_text)
+    arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
+    renderer = LineRenderer(colour=_wants_colour(sys.stdout), arrows=arrows)
+    return StreamOutput(sys.stdout, renderer.line)
+
+
+def opened_output(
+    style: Format,
+    protocol: Grammar,
+    statistics: Statistics,
+    title: str,
+    captured: Callable[[], str] = lambda: "",
+) -> Output:
+    """Open the output of the format `style` on standard output; see LiveOutput."""
+    if style != "live":
+        return stream_output(style)
+    from bilprov.analyzer.output.live_output import LiveOutput
+
+    return LiveOutput(protocol, statistics, title, captured)
+
+
+def _json_text(record: Record) -> str | None:
+    line = json_line(record)
+    return None if line is None else encode(line).decode()
 
 
 def chosen_format(asked: Format | None) -> Format:
