@@ -97,7 +97,7 @@ def sniff(
     names mean one line.
     """
     protocol = protocol or load_protocol()
-    settings = settings or line_settings(protocol, None, None, None)
+    settings = settings or line_settings(protocol)
     with open_taps(settings, host, device) as taps:
         session = Session(protocol, heard=taps.heard, attached=taps.attached)
         while not taps.ended:

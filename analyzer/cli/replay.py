@@ -119,7 +119,7 @@ def replay(
     for sentence in said_about(capture, protocol):
         note(sentence)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
-    window = _Window(start, end)
+    window = _Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
@@ -153,20 +153,10 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """The time window that is shown and sent, in s of the capture; None for its begin or end."""
+    """The time window that is shown and sent: its first ns, and the first ns after it, or None."""
 
-    start: float | None
-    end: float | None
-
-    @property
-    def first(self) -> int | None:
-        """The first ns of the window."""
-        return None if self.start is None else round(self.start * 1e9)
-
-    @property
-    def after(self) -> int | None:
-        """The first ns after the window."""
-        return None if self.end is None else round(self.end * 1e9)
+    first: int | None
+    after: int | None
 
     def has(self, t: int) -> bool:
         """Whether a time (ns) is inside the window."""
@@ -175,7 +165,7 @@ class _Window:
 
     def holds(self, record: Record) -> bool:
         """Whether a record is inside the window; for a frame its first byte counts."""
-        return self.has(record.fault.t if isinstance(record, FaultRecord) else record.value.t)
+        return self.has(record.value.t)
 
 
 def _show(

@@ -8,7 +8,7 @@ import rich_click as click
 
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.files import write_whole
-from bilprov.analyzer.output.console import show, show_json
+from bilprov.analyzer.output.console import show_as
 
 
 @click.group()
@@ -25,10 +25,7 @@ def spec_show(grammar: str | None, style: str) -> None:
     from bilprov.analyzer.output.protocol import drawn_protocol, protocol_json
 
     protocol = load_protocol(grammar)
-    if style == "json":
-        show_json(protocol_json(protocol))
-    else:
-        show(*drawn_protocol(protocol))
+    show_as(style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
 
 
 def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
@@ -45,24 +42,19 @@ def spec_readings(ids: tuple[str, ...], style: str) -> None:
 
     Example: bilprov spec readings R-led-id
     """
+    from bilprov.analyzer.cli.typed_input import meant
     from bilprov.analyzer.output.protocol import drawn_readings, readings_json
     from bilprov.spec.readings import READINGS
 
     known = {reading.id.lower(): reading for reading in READINGS}
     for name in ids:
         if name.lower() not in known:
-            from difflib import get_close_matches
-
-            close = get_close_matches(name.lower(), known, n=1)
-            hint = f", did you mean {known[close[0]].id}?" if close else ""
+            hint = meant(name, [reading.id for reading in READINGS])
             raise click.ClickException(
                 f"there is no reading {name!r}{hint}; see bilprov spec readings"
             )
     chosen = [known[name.lower()] for name in ids] or list(READINGS)
-    if style == "json":
-        show_json(readings_json(chosen))
-    else:
-        show(*drawn_readings(chosen))
+    show_as(style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
 
 
 @spec.command("errata")
@@ -76,10 +68,7 @@ def spec_errata(grammar: str | None, style: str) -> None:
 
     protocol = load_protocol(grammar)
     findings = check(protocol)
-    if style == "json":
-        show_json(errata_json(findings))
-    else:
-        show(*drawn_errata(protocol, findings))
+    show_as(style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 
 
 @spec.group("emit")

@@ -8,7 +8,7 @@ from typing import Any
 import rich_click as click
 
 from bilprov.analyzer.cli.options import sender_option, text_format_option
-from bilprov.analyzer.output.console import show, show_json
+from bilprov.analyzer.output.console import show, show_as, show_json
 
 
 @click.command()
@@ -33,10 +33,7 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
     protocol = load_protocol(grammar)
     make = explaining.explain if sender == "host" else explaining.explain_responses
     explanation = make(protocol, data)
-    if style == "json":
-        show_json(as_json(explanation))
-    else:
-        show(*drawn(explanation))
+    show_as(style, lambda: as_json(explanation), lambda: drawn(explanation))
 
 
 def _or_sentence(function: Any, *arguments: Any) -> Any:
@@ -127,10 +124,7 @@ def info(grammar: str | None, file: str, style: str) -> None:
     from bilprov.captures.reader import open_capture
 
     summary = summarized(open_capture(file), load_protocol(grammar))
-    if style == "json":
-        show_json(as_json(summary))
-    else:
-        show(*drawn(summary))
+    show_as(style, lambda: as_json(summary), lambda: drawn(summary))
 
 
 # How to install the completion script permanently in each shell.

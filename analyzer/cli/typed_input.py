@@ -20,7 +20,7 @@ def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
     if spec is None:
         names = [s.name for s in protocol.instructions]
         raise ValueError(
-            f"there is no instruction {name!r}{_meant(name, names)}; there are {', '.join(names)}"
+            f"there is no instruction {name!r}{meant(name, names)}; there are {', '.join(names)}"
         )
     return build(protocol, spec.name, _fields(spec, words))
 
@@ -38,7 +38,7 @@ def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
         if part is None:
             known = [p.name for p in spec.fields]
             raise ValueError(
-                f"{spec.name} has no field {name!r}{_meant(name, known)}; it takes {_takes(spec)}"
+                f"{spec.name} has no field {name!r}{meant(name, known)}; it takes {_takes(spec)}"
             )
         if part.name in fields:
             raise ValueError(f"{spec.name}.{part.name} is given twice")
@@ -60,7 +60,8 @@ def _takes(spec: InstructionSpec) -> str:
     return " ".join(parts) or "no values"
 
 
-def _meant(word: str, names: Iterable[str]) -> str:
+def meant(word: str, names: Iterable[str]) -> str:
+    """A question after the name that `word` may stand for, in any case; "" if there is none."""
     by_lower = {name.lower(): name for name in names}
     close = get_close_matches(word.lower(), by_lower, n=1)
     return f", did you mean {by_lower[close[0]]}?" if close else ""

@@ -50,6 +50,11 @@ class HostRecord(msgspec.Struct, frozen=True):
     state: State
     faults: tuple[Anomaly, ...] = ()
 
+    @property
+    def words(self) -> str:
+        """The frame in words, like `Speed speed=80`."""
+        return self.judgement.describe() if self.judgement else "garbage"
+
 
 class DeviceRecord(msgspec.Struct, frozen=True):
     """One device byte, with the instruction it answers.
@@ -63,6 +68,11 @@ class DeviceRecord(msgspec.Struct, frozen=True):
     answered: Judgement | None
     state: State
     faults: tuple[Anomaly, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """The response's name, or that the code is unused."""
+        return self.value.name or f"unused {self.value.byte}"
 
 
 class LineRecord(msgspec.Struct, frozen=True):
@@ -80,13 +90,28 @@ class FaultRecord(msgspec.Struct, frozen=True):
     fault: Anomaly
     state: State
 
+    @property
+    def value(self) -> Anomaly:
+        """The anomaly, which is what has the time here."""
+        return self.fault
+
+    @property
+    def faults(self) -> tuple[Anomaly, ...]:
+        """The one anomaly."""
+        return (self.fault,)
+
 
 Record: TypeAlias = HostRecord | DeviceRecord | LineRecord | FaultRecord
 
 
-def faults_of(record: Record) -> tuple[Anomaly, ...]:
-    """All anomalies of a record."""
-    return (record.fault,) if isinstance(record, FaultRecord) else record.faults
+def severity_of(record: Record) -> Severity | None:
+    """The severity of a record's worst anomaly, None if it has none."""
+    return max((fault.severity for fault in record.faults), default=None)
+
+
+def serious_faults(record: Record) -> list[Anomaly]:
+    """The anomalies of a record that are warnings or errors."""
+    return [fault for fault in record.faults if fault.severity > Severity.INFO]
 
 
 def is_frame(record: Record) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -37,6 +37,16 @@ def show_json(value: Any) -> None:
     """Print one value as indented JSON."""
     text = msgspec.json.format(msgspec.json.encode(value), indent=2).decode()
     sys.stdout.write(text + "\n")
+
+
+def show_as(
+    style: str, value: Callable[[], Any], parts: Callable[[], Iterable[RenderableType]]
+) -> None:
+    """Print `value` as JSON if the style is `json`, else the parts as text."""
+    if style == "json":
+        show_json(value())
+    else:
+        show(*parts())
 
 
 def heading(text: str) -> Text:

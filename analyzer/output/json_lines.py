@@ -35,27 +35,25 @@ from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
     HostRecord,
-    LineRecord,
     Record,
-    Severity,
-    faults_of,
+    serious_faults,
 )
 from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
 
 
-class JsonLine(msgspec.Struct, frozen=True):
+class JsonLine(msgspec.Struct, frozen=True, kw_only=True):
     """One JSON line; the module's docstring explains the keys."""
 
     t: float
-    direction: str | None
+    direction: str | None = None
     kind: str
-    hex: str
-    name: str | None
-    fields: dict[str, int]
-    judgement: str | None
+    hex: str = ""
+    name: str | None = None
+    fields: dict[str, int] = {}
+    judgement: str | None = None
     reason: str
-    latency: float | None
+    latency: float | None = None
     state: State
     sequence: int | None = None
     answers: int | None = None
@@ -73,16 +71,15 @@ def json_line(record: Record) -> JsonLine | None:
     if isinstance(record, DeviceRecord):
         return _device_line(record)
     if isinstance(record, FaultRecord):
-        return _fault_line(record.fault, record.state, "fault", None)
+        return _fault_line(record.fault, record.state)
     if not record.faults:
         return None
-    kind = "gap" if record.lost else "fault"
-    return _fault_line(record.faults[0], record.state, kind, record)
+    fault, direction = record.faults[0], record.value.tap or None
+    return _fault_line(fault, record.state, "gap" if record.lost else "fault", direction)
 
 
 def _kinds(record: Record) -> tuple[str, ...]:
-    """The kinds of a record's anomalies that are warnings or errors."""
-    return tuple(f.kind for f in faults_of(record) if f.severity > Severity.INFO)
+    return tuple(fault.kind for fault in serious_faults(record)) if record.faults else ()
 
 
 def _host_line(record: HostRecord) -> JsonLine:
@@ -96,10 +93,9 @@ def _host_line(record: HostRecord) -> JsonLine:
         fields=value.fields,
         judgement=value.judgement,
         reason=value.reason,
-        latency=None,
         state=record.state,
         sequence=value.sequence,
-        faults=_kinds(record) if record.faults else (),
+        faults=_kinds(record),
     )
 
 
@@ -111,28 +107,25 @@ def _device_line(record: DeviceRecord) -> JsonLine:
         kind="response",
         hex=value.hex,
         name=value.name,
-        fields={},
         judgement=record.answered.response.name if record.answered else None,
         reason=value.reason,
         latency=None if value.latency is None else value.latency / 1e9,
         state=record.state,
         answers=value.instruction,
         agrees=value.agrees,
-        faults=_kinds(record) if record.faults else (),
+        faults=_kinds(record),
     )
 
 
-def _fault_line(fault: Anomaly, state: State, kind: str, line: LineRecord | None) -> JsonLine:
+def _fault_line(
+    fault: Anomaly, state: State, kind: str = "fault", direction: str | None = None
+) -> JsonLine:
     return JsonLine(
         t=fault.t / 1e9,
-        direction=(line.value.tap or None) if line else None,
+        direction=direction,
         kind=kind,
-        hex="",
         name=printable(fault.kind) if kind == "fault" else None,
-        fields={},
-        judgement=None,
         reason=fault.reason,
-        latency=None,
         state=state,
         sequence=fault.instruction,
         faults=(fault.kind,),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.layout import Layout
@@ -18,7 +20,8 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
     Severity,
-    faults_of,
+    is_frame,
+    severity_of,
 )
 from bilprov.analyzer.output.car_view import car_view
 from bilprov.analyzer.output.statistics import Latencies, Snapshot
@@ -85,41 +88,37 @@ class _Frames:
 
 
 def _cells(record: Record) -> tuple[Text, ...]:
-    if isinstance(record, HostRecord):
-        words = record.judgement.describe() if record.judgement else "garbage"
-        sign, hex_text, t = "→", record.value.hex, record.value.t
-    elif isinstance(record, DeviceRecord):
-        value = record.value
-        words = value.name or f"unused {value.byte}"
-        words += "" if value.latency is None else f"  {value.latency / 1e6:.3f} ms"
-        sign, hex_text, t = "←", value.hex, value.t
-    elif isinstance(record, LineRecord):
-        sign, hex_text, t = "-", "", record.value.t
-        words = f"{record.value.event} {record.value.detail}"
-    else:
-        sign, hex_text, t, words = "!", "", record.fault.t, record.fault.kind
+    sign, hex_text, words, reason = _SHOWN[type(record)](record)
     if len(hex_text) > 11:
         hex_text = f"{hex_text[:8]} …"
     style = _style(record)
     return (
-        Text(f"{t / 1e9:.6f}", "dim"),
+        Text(f"{record.value.t / 1e9:.6f}", "dim"),
         Text(sign, "bold cyan" if sign == "→" else "bold"),
         Text(hex_text, style),
-        Text.assemble((printable(words), style), (f"  {printable(_reason(record))}", "dim")),
+        Text.assemble((printable(words), style), (f"  {printable(reason)}", "dim")),
     )
 
 
-def _reason(record: Record) -> str:
-    if isinstance(record, FaultRecord):
-        return record.fault.reason
-    return "" if isinstance(record, LineRecord) else record.value.reason
+def _device_words(record: DeviceRecord) -> str:
+    latency = record.value.latency
+    return record.words + ("" if latency is None else f"  {latency / 1e6:.3f} ms")
+
+
+# The sign, the bytes in hex, the words and the reason of each kind of record.
+_SHOWN: dict[type[Record], Callable[[Any], tuple[str, str, str, str]]] = {
+    HostRecord: lambda r: ("→", r.value.hex, r.words, r.value.reason),
+    DeviceRecord: lambda r: ("←", r.value.hex, _device_words(r), r.value.reason),
+    LineRecord: lambda r: ("-", "", f"{r.value.event} {r.value.detail}", ""),
+    FaultRecord: lambda r: ("!", "", r.fault.kind, r.fault.reason),
+}
 
 
 def _style(record: Record) -> str:
-    severity = max((fault.severity for fault in faults_of(record)), default=None)
+    severity = severity_of(record)
     if severity is not None and severity > Severity.INFO:
         return SEVERITY_COLOURS[severity]
-    return "" if isinstance(record, LineRecord | FaultRecord) else "green"
+    return "green" if is_frame(record) else ""
 
 
 def _faults(snapshot: Snapshot) -> RenderableType:

@@ -13,8 +13,7 @@ from bilprov.analyzer.decode.records import (
     DeviceRecord,
     HostRecord,
     Record,
-    Severity,
-    faults_of,
+    serious_faults,
     written_state,
 )
 from bilprov.captures.schemas import Chunk, Line, State
@@ -112,10 +111,9 @@ class Statistics:
                 self._longest = max(self._longest, latency)
         if shown:
             self._recent.append(record)
-        for fault in faults_of(record):
-            if fault.severity > Severity.INFO:
-                self._faults[fault.kind] += 1
-                self._recent_faults.append(fault)
+        for fault in serious_faults(record):
+            self._faults[fault.kind] += 1
+            self._recent_faults.append(fault)
 
     def snapshot(self, now: int) -> Snapshot:
         """Return the statistics at `now` (ns since the start)."""

@@ -13,13 +13,13 @@ import click
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
-    FaultRecord,
     HostRecord,
     LineRecord,
     Record,
     Severity,
+    severity_of,
 )
-from bilprov.captures.schemas import State
+from bilprov.captures.schemas import Line, State
 from bilprov.captures.text import printable
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
@@ -49,29 +49,25 @@ class LineRenderer:
     def line(self, record: Record) -> str:
         """Render one line without its newline, safe for a terminal and for a pipe."""
         if isinstance(record, HostRecord):
-            value = record.value
-            words = record.judgement.describe() if record.judgement else "garbage"
-            severity = _severity(record.faults)
-            text = self._host(value.hex, words, severity)
-            why = self._paint(f"  {value.reason}", severity) if value.reason else ""
-            return f"{_time(value.t)} {text}{self._state(record.state)}{why}"
+            severity = severity_of(record)
+            text = self._host(record.value.hex, record.words, severity)
+            why = self._why(record.value.reason, severity)
+            return f"{_time(record.value.t)} {text}{self._state(record.state)}{why}"
         if isinstance(record, DeviceRecord):
             return f"{_time(record.value.t)} {self._device_line(record)}"
-        if isinstance(record, FaultRecord):
-            return self._fault_line(record.fault)
-        return self._line_event(record)
+        if isinstance(record, LineRecord) and not record.faults:
+            return _line_event(record.value)
+        return self._fault_line(record.faults[0])
 
     def _host_text(self, hex_text: str, words: str, severity: Severity | None) -> str:
         body = f"{hex_text:<{HEX_WIDTH}}  {words:<{WORDS_WIDTH}}"
         return f"{self._to_device} {self._paint(body, severity)}"
 
     def _device_line(self, record: DeviceRecord) -> str:
-        value = record.value
-        name = value.name or f"unused {value.byte}"
-        text = self._device(value.hex, name, _severity(record.faults))
+        value, severity = record.value, severity_of(record)
+        text = self._device(value.hex, record.words, severity)
         latency = "" if value.latency is None else f" {value.latency / 1e6:8.3f} ms"
-        why = self._paint(f"  {value.reason}", _severity(record.faults)) if value.reason else ""
-        return f"{text}{latency}{why}".rstrip()
+        return f"{text}{latency}{self._why(value.reason, severity)}".rstrip()
 
     def _device_text(self, hex_text: str, name: str, severity: Severity | None) -> str:
         return f"{self._to_host} {self._paint(f'{hex_text:<{HEX_WIDTH}}  {name:<13}', severity)}"
@@ -80,17 +76,12 @@ class LineRenderer:
         words = f"{fault.kind}: {fault.reason}"
         return f"{_time(fault.t)} ! {self._paint(words, fault.severity)}"
 
-    def _line_event(self, record: LineRecord) -> str:
-        if record.faults:
-            return self._fault_line(record.faults[0])
-        value = record.value
-        where = f"{value.tap} line" if value.tap else "line"
-        detail = f": {printable(value.detail)}" if value.detail else ""
-        return f"{_time(value.t)} - {where} {printable(value.event)}{detail}"
-
     def _state_text(self, state: State) -> str:
         words = state_words(state)
         return f"  {click.style(words, dim=True) if self._colour else words}"
+
+    def _why(self, reason: str, severity: Severity | None) -> str:
+        return self._paint(f"  {reason}", severity) if reason else ""
 
     def _paint(self, text: str, severity: Severity | None) -> str:
         if not self._colour:
@@ -109,8 +100,10 @@ def state_words(state: State) -> str:
     return f"{state.motion} speed {state.speed}{steering} led {state.led}"
 
 
-def _severity(faults: tuple[Anomaly, ...]) -> Severity | None:
-    return max((fault.severity for fault in faults), default=None)
+def _line_event(line: Line) -> str:
+    where = f"{line.tap} line" if line.tap else "line"
+    detail = f": {printable(line.detail)}" if line.detail else ""
+    return f"{_time(line.t)} - {where} {printable(line.event)}{detail}"
 
 
 def _time(t: int) -> str:

@@ -77,8 +77,7 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
 
 
 def _described(frame: HostRecord) -> str:
-    words = frame.judgement.describe() if frame.judgement else "garbage"
-    return f"{words} ({frame.value.hex})"
+    return f"{frame.words} ({frame.value.hex})"
 
 
 def _answer(protocol: Protocol, record: DeviceRecord | None) -> str:

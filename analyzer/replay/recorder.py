@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord, Record, faults_of
+from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord, Record
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import (
@@ -87,7 +87,7 @@ class Recorder(Closing):
                 self._writer.write(record.state, record.value.end)
         elif isinstance(record, DeviceRecord):
             self._writer.write(record.value, record.value.t)
-        for fault in faults_of(record):
+        for fault in record.faults:
             self._writer.write(self._log(fault), fault.t)
 
     def mark(self, value: CaseMark | Look | Asked, t: int) -> None:

@@ -39,7 +39,10 @@ class LineSettings:
 
 
 def line_settings(
-    protocol: Protocol, baud: int | None, parity: str | None, stopbits: str | None
+    protocol: Protocol,
+    baud: int | None = None,
+    parity: str | None = None,
+    stopbits: str | None = None,
 ) -> LineSettings:
     """The given line settings; the grammar's own for each that is None. Raises ValueError."""
     line = protocol.line
@@ -56,7 +59,7 @@ def line_named(protocol: Protocol, text: str) -> LineSettings:
     try:
         return LineSettings(int(baud), form[:1], float(form[1:]))
     except ValueError:
-        return line_settings(protocol, None, None, None)
+        return line_settings(protocol)
 
 
 def timeout_in_ns(protocol: Protocol, milliseconds: float | None) -> int:

@@ -66,7 +66,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
 def _usual_settings() -> LineSettings:
     from bilprov.analyzer.grammar_file import load_protocol
 
-    return line_settings(load_protocol(), None, None, None)
+    return line_settings(load_protocol())
 
 
 def wait_readable(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bilprov.analyzer.decode.records import Severity, faults_of
+from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
@@ -42,7 +42,7 @@ def test_an_instruction_without_an_answer_is_reported_once(protocol: Protocol) -
 
     records = decoded(Session(protocol), events)
 
-    (fault,) = [fault for record in records for fault in faults_of(record)]
+    (fault,) = [fault for record in records for fault in record.faults]
     assert (fault.kind, fault.severity, fault.instruction) == ("unanswered", Severity.ERROR, 0)
     assert fault.t == 1000 * MS
     assert "Forward" in fault.reason
@@ -122,7 +122,7 @@ def test_two_taps_may_stamp_an_answer_before_its_instruction(protocol: Protocol)
         (1, True),
     ]
     assert [r.value.latency for r in devices(records)] == [-16 * MS, -17 * MS]
-    assert all(f.severity is Severity.INFO for r in devices(records) for f in faults_of(r))
+    assert all(f.severity is Severity.INFO for r in devices(records) for f in r.faults)
 
 
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:

@@ -353,7 +353,7 @@ def test_a_new_kind_of_tap_is_one_row(
 ) -> None:
     row = Tap("mirror", "PORT", "Hears itself.", lambda names, line: Bridge(open_port(*names)))
     monkeypatch.setattr(kinds, "TAPS", (*TAPS, row))
-    line = line_settings(protocol, None, None, None)
+    line = line_settings(protocol)
     nothing = dict.fromkeys(("", "bridge", "mirror"), (None,))
 
     with opened_tap(nothing | {"mirror": (device_line.name,)}, line) as source:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, faults_of
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
 
@@ -41,4 +41,4 @@ def devices(records: Iterable[Record]) -> list[DeviceRecord]:
 
 
 def kinds(records: Iterable[Record]) -> list[str]:
-    return [fault.kind for record in records for fault in faults_of(record)]
+    return [fault.kind for record in records for fault in record.faults]
