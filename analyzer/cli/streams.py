@@ -18,6 +18,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TextIO
 
 from bilprov.analyzer.cli.failures import say
@@ -67,22 +68,22 @@ class _Descriptor(io.FileIO):
         return f"{self.called}: {self.broke.strerror if self.broke else ''}"
 
 
+@dataclass(frozen=True, slots=True)
 class Streams:
     """The standard output and standard error of a running command, if they are real streams."""
 
-    def __init__(self, streams: list[TextIO], descriptors: list[_Descriptor]) -> None:
-        self._streams = streams
-        self._descriptors = descriptors
+    streams: list[TextIO]
+    descriptors: list[_Descriptor]
 
     def settled(self, status: int) -> int:
         """Flush the streams and return the exit code of a command that ended with `status`.
 
         If a stream broke and that matters, one sentence on standard error says so.
         """
-        for stream in self._streams:
+        for stream in self.streams:
             with suppress(SystemExit):
                 stream.flush()
-        for one in self._descriptors:
+        for one in self.descriptors:
             if one.broke is None:
                 continue
             if one.verdict:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 from rich.console import Console, RenderableType
@@ -69,11 +69,8 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: str = ""
     """A table with a header line. The columns named in `right` are aligned to the right."""
     drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in columns:
-        last = name == columns[-1]
-        side = "right" if name in right.split() else "left"
-        drawn.add_column(
-            Text(name), justify="right" if side == "right" else "left", no_wrap=not last
-        )
+        side: Literal["left", "right"] = "right" if name in right.split() else "left"
+        drawn.add_column(Text(name), justify=side, no_wrap=name != columns[-1])
     for row in rows:
         drawn.add_row(*(Text(cell) for cell in row))
     return Padding(drawn, (0, 0, 0, 2), expand=False)

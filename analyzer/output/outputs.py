@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, Protocol, TextIO
 
 from bilprov.analyzer.decode.records import Record, is_frame
@@ -103,35 +104,30 @@ def passes(record: Record, test: Callable[[JsonLine], bool] | None) -> bool:
     return line is not None and test(line)
 
 
+@dataclass(slots=True)
 class Shown:
     """Passes records through a filter to an output, and counts the frames that were shown.
 
-    `limit` is the number of frames after which `full` is true and nothing more is shown, None for
-    no limit.
+    `left` is how many frames more are shown, None for no limit; at 0 `full` is true and nothing
+    more is shown.
     """
 
-    def __init__(
-        self,
-        output: Output,
-        test: Callable[[JsonLine], bool] | None = None,
-        limit: int | None = None,
-    ) -> None:
-        self._output = output
-        self._test = test
-        self._left = limit
+    output: Output
+    test: Callable[[JsonLine], bool] | None = None
+    left: int | None = None
 
     @property
     def full(self) -> bool:
         """Whether the requested number of frames was shown."""
-        return self._left == 0
+        return self.left == 0
 
     def show(self, record: Record) -> bool:
         """Show the record if it passes; return whether it did."""
-        if self.full or not passes(record, self._test):
+        if self.full or not passes(record, self.test):
             return False
-        self._output.show(record)
-        if self._left is not None and is_frame(record):
-            self._left -= 1
+        self.output.show(record)
+        if self.left is not None and is_frame(record):
+            self.left -= 1
         return True
 
 

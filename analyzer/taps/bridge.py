@@ -17,7 +17,7 @@ _RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
 class Bridge(Source):
     """A pty for the host program, connected to the device's port; every byte is passed on.
 
-    The host program opens `pty_name`; its settings there (baud rate, DTR) do not reach the device.
+    The host program opens `served`; its settings there (baud rate, DTR) do not reach the device.
     It may open the pty at any time. A side that does not read never delays the other side or the
     recording: bytes it does not take for a second are dropped, though they are still recorded. A
     Line event `gap` reports this on the tap whose bytes were dropped. `ended` is true once the
@@ -30,7 +30,7 @@ class Bridge(Source):
     def __init__(self, port: Port) -> None:
         super().__init__({"device": port})
         self._pty = open_pty()
-        self.pty_name = self.served = self._pty.name
+        self.served = self._pty.name
         self.names = {"bridge": port.name, "pty": self.served}
         self._port = port
         self._to_device = Forward(port.write_some, "the device does not read")

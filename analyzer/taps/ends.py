@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.ports import open_port, same_line
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
 
@@ -44,9 +44,7 @@ def require_two_ends(a: str, b: str) -> None:
 
     Call this before opening: opening a path twice would only report that it is in use.
     """
-    if _served_kind(a) is not None:
-        return
-    if a == b or ("://" not in a + b and os.path.realpath(a) == os.path.realpath(b)):
+    if _served_kind(a) is None and same_line(a, b):
         raise ValueError(f"both ends are {b}; a line joins two, so give another one")
 
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 
 from bilprov.analyzer.taps.source import Source
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
 from bilprov.captures.schemas import Chunk, Line
 
 
@@ -21,7 +20,7 @@ def require_two_lines(host: str, device: str) -> None:
 
     Call this before opening: opening a path twice would only report that it is in use.
     """
-    if host == device or ("://" not in host + device and _resolved(host) == _resolved(device)):
+    if same_line(host, device):
         raise ValueError(
             f"host and device are both tapped at {device}; a tap hears one direction, so give two"
         )
@@ -64,7 +63,3 @@ def open_taps(settings: LineSettings, host: str, device: str | None = None) -> T
         taps = Taps(first, None if device is None else open_port(device, settings))
         opened.pop_all()
     return taps
-
-
-def _resolved(name: str) -> Path:
-    return Path(name).resolve()

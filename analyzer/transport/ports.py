@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -120,6 +121,13 @@ def list_ports() -> list[PortInfo]:
         )
         for found in serial_list_ports.comports()
     )
+
+
+def same_line(one: str, other: str) -> bool:
+    """Whether two names of ports mean the same line, also through a symbolic link."""
+    if one == other:
+        return True
+    return "://" not in one + other and Path(one).resolve() == Path(other).resolve()
 
 
 def _paths_here() -> list[str]:

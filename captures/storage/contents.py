@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 
@@ -37,16 +38,16 @@ class Contents:
 class Tally:
     """Counts of messages and bytes by channel id, and the times, of one chunk or of a file."""
 
-    counts: dict[int, int] = field(default_factory=dict)
-    sizes: dict[int, int] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    sizes: Counter[int] = field(default_factory=Counter)
     times: list[int] = field(default_factory=list)  # first, earliest, latest
     too_long: int = 0
     bad_lines: int = 0
 
     def message(self, channel: int, time: int, size: int) -> None:
         """Count one message."""
-        self.counts[channel] = self.counts.get(channel, 0) + 1
-        self.sizes[channel] = self.sizes.get(channel, 0) + size
+        self.counts[channel] += 1
+        self.sizes[channel] += size
         if not self.times:
             self.times = [time, time, time]
         elif time > self.times[2]:
@@ -56,9 +57,8 @@ class Tally:
 
     def add(self, other: Tally) -> None:
         """Add the counts of another tally, whose messages come later in the file."""
-        for channel, count in other.counts.items():
-            self.counts[channel] = self.counts.get(channel, 0) + count
-            self.sizes[channel] = self.sizes.get(channel, 0) + other.sizes[channel]
+        self.counts.update(other.counts)
+        self.sizes.update(other.sizes)
         if not self.times:
             self.times = other.times
         elif other.times:

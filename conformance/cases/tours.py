@@ -49,12 +49,10 @@ class Tours:
         """A sequence that waits for each frame's answer; `cuts` of the frames are truncated."""
         setup, where = self._begin()
         places = set(self._draw.sample(range(bursts), min(cuts, bursts)))
-        made = []
-        for index in range(bursts):
-            if index in places:
-                made.append(Burst((self._cut(where),)))
-            else:
-                made.append(Burst((self._next(where),)))
+        made = [
+            Burst((self._cut(where) if index in places else self._next(where),))
+            for index in range(bursts)
+        ]
         return self._sequence(f"sequence/{name}/{number:03}", setup, made)
 
     def left_alone(self, name: str, number: int, dwells: Sequence[int]) -> SequenceCase:
@@ -63,9 +61,7 @@ class Tours:
         `dwells` are these times in ms, one for each frame.
         """
         setup, where = self._begin()
-        made = []
-        for dwell in dwells:
-            made.append(Burst((self._alone(where),), idle_ms=dwell))
+        made = [Burst((self._alone(where),), idle_ms=dwell) for dwell in dwells]
         return self._sequence(f"sequence/{name}/{number:03}", setup, made)
 
     def _alone(self, where: _Where) -> Step:
@@ -132,7 +128,7 @@ class Tours:
             steering=0,
             led=self._draw.randint(*self._leds),
         )
-        steps = tuple(_as_step(protocol, frame) for frame in frames_to(protocol, state))
+        steps = tuple(complete_frame(protocol, f[0], f[1:]) for f in frames_to(protocol, state))
         return steps, _Where(state)
 
     def _next(self, where: _Where) -> Step:
@@ -185,7 +181,3 @@ class Tours:
             (7, 2 * state.speed > self._fast, side),
         )
         return [self._met.setdefault(context, set()) for context in contexts]
-
-
-def _as_step(protocol: Protocol, frame: bytes) -> Step:
-    return complete_frame(protocol, frame[0], frame[1:])

@@ -58,7 +58,7 @@ def bridge(device_line: PtyPair) -> Iterator[Bridge]:
 
 @pytest.fixture
 def host(bridge: Bridge) -> Iterator[Port]:
-    with open_port(bridge.pty_name) as made:
+    with open_port(bridge.served) as made:
         yield made
 
 
@@ -283,7 +283,7 @@ def test_a_bridge_records_what_nobody_reads(bridge: Bridge, device_line: PtyPair
 
 def test_host_programs_may_come_and_go(bridge: Bridge, device_line: PtyPair) -> None:
     for byte in (b"\x10", b"\x90"):
-        with open_port(bridge.pty_name) as host:
+        with open_port(bridge.served) as host:
             host.write(byte)
             assert heard(poll_until(bridge, host=1), "host") == byte
     assert not bridge.ended
@@ -342,7 +342,7 @@ def test_closing_a_source_closes_its_ports(bridge: Bridge, device_line: PtyPair)
     with open_port(device_line.name):
         pass
     with pytest.raises(LinkError, match="there is no"):
-        open_port(bridge.pty_name)
+        open_port(bridge.served)
 
 
 # the table of taps
@@ -378,4 +378,5 @@ def test_taps_hear_traffic_that_went_on_before(
 
 def test_a_bridge_hears_both_sides_from_the_first_byte_on_with_one_clock(bridge: Bridge) -> None:
     assert bridge.heard == {"host", "device"}
-    assert (bridge.attached, bridge.one_clock, bridge.served) == (False, True, bridge.pty_name)
+    assert (bridge.attached, bridge.one_clock) == (False, True)
+    assert bridge.names["pty"] == bridge.served
