@@ -39,26 +39,19 @@ def paced(
     """
     if math.isnan(rate) or rate < 0:
         raise ValueError(f"rate is {rate}, allowed are 0 (as fast as it goes) and above")
-    return _paced(events, rate, clock, sleep, start, end)
 
+    def played() -> Iterator[Event]:
+        began = clock()
+        for event in events:
+            if start is not None and event.t < start:
+                continue
+            if end is not None and event.t >= end:
+                return
+            if rate > 0:
+                due = began + (event.t - (start or 0)) / 1e9 / rate
+                wait = due - clock()
+                if wait > 0:
+                    sleep(wait)
+            yield event
 
-def _paced(
-    events: Iterable[Event],
-    rate: float,
-    clock: Callable[[], float],
-    sleep: Callable[[float], object],
-    start: int | None,
-    end: int | None,
-) -> Iterator[Event]:
-    began = clock()
-    for event in events:
-        if start is not None and event.t < start:
-            continue
-        if end is not None and event.t >= end:
-            return
-        if rate > 0:
-            due = began + (event.t - (start or 0)) / 1e9 / rate
-            wait = due - clock()
-            if wait > 0:
-                sleep(wait)
-        yield event
+    return played()

@@ -20,7 +20,6 @@ from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
-_DRAIN_TIME = 1.0  # s after which drain_input gives up on a line that never falls silent
 _TIOCGICOUNT = 0x545D
 # Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
 # buf_overrun, then room for more.
@@ -113,15 +112,6 @@ class Port(Closing):
                 raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
             else:  # waits are short, since a UART reports room long after it could take some bytes
                 self._wait_writable()
-
-    def drain_input(self) -> None:
-        """Read and discard bytes until none come, for at most 1 s. Raises LinkError.
-
-        Reading also empties the chip in a USB adapter, which `reset_input_buffer` does not.
-        """
-        give_up = time.monotonic() + _DRAIN_TIME
-        while self.read() and time.monotonic() < give_up:
-            pass
 
     def error_counts(self) -> Mapping[str, int] | None:
         """Return the driver's counts of `parity`, `framing`, `overrun` and `break` errors.

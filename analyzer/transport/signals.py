@@ -7,12 +7,14 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Self
 
 from bilprov.captures.closing import Closing
+
+Handler = Callable[[int, FrameType | None], object]
 
 
 class Stopper(Closing):
@@ -28,8 +30,7 @@ class Stopper(Closing):
         self._reader, self._writer = socket.socketpair()
         self._writer.setblocking(False)
         self._stopped = False
-        self._old: dict[signal.Signals, Any] = {}
-        self._old_wakeup: int | None = None
+        self._handlers = ExitStack()
 
     @property
     def stopped(self) -> bool:
@@ -49,32 +50,19 @@ class Stopper(Closing):
 
     def close(self) -> None:
         """Restore the old handlers and close; further calls do nothing."""
-        if self._old_wakeup is not None:
-            try:
-                signal.set_wakeup_fd(self._old_wakeup)
-            except OSError:  # the old wakeup descriptor was closed in the meantime
-                signal.set_wakeup_fd(-1)
-            self._old_wakeup = None
-        while self._old:
-            number, handler = self._old.popitem()
-            signal.signal(number, handler)
+        self._handlers.close()
         self._reader.close()
         self._writer.close()
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in _heeded():
-                self._old[number] = signal.signal(number, self._on_signal)
+        if _in_main_thread():
+            self._handlers.enter_context(_handled(_heeded(), lambda number, frame: self.stop()))
             # A signal that comes between the interpreter's own check and the select call would be
             # handled only at the next event. The wakeup descriptor, which C code writes, ends the
             # select at once.
-            self._old_wakeup = signal.set_wakeup_fd(
-                self._writer.fileno(), warn_on_full_buffer=False
-            )
+            old = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+            self._handlers.callback(_restore_wakeup, old)
         return self
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self.stop()
 
 
 @contextmanager
@@ -84,18 +72,9 @@ def undisturbed(*, again: bool) -> Iterator[None]:
     If `again`, the first signal that came is raised afterwards. Without effect outside the main
     thread.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     heard: list[int] = []
-    before: dict[int, Any] = {}
-    for number in _heeded():
-        before[number] = signal.signal(number, lambda got, frame: heard.append(got))
-    try:
+    with _handled(_heeded(), lambda number, frame: heard.append(number)):
         yield
-    finally:
-        for known, handler in before.items():
-            signal.signal(known, handler)
     if heard and again:
         signal.raise_signal(heard[0])
 
@@ -106,16 +85,34 @@ def ending_in_order() -> Iterator[None]:
 
     So the block's cleanup runs, as it does after Ctrl-C. Without effect outside the main thread.
     """
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    unhandled = (number for number in numbers if signal.getsignal(number) is signal.SIG_DFL)
+    with _handled(unhandled, _exit):
+        yield
+
+
+@contextmanager
+def _handled(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[None]:
+    """Handle signals by `handler` until the block ends. Without effect outside the main thread."""
     old: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                old[number] = signal.signal(number, _exit)
     try:
+        for number in numbers if _in_main_thread() else ():
+            old[number] = signal.signal(number, handler)
         yield
     finally:
         while old:
             signal.signal(*old.popitem())
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _restore_wakeup(descriptor: int) -> None:
+    try:
+        signal.set_wakeup_fd(descriptor)
+    except OSError:  # the old wakeup descriptor was closed in the meantime
+        signal.set_wakeup_fd(-1)
 
 
 def _heeded() -> Iterator[signal.Signals]:
