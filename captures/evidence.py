@@ -62,9 +62,8 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
             _check_sealed(path, content, seals[-1])
         elif finished and content[: len(MAGIC)] == MAGIC:
             raise CaptureError(
-                f"{printable(path)} has no seal, which is the hash (sha256) "
-                "over its content: it was "
-                "recorded by an older kit, saved by another program, or is damaged"
+                f"{printable(path)} has no seal, which is the hash (sha256) over its content: it "
+                "was recorded by an older kit, saved by another program, or is damaged"
             )
         capture = open_capture(path)
         if capture.damage:
@@ -92,22 +91,15 @@ def _check_sealed(path: Path, content: mmap.mmap, seal: int) -> None:
             raise Damaged("it ends elsewhere")
         name, pairs = records.metadata_record(content[seal + RECORD_HEAD.size : end], own=True)
     except Damaged as damage:
-        raise CaptureError(
-            f"{printable(path)} is damaged: the seal, which holds its hash "
-            "(sha256), cannot be read "
-            f"({damage})"
-        ) from damage
+        told = f"the seal, which holds its hash (sha256), cannot be read ({damage})"
+        raise CaptureError(_damaged(path, told)) from damage
     with memoryview(content) as view, view[:seal] as before:
         digest = hashlib.sha256(before).hexdigest()
     if (name, pairs) != (SEAL_NAME, {SEAL_HASH: digest, SEAL_BYTES: str(seal)}):
         told = f"the hash (sha256) over its first {seal} bytes is not the one in its seal"
         raise CaptureError(_damaged(path, told, _first_damage(path, seal)))
     if content[end : end + len(_DATA_END)] != _DATA_END:
-        raise CaptureError(
-            f"{printable(path)} is damaged behind its seal: the hash (sha256) "
-            "fits, but the data do "
-            f"not end at byte {end}, where they have to"
-        )
+        raise _damaged_behind_seal(path, f"the data do not end at byte {end}, where they have to")
     _check_end(path, content, end + len(_DATA_END))
 
 
@@ -124,11 +116,8 @@ def _check_end(path: Path, content: mmap.mmap, start: int) -> None:
         with memoryview(content) as view, view[start : len(content) - len(MAGIC) - 4] as covered:
             fits = summary == start and zlib.crc32(covered) == crc
     if not fits:
-        raise CaptureError(
-            f"{printable(path)} is damaged behind its seal: the hash (sha256) "
-            "fits, but the checksum "
-            f"(CRC) of the summary from byte {start} on does not, or the file is cut off there"
-        )
+        what = f"the checksum (CRC) of the summary from byte {start} on does not"
+        raise _damaged_behind_seal(path, f"{what}, or the file is cut off there")
 
 
 def _first_damage(path: Path, seal: int) -> tuple[str, ...]:
@@ -147,7 +136,12 @@ def _first_damage(path: Path, seal: int) -> tuple[str, ...]:
     return ()
 
 
-def _damaged(path: Path, told: str, notes: tuple[str, ...]) -> str:
+def _damaged_behind_seal(path: Path, what: str) -> CaptureError:
+    name = printable(path)
+    return CaptureError(f"{name} is damaged behind its seal: the hash (sha256) fits, but {what}")
+
+
+def _damaged(path: Path, told: str, notes: tuple[str, ...] = ()) -> str:
     where = f"; {printable(notes[0])}" if notes else ""
     return f"{printable(path)} is damaged: {told}{where}"
 
