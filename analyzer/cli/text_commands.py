@@ -119,12 +119,14 @@ def ports(style: str) -> None:
 @click.pass_obj
 def info(grammar: str | None, file: str, style: str) -> None:
     """Tell what a capture holds, who recorded it and whether it is whole."""
+    from dataclasses import asdict
+
     from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.capture_info import as_json, drawn, summarized
+    from bilprov.analyzer.output.capture_info import drawn, summarized
     from bilprov.captures.reader import open_capture
 
     summary = summarized(open_capture(file), load_protocol(grammar))
-    show_as(style, lambda: as_json(summary), lambda: drawn(summary))
+    show_as(style, lambda: asdict(summary), lambda: drawn(summary))
 
 
 # How to install the completion script permanently in each shell.

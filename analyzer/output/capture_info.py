@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -103,8 +102,3 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
         yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"
     yield "host sent", f"{summary.bytes['host']:,} bytes"
     yield "device sent", f"{summary.bytes['device']:,} bytes"
-
-
-def as_json(summary: Summary) -> dict[str, Any]:
-    """The summary as a JSON object."""
-    return asdict(summary)

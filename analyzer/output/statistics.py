@@ -60,12 +60,15 @@ class Snapshot:
 
 
 class Statistics:
-    """Counts the events and records of a session. `byte_time` is ns per byte on the line."""
+    """Counts the events and records of a session. `byte_time` is ns per byte on the line.
+
+    `instructions` counts the whole and the truncated ones, `responses` the device bytes.
+    """
 
     def __init__(self, protocol: Protocol, byte_time: int) -> None:
         self._byte_time = byte_time
-        self._instructions = 0
-        self._responses = 0
+        self.instructions = 0
+        self.responses = 0
         self._bytes = {"host": 0, "device": 0}
         self._frames = _Rate()
         self._byte_rates = {"host": _Rate(), "device": _Rate()}
@@ -75,16 +78,6 @@ class Statistics:
         self._recent: deque[Record] = deque(maxlen=KEPT_RECORDS)
         self._recent_faults: deque[Anomaly] = deque(maxlen=KEPT_FAULTS)
         self._state = written_state(protocol.power_on)
-
-    @property
-    def instructions(self) -> int:
-        """The number of instructions, whole and cut short."""
-        return self._instructions
-
-    @property
-    def responses(self) -> int:
-        """The number of device bytes."""
-        return self._responses
 
     @property
     def fault_count(self) -> int:
@@ -101,10 +94,10 @@ class Statistics:
         """Count a record; only one that is `shown` (a filter may hide it) is listed."""
         self._state = record.state
         if isinstance(record, HostRecord):
-            self._instructions += record.judgement is not None
+            self.instructions += record.judgement is not None
             self._frames.add(record.value.end, 1)
         elif isinstance(record, DeviceRecord):
-            self._responses += 1
+            self.responses += 1
             latency = record.value.latency
             if latency is not None:
                 self._latencies.append(latency)
@@ -120,8 +113,8 @@ class Statistics:
         rates = (self._byte_rates["host"].value(now), self._byte_rates["device"].value(now))
         return Snapshot(
             t=now,
-            instructions=self._instructions,
-            responses=self._responses,
+            instructions=self.instructions,
+            responses=self.responses,
             host_bytes=self._bytes["host"],
             device_bytes=self._bytes["device"],
             frame_rate=self._frames.value(now),
