@@ -79,7 +79,7 @@ def json_line(record: Record) -> JsonLine | None:
 
 
 def _kinds(record: Record) -> tuple[str, ...]:
-    return tuple(fault.kind for fault in serious_faults(record)) if record.faults else ()
+    return tuple(fault.kind for fault in serious_faults(record))
 
 
 def _host_line(record: HostRecord) -> JsonLine:
@@ -95,7 +95,7 @@ def _host_line(record: HostRecord) -> JsonLine:
         reason=value.reason,
         state=record.state,
         sequence=value.sequence,
-        faults=_kinds(record),
+        faults=_kinds(record) if record.faults else (),
     )
 
 
@@ -113,7 +113,7 @@ def _device_line(record: DeviceRecord) -> JsonLine:
         state=record.state,
         answers=value.instruction,
         agrees=value.agrees,
-        faults=_kinds(record),
+        faults=_kinds(record) if record.faults else (),
     )
 
 

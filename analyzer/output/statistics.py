@@ -104,7 +104,7 @@ class Statistics:
                 self._longest = max(self._longest, latency)
         if shown:
             self._recent.append(record)
-        for fault in serious_faults(record):
+        for fault in serious_faults(record) if record.faults else ():
             self._faults[fault.kind] += 1
             self._recent_faults.append(fault)
 
