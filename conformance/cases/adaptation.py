@@ -8,6 +8,7 @@ suite sends and expects accordingly, so that the rest of the device is still jud
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 from bilprov.conformance.cases.steps import (
     FrameClass,
@@ -21,6 +22,8 @@ from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
+
+S = TypeVar("S", bound=Step)
 
 
 def led_instruction(protocol: Protocol) -> InstructionSpec | None:
@@ -44,7 +47,7 @@ def on_the_wire(protocol: Protocol, choices: Choices, frame: bytes) -> bytes:
     return frame
 
 
-def adapt_to_device(protocol: Protocol, choices: Choices, step: Step) -> Step:
+def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
     """The step as it is sent to a device with these choices, and judged there."""
     if choices.others.isdisjoint(_POINTS):
         return step
@@ -78,7 +81,7 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: Step) -> Step:
 _POINTS = ("R-version", "R-led-id", "R-drain-unused", "R-led-upper-bits")
 
 
-def _as_unused(protocol: Protocol, model: Step, step: Step) -> Step:
+def _as_unused(protocol: Protocol, model: Step, step: S) -> S:
     """The step, judged like `model`, which is a frame with an unused ID."""
     return replace(
         step,

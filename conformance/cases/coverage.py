@@ -55,7 +55,7 @@ def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
     if isinstance(case, SequenceCase):
         yield from _run(protocol, case)
         return
-    yield from _sent(protocol, case.step, case.setup.visible_motion, "waited")
+    yield from _sent(protocol, case, case.setup.visible_motion, "waited")
 
 
 def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[Fact]:

@@ -28,12 +28,12 @@ def seconds(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float)
             total += 1.25 * timeout if burst.steps[-1].truncated else 0.0
             total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
         return total
-    total = home + (12 + len(case.stimulus)) * byte_time + 8 * _EXCHANGE
+    total = home + (12 + len(case.frame)) * byte_time + 8 * _EXCHANGE
     if case.stop:
         total += timers.hold / MS / 1000 if case.thorough else silence
     if case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough:
         total -= silence * 3 / 4
-    return total + (1.1 * timeout if case.arrived is not None or case.short else 0.0)
+    return total + (1.1 * timeout if case.truncated or case.short else 0.0)
 
 
 def answers_in(case: AnyCase) -> int:

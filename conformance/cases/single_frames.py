@@ -106,42 +106,25 @@ def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 if spec.effect.apply(setup, values) != setup:
                     break  # an instruction that changes nothing could not be observed
             tail = "".join(f"/{value}" for value in values.values())
-            yield Case(
+            yield Case.of(
+                step,
                 id=f"{FrameClass.VALID}/{spec.name}{tail}",
-                clause=step.clause,
                 requirement=f"{spec.name}: {spec.prose}",
                 setup=setup,
-                stimulus=step.frame,
-                accepted=step.accepted,
                 expected=spec.effect.apply(setup, values),
                 stop=spec.effect.motion is Motion.STOPPED,
-                kind=FrameClass.VALID,
-                frame_effect=step.frame_effect,
             )
 
 
-def _faulty(
-    protocol: Protocol,
-    setup: State,
-    ident: str,
-    step: Step,
-    requirement: str,
-    arrived: int | None = None,
-) -> Case:
+def _faulty(protocol: Protocol, setup: State, ident: str, step: Step, requirement: str) -> Case:
     code = step.accepted[0].codes[0]
-    return Case(
+    return Case.of(
+        step,
         id=f"{step.kind}/{ident}",
-        clause=step.clause,
         requirement=f"{requirement}: {protocol.codes[code].name}, and the robot stops",
         setup=setup,
-        stimulus=step.frame,
-        accepted=step.accepted,
         expected=protocol.on_fault.apply(setup),
         stop=True,
-        kind=step.kind,
-        reading=step.reading,
-        point=step.point,
-        arrived=arrived,
     )
 
 
@@ -191,7 +174,7 @@ def _truncated(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Itera
             name = spec.name if spec else str(identity)
             ident = f"{name}/{arrived}" if own else f"{name}/{length}/{arrived}"
             what = f"{arrived} of {length} data bytes arrive, then silence"
-            yield _faulty(protocol, setups.next(), ident, step, what, arrived)
+            yield _faulty(protocol, setups.next(), ident, step, what)
 
 
 def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
@@ -204,8 +187,7 @@ def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
             setup = setups.next(motion)
             after = protocol.on_fault.apply(setup)
             what = f"after a fault ({name}) {spec.name} works again"
-            arrived = len(step.frame) - 1 if step.truncated else None
-            case = _faulty(protocol, setup, f"{name}/{spec.name}", step, what, arrived)
+            case = _faulty(protocol, setup, f"{name}/{spec.name}", step, what)
             yield replace(
                 case,
                 id=f"{FrameClass.RECOVERY}/{name}/{spec.name}",

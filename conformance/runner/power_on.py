@@ -69,7 +69,7 @@ def first_bytes(run: Run) -> Procedure[str]:
             if axes["state"].verdict is Verdict.FAIL:
                 axes["state"] = yield from _still_again(run, case, axes["state"])
         outcomes.append((case, axes, heard, sent))
-    unusable = _line_fault(run, [(case.stimulus, heard) for case, _, heard, _ in outcomes[1:]])
+    unusable = _line_fault(run, [(case.frame, heard) for case, _, heard, _ in outcomes[1:]])
     if not unusable:
         for case, axes, heard, sent in outcomes:
             run.conclude(case, axes, heard.answers, sent)
@@ -224,7 +224,7 @@ def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Rec
     if (run.profile.boot or 0) > run.timers.longest:
         # It needed several tries. If it was still booting, twice that time is enough.
         yield from listen(None, 2 * (run.profile.boot or 0))
-        sent = yield from send(case.stimulus)
+        sent = yield from send(case.frame)
         heard = yield from run.waiting.all_answers(2)
     else:
         heard, sent = yield from _exchange(run, case, run.timers.boot)
@@ -247,7 +247,7 @@ def _chatter(case: Case, heard: Received) -> bool:
 
 def _exchange(run: Run, case: Case, boot: int) -> Procedure[tuple[Received, int]]:
     """Send the stimulus and receive all answers; for `boot` ns a silent board gets it again."""
-    sent = yield from send(case.stimulus)
+    sent = yield from send(case.frame)
     heard = yield from run.waiting.answers(1)
     waited = run.timers.longest
     if not heard.answers and not boot:
@@ -255,11 +255,11 @@ def _exchange(run: Run, case: Case, boot: int) -> Procedure[tuple[Received, int]
         heard = yield from listen(None, max(pause, run.waiting.patience))
         if not heard.answers:
             # It may discard what follows a fault until the line was idle (R-drain-known).
-            sent = yield from send(case.stimulus)
+            sent = yield from send(case.frame)
             heard = yield from run.waiting.answers(1)
             run.profile.flushes = run.profile.flushes or bool(heard.answers)
     while not heard.answers and waited < boot:
-        sent = yield from send(case.stimulus)
+        sent = yield from send(case.frame)
         heard = yield from run.waiting.answers(1)
         waited += run.timers.longest
     more = yield from listen(None, run.timers.silence)

@@ -129,7 +129,7 @@ def _bytes(case: Case | SequenceCase) -> int:
     """Bytes on the line in one try, answers included; an estimate for a single-frame case."""
     if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
-    return _SINGLE + len(case.stimulus)
+    return _SINGLE + len(case.frame)
 
 
 def _at_least(count: int, tries: int, chance: float) -> float:

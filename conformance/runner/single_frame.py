@@ -33,7 +33,7 @@ from bilprov.spec.fields import Outcome
 def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
     """Execute a case on a homed line: preamble, stimulus, and the checks after it."""
     run = trial.run
-    case = case.as_step(adapt_to_device(run.protocol, run.profile.choices, case.step))
+    case = case.adapted(adapt_to_device(run.protocol, run.profile.choices, case))
     looks = run.config.looks_at(case)
     ready, stray = yield from _precondition(run, case, looks)
     if stray.answers:
@@ -46,7 +46,7 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
         axis = Axis(Verdict.INCONCLUSIVE, "", "", f"precondition lost: {ready.missing}")
         trial.begin(case, {"answer": axis}, Received((), 0), 0)
         return
-    sent = yield from send(case.stimulus)
+    sent = yield from send(case.frame)
     trial.before = ready.expected
     trial.expected = run.model.after(ready.expected, case.frame_effect)
     heard, filled = yield from _answers(run, case, sent)
@@ -55,10 +55,10 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
         return _judge_heard(run, case, heard, sent, filled)
 
     trial.begin(case, {"answer": judged(heard, sent)}, heard, sent)
-    if case.arrived is None:
+    if not case.truncated:
         run.profile.measured(heard, sent)
     # After a truncated frame the line was silent for the time-out, however early its answer came.
-    whole = heard.answers and case.arrived is None
+    whole = heard.answers and not case.truncated
     answered = heard.answers[-1][0] if whole else heard.now
     if not looks:
         if case.stop:
@@ -94,7 +94,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
 def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]]:
     """Receive the due answers; return them, and whether a pad byte was sent to get them."""
     due = len(case.accepted[0].codes)
-    if case.arrived is not None:
+    if case.truncated:
         return (yield from _after_silence(run, due, sent)), False
     if not case.short:
         return (yield from run.waiting.answers(due)), False
@@ -136,7 +136,7 @@ def _judge_heard(run: Run, case: Case, heard: Received, sent: int, filled: bool)
         if last is not None:
             own.remove(last)
         heard = Received(tuple(own), heard.now)
-    timed = case.arrived is None
+    timed = not case.truncated
     return judge_answers(run.protocol, case.accepted, heard, sent, timed=timed, timers=run.timers)
 
 

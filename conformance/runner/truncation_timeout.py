@@ -107,7 +107,7 @@ def _once(trial: Trial, case: Case) -> Procedure[int | None]:
     if watched and run.profile.moves:
         _, fast = run.protocol.limits.get("speed", (0, 0))
         yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
-    sent = yield from send(case.stimulus)
+    sent = yield from send(case.frame)
     heard, stopped = yield from _wait(run, sent, watched)
     moment = next((t for t, _ in heard.answers if t >= sent), stopped)
     # The answer is due when the time-out is over, which only a stop shows.
@@ -178,4 +178,4 @@ def _in_limits(run: Run, timeout: int) -> Axis:
 
 def needs_timeout(cases: Sequence[Case | SequenceCase]) -> bool:
     """Whether any of the cases depends on the truncation time-out."""
-    return any(isinstance(c, SequenceCase) or c.arrived is not None or c.short for c in cases)
+    return any(isinstance(c, SequenceCase) or c.truncated or c.short for c in cases)

@@ -118,7 +118,7 @@ def test_the_suite_and_the_passive_judge_accept_the_same_answers(
     protocol: Protocol = request.getfixturevalue(grammar)
     cases = all_cases(protocol, 1, every_cut=True)
     for case in cases:
-        judgement = judge(protocol, case.stimulus)
+        judgement = judge(protocol, case.frame)
         others = {
             (choice.codes[0] if choice.codes else None, choice.reading)
             for choice in case.accepted[1:]

@@ -65,7 +65,7 @@ def written_by_hand() -> Iterator[tuple[str, bytes, int]]:
 
 def test_the_single_frames_are_those_of_the_table_and_no_others(cases: tuple[Case, ...]) -> None:
     made = {
-        case.id: (case.stimulus, *case.accepted[0].codes)
+        case.id: (case.frame, *case.accepted[0].codes)
         for case in cases
         if case.kind is not FrameClass.RECOVERY
     }
@@ -114,7 +114,7 @@ def test_an_id_says_what_is_sent(
 ) -> None:
     (case,) = [case for case in cases if case.id == ident]
 
-    assert case.stimulus == bytes.fromhex(stimulus)
+    assert case.frame == bytes.fromhex(stimulus)
     assert case.accepted[0].codes == (code,)
     assert case.accepted[0].verdict is Verdict.PASS
 
@@ -134,9 +134,9 @@ def test_generator_and_judge_agree(
     for case in cases:
         if case.kind is not kind:
             continue
-        judged = judge(protocol, case.stimulus)
+        judged = judge(protocol, case.frame)
         assert case.accepted[0].codes == (judged.response.code,), case.id
-        assert judged.truncated is (case.arrived is not None), case.id
+        assert judged.truncated is (case.truncated), case.id
         if judged.valid:
             assert judged.instruction is not None
             after = judged.instruction.effect.apply(case.setup, dict(judged.fields))
@@ -170,12 +170,10 @@ def test_the_frames_of_the_document_that_are_cases_get_the_documents_answer(
     cases: tuple[Case, ...],
 ) -> None:
     answers = {vector.frame: vector.code for vector in FRAMES}
-    met = [
-        case for case in cases if case.stimulus in answers and case.kind is not FrameClass.RECOVERY
-    ]
+    met = [case for case in cases if case.frame in answers and case.kind is not FrameClass.RECOVERY]
 
     assert len(met) >= 60
-    assert [c.id for c in met if c.accepted[0].codes != (answers[c.stimulus],)] == []
+    assert [c.id for c in met if c.accepted[0].codes != (answers[c.frame],)] == []
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -256,7 +254,7 @@ def test_another_seed_rotates_other_data_and_motions_through_the_same_cases(
     other = all_cases(protocol, 2, every_cut=True)
 
     assert [case.id for case in other] == [case.id for case in cases]
-    assert [case.stimulus for case in other] == [case.stimulus for case in cases]
+    assert [case.frame for case in other] == [case.frame for case in cases]
     moved = sum(a.setup != b.setup for a, b in zip(cases, other, strict=True))
     assert moved > len(cases) * 0.9
     assert [c.setup.motion for c in other] != [c.setup.motion for c in cases]
@@ -277,11 +275,9 @@ def test_a_valid_instruction_changes_something_that_can_be_seen(cases: tuple[Cas
 def test_real_time_takes_one_cut_of_each_header_and_all_else(
     cases: tuple[Case, ...], chosen: tuple[Case, ...]
 ) -> None:
-    cuts = [
-        case for case in chosen if case.arrived is not None and case.kind is FrameClass.TRUNCATED
-    ]
+    cuts = [case for case in chosen if case.truncated and case.kind is FrameClass.TRUNCATED]
 
-    assert sorted(case.stimulus[0] for case in cuts) == [b for b in range(256) if b & 0x0F]
+    assert sorted(case.frame[0] for case in cuts) == [b for b in range(256) if b & 0x0F]
     assert {case.id for case in chosen} <= {case.id for case in cases}
     assert [c.id for c in chosen if c.kind is not FrameClass.TRUNCATED] == [
         c.id for c in cases if c.kind is not FrameClass.TRUNCATED
@@ -289,7 +285,7 @@ def test_real_time_takes_one_cut_of_each_header_and_all_else(
 
 
 def test_the_cut_that_real_time_takes_rotates(chosen: tuple[Case, ...]) -> None:
-    arrived = {case.arrived for case in chosen if case.kind is FrameClass.TRUNCATED}
+    arrived = {len(case.frame) - 1 for case in chosen if case.kind is FrameClass.TRUNCATED}
 
     assert arrived == set(range(15))
 

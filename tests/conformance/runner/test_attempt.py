@@ -45,7 +45,7 @@ def answers_late(protocol: Protocol, case: Case, delay: int) -> Simulator:
     """A device whose answer to the case's frame comes `delay` ns too late, and well else."""
 
     def react(device: Any, event: Event, reaction: Reaction) -> Reaction:
-        if event.judgement.frame != case.stimulus:
+        if event.judgement.frame != case.frame:
             return reaction
         ((time, code),) = reaction.answers
         return answers(reaction, code, delay=time + delay)
@@ -101,7 +101,7 @@ def test_a_device_that_stops_answering_gives_up_with_a_failure(
     case = case_of(protocol, "unused-id/9/0")
 
     def react(device: Any, event: Event, reaction: Reaction) -> Reaction:
-        device.memory["dead"] = device.memory.get("dead") or event.judgement.frame == case.stimulus
+        device.memory["dead"] = device.memory.get("dead") or event.judgement.frame == case.frame
         return answers(reaction) if device.memory["dead"] else reaction
 
     found = tried(run, Simulator(protocol, Fault("x", "test", "", react=react)), case)

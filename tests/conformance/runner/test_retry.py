@@ -118,7 +118,7 @@ def test_a_stop_that_is_missed_now_and_then_is_no_noise(protocol: Protocol, sing
         name = event.judgement.frame.hex()
         met = device.memory.get(name, 0)
         device.memory[name] = 1
-        mine = event.judgement.frame in (single.stimulus, other.stimulus)
+        mine = event.judgement.frame in (single.frame, other.frame)
         return drives_on(device, event, reaction) if mine and not met else reaction
 
     fault = Fault("x", "test", "", react=react)
@@ -175,8 +175,8 @@ def test_a_line_that_is_trusted_is_not_tried_again(protocol: Protocol) -> None:
 
     failed = [r for r in runner.run.results if r.id.startswith("bad") and r.verdict is FAIL]
     assert len(failed) == len(bad)
-    assert [sent[case.stimulus] for case in bad[:6]] == [3] * 6
-    assert [sent[case.stimulus] for case in bad[6:]] == [1] * 10
+    assert [sent[case.frame] for case in bad[:6]] == [3] * 6
+    assert [sent[case.frame] for case in bad[6:]] == [1] * 10
 
 
 def test_also_what_fails_on_a_trusted_line_says_where(protocol: Protocol) -> None:
