@@ -51,6 +51,19 @@ class State:
 VARIABLES = tuple(State.__dataclass_fields__)
 
 
+class Moment(StrEnum):
+    """The kinds of frames by what they do to the motion; a setting leaves it as it is."""
+
+    FAULT = "fault"
+    STOP = "stop"
+    DRIVE = "drive"
+    ROTATION = "rotation"
+    SETTING = "setting"
+
+
+MOTIONS = (Moment.DRIVE, Moment.ROTATION)
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
     """Assignments to state variables: (variable, value) or (variable, (field, factor))."""
@@ -83,6 +96,23 @@ class Effect:
         return next(
             (v for n, v in self.assignments if n == "motion" and isinstance(v, Motion)), None
         )
+
+
+def rotates(motion: Motion) -> bool:
+    """Return whether a kind of motion turns the wheels against each other."""
+    left, right = WHEELS[motion]
+    return left != right
+
+
+def moment_of(effect: Effect | None) -> Moment:
+    """Return the kind of a frame from its instruction's effect, None for a faulty frame."""
+    if effect is None:
+        return Moment.FAULT
+    if effect.motion is None:
+        return Moment.SETTING
+    if effect.motion is Motion.STOPPED:
+        return Moment.STOP
+    return Moment.ROTATION if rotates(effect.motion) else Moment.DRIVE
 
 
 def wheels(state: State, full_steering: int) -> tuple[int, int]:

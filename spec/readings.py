@@ -31,7 +31,7 @@ class Erratum:
 class Reading:
     """A point on which the document is silent: our default, and the verdicts of other choices.
 
-    `others` are pairs of (choice, verdict).
+    `others` are pairs of (choice, verdict), the best verdict first.
     """
 
     id: str
@@ -40,6 +40,12 @@ class Reading:
     quote: str
     default: str
     others: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """The label of the verdict of a legal other choice, or of one that an option allows."""
+        first = self.others[0][1] if self.others else ""
+        return first.removeprefix("fail; ").removesuffix(" if allowed")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from bilprov.analyzer.decode.records import Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
-from bilprov.spec.legal_answers import other_choices
+from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol
 
 MID_FRAME = "out of step: the device answered in mid-frame"

@@ -2,7 +2,7 @@
 
 An anomaly of severity error is a violation. A warning is legal: the device follows another reading
 of the document, or is slow. The answers that other readings allow are those of the test suite
-(`spec.legal_answers`). What cannot be judged is counted separately and never counted as correct.
+(`spec.open_points`). What cannot be judged is counted separately and never counted as correct.
 The judge uses no port and no clock.
 """
 
@@ -25,8 +25,8 @@ from bilprov.analyzer.monitor.findings import Findings, Violation
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.legal_answers import SILENCE_READING, other_choices
 from bilprov.spec.motion import Motion
+from bilprov.spec.open_points import SILENCE_READING, other_choices
 from bilprov.spec.protocol import Protocol
 
 _IN_A_ROW = 64

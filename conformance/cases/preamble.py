@@ -7,8 +7,8 @@ from functools import lru_cache
 from bilprov.conformance.oracle.state_model import FrameEffect
 from bilprov.spec.by_effect import moving_to, setting
 from bilprov.spec.codec import build, judge
-from bilprov.spec.motion import WHEELS, Motion, State
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
 def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
@@ -25,9 +25,14 @@ def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
         for variable in ("speed", "led", "steering")
     )
     # Steering during a rotation may become a curve (R-steer-rotating).
-    left, right = WHEELS[state.motion]
-    late = (motion, steering) if left == right else (steering, motion)
+    late = (steering, motion) if rotates(state.motion) else (motion, steering)
     return tuple(frame for frame in (speed, led, *late) if frame)
+
+
+def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
+    """A state in a motion, with every variable far from its value at rest."""
+    ends = {name: high for name, (_, high) in protocol.limits.items()}
+    return State(mover.effect.motion or Motion.STOPPED, **ends)
 
 
 @lru_cache(maxsize=1 << 12)

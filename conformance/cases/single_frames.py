@@ -23,7 +23,7 @@ from bilprov.conformance.cases.steps import (
 )
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.codec import raw_frame, spaced
-from bilprov.spec.motion import WHEELS, Motion, State
+from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 
 
@@ -47,7 +47,7 @@ class _Setups:
     def next(self, motion: Motion | None = None) -> State:
         motion = motion or next(self._motions)
         # Steering in a rotation may become a curve (R-steer-rotating): a case tests it, no set-up.
-        steers = WHEELS[motion][0] == WHEELS[motion][1]
+        steers = not rotates(motion)
         return replace(
             self._power_on,
             motion=motion,

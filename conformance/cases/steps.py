@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
 
-from bilprov.conformance.oracle.choices import POINTS
+from bilprov.conformance.oracle.choices import verdict_of
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
-from bilprov.conformance.oracle.verdicts import Accepted, Verdict
+from bilprov.conformance.oracle.verdicts import Accepted
 from bilprov.spec.codec import all_data, bad_data, build, raw_frame
 from bilprov.spec.fields import Outcome
+from bilprov.spec.open_points import POINTS, other_answers
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
@@ -58,12 +59,11 @@ def code_of(protocol: Protocol, outcome: Outcome) -> int:
     return protocol.answers[outcome].code
 
 
-_WORDS = {Outcome.TOO_MANY: "too-many", Outcome.TOO_FEW: "too-few", Outcome.BAD_DATA: "data"}
-
-
-def _others(protocol: Protocol, reading: str, *outcomes: Outcome) -> tuple[Accepted, ...]:
+def _others(protocol: Protocol, point: str) -> tuple[Accepted, ...]:
+    """The answers that other choices of an open point allow; none for "", no point."""
     return tuple(
-        Accepted((code_of(protocol, o),), Verdict.NON_STRICT, reading, _WORDS[o]) for o in outcomes
+        Accepted(() if code is None else (code,), verdict_of(point, word), reading, word)
+        for code, reading, word in (other_answers(protocol, point) if point else ())
     )
 
 
@@ -96,16 +96,15 @@ def bad_data_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
 @lru_cache(maxsize=1 << 12)
 def unused_id_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """An unused ID with `length` data bytes, all of which follow."""
-    others = _others(protocol, "R-unused-length", Outcome.TOO_MANY, Outcome.TOO_FEW)
-    reading = "R-unused-length" if length else ""
+    point = "R-unused-length" if length else ""
     return Step(
         raw_frame(protocol, identity, length, data),
         FrameClass.UNUSED_ID,
-        (Accepted((code_of(protocol, Outcome.UNKNOWN_ID),)), *(others if length else ())),
+        (Accepted((code_of(protocol, Outcome.UNKNOWN_ID),)), *_others(protocol, point)),
         FAULT,
         protocol.clauses.instructions,
-        reading,
-        reading,
+        point,
+        point,
     )
 
 
@@ -114,18 +113,16 @@ def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, d
     """A known instruction that announces another length than its own; all `length` bytes follow."""
     many = length > spec.length
     outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
-    others: tuple[Accepted, ...] = ()
-    if many and _out_of_range(spec, data):
-        # Data out of range *and* too many: judging the data first is a legal other reading.
-        others = _others(protocol, "R-competing-errors", Outcome.BAD_DATA)
+    # Data out of range *and* too many: judging the data first is a legal other reading.
+    point = "R-competing-errors" if many and _out_of_range(spec, data) else ""
     return Step(
         raw_frame(protocol, spec.id, length, data),
         FrameClass.WRONG_LENGTH,
-        (Accepted((code_of(protocol, outcome),)), *others),
+        (Accepted((code_of(protocol, outcome),)), *_others(protocol, point)),
         FAULT,
         protocol.clauses.responses,
-        "R-competing-errors" if others else "",
-        "R-competing-errors" if others else "R-known-length",
+        point,
+        point or "R-known-length",
     )
 
 
@@ -153,26 +150,42 @@ def bad_data_frame(protocol: Protocol, spec: InstructionSpec, data: bytes) -> St
 def truncated_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
     """A frame of which only `data` arrive, fewer bytes than the `length` it announces."""
     spec = protocol.by_id.get(identity)
-    silent = Accepted((), Verdict.NON_STRICT, "R-truncated-known", "silent")
-    others: tuple[Accepted, ...] = ()
     if spec is None:
-        outcome, reading = Outcome.UNKNOWN_ID, "R-truncated-unused"
-        others = _others(protocol, reading, Outcome.TOO_FEW, Outcome.TOO_MANY)
+        outcome, point = Outcome.UNKNOWN_ID, "R-truncated-unused"
     elif length > spec.length:
-        outcome, reading = Outcome.TOO_FEW, "R-truncated-long"
-        others = _others(protocol, reading, Outcome.TOO_MANY)
+        outcome, point = Outcome.TOO_FEW, "R-truncated-long"
     else:
-        outcome, reading = Outcome.TOO_FEW, "R-truncated-known"
+        outcome, point = Outcome.TOO_FEW, "R-truncated-known"
     return Step(
         raw_frame(protocol, identity, length, data),
         FrameClass.TRUNCATED,
-        (Accepted((code_of(protocol, outcome),)), *others, silent),
+        (Accepted((code_of(protocol, outcome),)), *_others(protocol, point)),
         FAULT,
         protocol.clauses.responses if spec else protocol.clauses.instructions,
-        reading,
-        reading,
+        point,
+        point,
         truncated=True,
     )
+
+
+def open_frames(protocol: Protocol) -> dict[str, Step]:
+    """A frame for each open point about the answer to a single frame, by the point's id."""
+    fill = bytes([protocol.pad_byte])
+    steps: list[Step] = []
+    if protocol.unused_ids:
+        steps.append(unused_id_frame(protocol, protocol.unused_ids[0], 2, fill * 2))
+    first_bad = next(((s, d) for s in protocol.instructions for d in bad_data(s)), None)
+    if first_bad:
+        spec, data = first_bad
+        steps.append(wrong_length_frame(protocol, spec, spec.length + 1, data + fill))
+    carrying = next((s for s in protocol.instructions if s.length), None)
+    if carrying:
+        steps.append(truncated_frame(protocol, carrying.id, carrying.length, b""))
+        if carrying.length < protocol.data_lengths[-1]:
+            steps.append(truncated_frame(protocol, carrying.id, carrying.length + 1, b""))
+    if protocol.unused_ids:
+        steps.append(truncated_frame(protocol, protocol.unused_ids[0], 1, b""))
+    return {step.point: step for step in steps}
 
 
 def complete_frame(protocol: Protocol, header: int, data: bytes) -> Step:

@@ -5,15 +5,22 @@ Their names, descriptions and options stand in `variants.py`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, Hear, MutatedDevice, React, Reaction, answers
-from bilprov.conformance.mutation.faults.vocabulary import Condition, is_truncated, sets
+from bilprov.conformance.mutation.faults.vocabulary import (
+    Condition,
+    answers_with,
+    keeps,
+    sets,
+    then,
+)
+from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import WHEELS, Motion
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.motion import MOTIONS, Moment, Motion, moment_of, rotates
+from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, open_point, points_after
 
 # Says whether a device takes the other choice now, from the device and the ID of the frame.
 Chooses = Callable[[MutatedDevice, int], bool]
@@ -25,75 +32,25 @@ def always(device: MutatedDevice, identity: int) -> bool:
     return True
 
 
-def code_of(protocol: Protocol, outcome: Outcome) -> int:
-    """Return the response code of an outcome."""
-    return protocol.answers[outcome].code
-
-
 # -- triggers: frames at which a choice shows ----------------------------------------------------
 
 
-def motion_of(event: Event) -> Motion | None:
-    """Return the motion that a valid frame sets, None if it sets none."""
+def moment(event: Event) -> Moment:
+    """Return the kind of a frame: faulty, or what its instruction does to the motion."""
     instruction = event.judgement.instruction
-    return instruction.effect.motion if event.judgement.valid and instruction else None
-
-
-def stops(event: Event) -> bool:
-    """Trigger: a valid instruction that stops the robot."""
-    return motion_of(event) is Motion.STOPPED
-
-
-def stops_or_fails(event: Event) -> bool:
-    """Trigger: a valid stop, or any faulty frame."""
-    return stops(event) or not event.judgement.valid
-
-
-def drives(event: Event) -> bool:
-    """Trigger: a valid instruction that sets the robot moving."""
-    return motion_of(event) not in (None, Motion.STOPPED)
+    return moment_of(instruction.effect if event.judgement.valid and instruction else None)
 
 
 def sets_variable(event: Event, name: str) -> bool:
     """Return whether a valid frame sets the variable and leaves the motion."""
     instruction = event.judgement.instruction
-    found = event.judgement.valid and instruction and instruction.effect.sets(name)
-    return bool(found) and motion_of(event) is None
+    known = instruction is not None and instruction.effect.sets(name)
+    return known and moment(event) is Moment.SETTING
 
 
 def steers_while_rotating(event: Event) -> bool:
     """Trigger: a valid steering instruction during a rotation."""
-    left, right = WHEELS[event.before.motion]
-    return sets_variable(event, "steering") and left != right
-
-
-def announces_data_for_nobody(event: Event) -> bool:
-    """Trigger: an unused ID whose header announces data."""
-    return event.judgement.outcome is Outcome.UNKNOWN_ID and event.judgement.length > 0
-
-
-def cut_short_and_unused(event: Event) -> bool:
-    """Trigger: a truncated frame with an unused ID."""
-    return is_truncated(event) and event.judgement.instruction is None
-
-
-def cut_short_and_too_long(event: Event) -> bool:
-    """Trigger: a truncated frame that announces more data than its instruction takes."""
-    known = event.judgement.instruction
-    return is_truncated(event) and known is not None and event.judgement.length > known.length
-
-
-def too_many_and_bad(event: Event) -> bool:
-    """Trigger: too many data bytes, and a field in the first of them out of its range."""
-    known = event.judgement.instruction
-    if known is None or not known.fields or event.judgement.outcome is not Outcome.TOO_MANY:
-        return False
-    return any(
-        not part.low
-        <= part.parse(event.judgement.frame[1 + part.offset :][: part.size])
-        <= part.high
-        for part in known.fields
-    )
+    return sets_variable(event, "steering") and rotates(event.before.motion)
 
 
 def out_of_bits(event: Event) -> bool:
@@ -117,6 +74,31 @@ def only(condition: Condition, change: React, chooses: Chooses = always) -> Reac
     return react
 
 
+def choosing(words: Mapping[str, str], chooses: Chooses = always) -> React:
+    """Return an effect: the device makes the choice of a word at each of these open points."""
+    changes = {ident: _making(POINTS[ident], word) for ident, word in words.items()}
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        state_points = (point.id for point in points_after(moment(event)).values())
+        points = (open_point(event.judgement), *state_points)
+        made = [changes[point] for point in points if point in changes]
+        if made and chooses(device, event.judgement.id):
+            return then(*made)(device, event, reaction)
+        return reaction
+
+    return react
+
+
+def _making(point: OpenPoint, word: str) -> React:
+    """Return the effect of the choice of that word."""
+    does = next(choice.does for choice in point.choices if choice.word == word)
+    if isinstance(does, Outcome):
+        return lambda device, event, reaction: answers(reaction, device.protocol.answers[does].code)
+    if does is Behaviour.SILENT:
+        return answers_with()
+    return keeps(point.variable) if does is Behaviour.KEPT else sets(**{point.variable: 0})
+
+
 def straight_into_a_curve(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     """Effect: the robot drives forward, so that a rotation becomes a curve."""
     return sets(motion=Motion.FORWARD)(device, event, reaction)
@@ -131,7 +113,7 @@ def low_bits(device: MutatedDevice, event: Event, reaction: Reaction) -> Reactio
         for part, (_, value) in zip(known.fields, event.judgement.fields, strict=True)
     }
     state = known.effect.apply(event.before, fields)
-    return replace(answers(reaction, code_of(device.protocol, Outcome.VALID)), state=state)
+    return replace(answers(reaction, device.protocol.answers[Outcome.VALID].code), state=state)
 
 
 def speed_at_next_motion(chooses: Chooses = always) -> React:
@@ -143,7 +125,7 @@ def speed_at_next_motion(chooses: Chooses = always) -> React:
             if event.before.motion is not Motion.STOPPED and chooses(device, event.judgement.id):
                 device.memory[_MEMORY] = reaction.state.speed
                 return replace(reaction, state=replace(reaction.state, speed=event.before.speed))
-        if _MEMORY in device.memory and drives(event):
+        if _MEMORY in device.memory and moment(event) in MOTIONS:
             return sets(speed=device.memory.pop(_MEMORY))(device, event, reaction)
         return reaction
 
@@ -233,13 +215,9 @@ def at_the_header(pause: int, chooses: Chooses = always) -> Hear:
         wrong = length > 0 and (known is None or length != known.length)
         if not wrong or device.held or not chooses(device, identity):
             return data
-        if known is None:
-            outcome = Outcome.UNKNOWN_ID
-        else:
-            outcome = Outcome.TOO_MANY if length > known.length else Outcome.TOO_FEW
         memory["skips"], memory["skips at"] = length, now
         device.state = protocol.on_fault.apply(device.state)
-        device.answer(code_of(protocol, outcome), now)
+        device.answer(judge(protocol, data + bytes(length)).response.code, now)
         return b""
 
     return hear

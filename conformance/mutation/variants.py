@@ -5,7 +5,7 @@ A variant never fails. A mixture (`mixtures.py`), which shows two choices of one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -15,19 +15,15 @@ from bilprov.conformance.mutation import variant_behaviour as take
 from bilprov.conformance.mutation.faults.answers import under_other_ids
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
-    answers_with,
     faulty,
-    is_truncated,
-    keeps,
     late,
     pipelined,
-    sets,
     stops_after,
-    then,
     when,
 )
-from bilprov.conformance.mutation.variant_behaviour import Chooses, always, code_of, only
+from bilprov.conformance.mutation.variant_behaviour import Chooses, always, only
 from bilprov.spec.fields import Outcome
+from bilprov.spec.open_points import POINTS, Behaviour
 from bilprov.spec.protocol import Protocol
 
 FAMILY = "variant"
@@ -42,6 +38,7 @@ class Variant:
     which the choice fails, "" if it is legal without one. `mixes` is true for a choice that a
     device must make the same way each time, so that mixtures of it are faults; a measured time is
     no such choice. `make` builds the device from a function that says when it takes the choice.
+    `words` are the pairs of open point and choice from which it is made, if it is made from such.
     """
 
     name: str
@@ -49,6 +46,7 @@ class Variant:
     make: Make
     allow: str = ""
     mixes: bool = False
+    words: tuple[tuple[str, str], ...] = ()
 
     @property
     def reading(self) -> str:
@@ -68,8 +66,8 @@ class Variant:
 @cache
 def variants(protocol: Protocol) -> dict[str, Variant]:
     """Return every legal variant by name: answers, times, delivery, remembered state."""
-    found = (*_answers(protocol), *_times(protocol), *_delivery(protocol), *_states(protocol))
-    return {variant.name: variant for variant in found}
+    placed = (*_answers(protocol), *_times(protocol), *_delivery(protocol), *_states(protocol))
+    return {variant.name: variant for variant in (*placed, *_left(placed))}
 
 
 MIXTURE = "mixture:"
@@ -87,23 +85,40 @@ def _fixed(react: React | None = None, **more: object) -> Make:
     return lambda chooses: _device(react, **more)
 
 
+def _choosing(name: str, doc: str, words: Mapping[str, str]) -> Variant:
+    """Return the variant that makes the choice of a word at each of these open points."""
+
+    def make(chooses: Chooses) -> Fault:
+        return _device(take.choosing(words, chooses))
+
+    return Variant(name, doc, make, mixes=True, words=tuple(words.items()))
+
+
+def _left(placed: Iterable[Variant]) -> Iterator[Variant]:
+    """Yield a variant for each choice about an answer or the state that none of these makes."""
+    made = {pair for variant in placed for pair in variant.words}
+    for point in POINTS.values():
+        for choice in point.choices[1:]:
+            simple = choice.does not in (None, Behaviour.DISCARDED) and not choice.option
+            if simple and (point.id, choice.word) not in made:
+                reading, _, part = point.id.partition(" ")
+                name = f"{reading}={part and part + '-'}{choice.word}"
+                yield _choosing(name, f"{point.id}: {choice.word}", {point.id: choice.word})
+
+
 def _answers(protocol: Protocol) -> Iterator[Variant]:
     """Yield the variants that answer another code, or nothing."""
-    many, few, bad = (
-        code_of(protocol, o) for o in (Outcome.TOO_MANY, Outcome.TOO_FEW, Outcome.BAD_DATA)
-    )
-    for name, code in (("too-many", many), ("too-few", few)):
-        yield Variant(
-            f"R-unused-length={name}",
-            f"answers {protocol.codes[code].name} to an unused ID with data announced",
-            _reacting(take.announces_data_for_nobody, answers_with(code)),
-            mixes=True,
+    many, few = (protocol.answers[o].name for o in (Outcome.TOO_MANY, Outcome.TOO_FEW))
+    for word, code in (("too-many", many), ("too-few", few)):
+        yield _choosing(
+            f"R-unused-length={word}",
+            f"answers {code} to an unused ID with data announced",
+            {"R-unused-length": word, "R-truncated-unused": word},
         )
-    yield Variant(
+    yield _choosing(
         "R-competing-errors=bad-data",
         "judges the data before the length where both are wrong",
-        _reacting(take.too_many_and_bad, answers_with(bad)),
-        mixes=True,
+        {"R-competing-errors": "data"},
     )
     yield Variant(
         "R-led-upper-bits=ignored",
@@ -126,23 +141,21 @@ def _answers(protocol: Protocol) -> Iterator[Variant]:
             _fixed(under_other_ids(lit, (), kept=False)),
             allow="version=1.0",
         )
-    yield Variant(
+    truncated = ("R-truncated-known", "R-truncated-unused", "R-truncated-long")
+    yield _choosing(
         "R-truncated-known=silent",
         "stops at a frame that is cut short and does not answer it",
-        _reacting(is_truncated, answers_with()),
-        mixes=True,
+        dict.fromkeys(truncated, "silent"),
     )
-    yield Variant(
+    yield _choosing(
         "R-truncated-unused=too-few",
-        f"answers {protocol.codes[few].name} to an unused ID that is cut short",
-        _reacting(take.cut_short_and_unused, answers_with(few)),
-        mixes=True,
+        f"answers {few} to an unused ID that is cut short",
+        {"R-truncated-unused": "too-few"},
     )
-    yield Variant(
+    yield _choosing(
         "R-truncated-long=too-many",
-        f"answers {protocol.codes[many].name} to a frame that is cut short and announced too many",
-        _reacting(take.cut_short_and_too_long, answers_with(many)),
-        mixes=True,
+        f"answers {many} to a frame that is cut short and announced too many",
+        {"R-truncated-long": "too-many"},
     )
     yield Variant(
         "R-answer-point=header",
@@ -247,47 +260,44 @@ def _delivery(protocol: Protocol) -> Iterator[Variant]:
 
 def _states(protocol: Protocol) -> Iterator[Variant]:
     """Yield the variants in which state variables an instruction or a fault changes or keeps."""
-    rows: tuple[tuple[str, str, Condition, React], ...] = (
-        ("R-fault-state=speed-zeroed", "a fault zeroes the speed", faulty, sets(speed=0)),
-        ("R-fault-state=steering-kept", "a fault keeps the steering", faulty, keeps("steering")),
-        ("R-fault-state=both", "a fault zeroes the speed and keeps the steering", faulty, then(
-            sets(speed=0), keeps("steering")
-        )),
-        ("R-stop-steering=kept", "a stop keeps the steering", take.stops, keeps("steering")),
+    fault_speed = {"R-fault-state speed": "zeroed"}
+    fault_steering = {"R-fault-state steering": "kept"}
+    stop_speed, stop_steering = {"R-stop-speed": "zeroed"}, {"R-stop-steering": "kept"}
+    both = fault_speed | fault_steering
+    rows = (
+        ("R-fault-state=speed-zeroed", "a fault zeroes the speed", fault_speed),
+        ("R-fault-state=steering-kept", "a fault keeps the steering", fault_steering),
+        ("R-fault-state=both", "a fault zeroes the speed and keeps the steering", both),
+        ("R-stop-steering=kept", "a stop keeps the steering", stop_steering),
         (
             "R-stop-steering=kept-by-faults-too",
             "a stop keeps the steering, and so does a fault",
-            take.stops_or_fails,
-            keeps("steering"),
+            stop_steering | fault_steering,
         ),
-        ("R-stop-speed=zeroed", "a stop zeroes the speed", take.stops, sets(speed=0)),
+        ("R-stop-speed=zeroed", "a stop zeroes the speed", stop_speed),
         (
             "R-stop-speed=zeroed-by-faults-too",
             "a stop zeroes the speed, and so does a fault",
-            take.stops_or_fails,
-            sets(speed=0),
+            stop_speed | fault_speed,
         ),
         (
             "R-drive-steering=straight",
             "a motion instruction sets the steering straight",
-            take.drives,
-            sets(steering=0),
+            {"R-drive-steering": "straight"},
         ),
-        (
-            "R-steer-rotating=curve",
-            "steering makes a rotation a curve",
-            take.steers_while_rotating,
-            take.straight_into_a_curve,
-        ),
-        (
-            "R-led-state=off",
-            "a stop and a fault switch the light off",
-            take.stops_or_fails,
-            sets(led=0),
-        ),
-    )  # fmt: skip
-    for name, doc, condition, change in rows:
-        yield Variant(name, doc, _reacting(condition, change), mixes=True)
+    )
+    yield from (_choosing(*row) for row in rows)
+    yield Variant(
+        "R-steer-rotating=curve",
+        "steering makes a rotation a curve",
+        _reacting(take.steers_while_rotating, take.straight_into_a_curve),
+        mixes=True,
+    )
+    yield _choosing(
+        "R-led-state=off",
+        "a stop and a fault switch the light off",
+        {"R-led-state stop": "off", "R-led-state fault": "off"},
+    )
     yield Variant(
         "R-speed-moving=next-motion",
         "a speed that comes while it moves takes effect at the next motion instruction",

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.operations import Received
-from bilprov.conformance.oracle.choices import POINTS, STATE_POINTS
 from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words, look_words, state_words
 from bilprov.spec.motion import WHEELS, State
+from bilprov.spec.open_points import POINTS, STATE_POINTS
 from bilprov.spec.protocol import Protocol
 
 NOT_OBSERVABLE = "not observable"

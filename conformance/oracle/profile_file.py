@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.oracle.choices import POINTS, Choices
+from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.profile import Profile
+from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
 
 _TIMES = {

@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.spec.motion import WHEELS, Effect, Motion, State
+from bilprov.spec.motion import MOTIONS, Effect, Moment, Motion, State, moment_of, rotates
+from bilprov.spec.open_points import Behaviour, OpenPoint, points_after
 from bilprov.spec.protocol import Protocol
 
 VARIABLES = ("speed", "steering", "led")
@@ -85,23 +86,17 @@ class Model:
         if not self.choices.others:
             # The device reads the document as the kit does, and there is nothing to add.
             return expected_state
-        if frame_effect.effect is None:
-            expected_state = self._reset(expected_state, "speed", "R-fault-state speed", "zeroed")
-            expected_state = self._kept(expected_state, before, "R-fault-state steering")
-            return self._reset(expected_state, "led", "R-led-state fault", "off")
-        if effect.motion is Motion.STOPPED:
-            expected_state = self._reset(expected_state, "speed", "R-stop-speed", "zeroed")
-            expected_state = self._kept(expected_state, before, "R-stop-steering")
-            return self._reset(expected_state, "led", "R-led-state stop", "off")
-        if effect.motion is not None:
-            if before.pending_speed is not None:
-                speed = replace(expected_state.state, speed=before.pending_speed)
-                known = expected_state.unknown - {"speed"}
-                expected_state = replace(
-                    expected_state, state=speed, unknown=known, pending_speed=None
-                )
-            return self._reset(expected_state, "steering", "R-drive-steering", "straight")
-        return self._set(expected_state, before, effect)
+        moment = moment_of(frame_effect.effect)
+        if moment is Moment.SETTING:
+            return self._set(expected_state, before, effect)
+        if moment in MOTIONS and before.pending_speed is not None:
+            speed = replace(expected_state.state, speed=before.pending_speed)
+            known = expected_state.unknown - {"speed"}
+            expected_state = replace(expected_state, state=speed, unknown=known, pending_speed=None)
+        for point in points_after(moment).values():
+            if self.choices.differs(point.id):
+                expected_state = self._otherwise(expected_state, before, point)
+        return expected_state
 
     def _set(
         self, expected_state: ExpectedState, before: ExpectedState, effect: Effect
@@ -119,37 +114,25 @@ class Model:
                 rests_on = expected_state.rests_on | {"R-speed-moving"}
                 expected_state = ExpectedState(state, unknown, pending_speed, rests_on)
         curves = self.choices.differs("R-steer-rotating")
-        if curves and effect.sets("steering") and rotates(before.state):
+        if curves and effect.sets("steering") and rotates(before.state.motion):
             rests_on = expected_state.rests_on | {"R-steer-rotating"}
             expected_state = replace(
                 expected_state, unknown=expected_state.unknown | {"motion"}, rests_on=rests_on
             )
         return expected_state
 
-    def _reset(
-        self, expected_state: ExpectedState, name: str, point: str, word: str
+    def _otherwise(
+        self, expected_state: ExpectedState, before: ExpectedState, point: OpenPoint
     ) -> ExpectedState:
-        if self.choices.word(point) != word:
-            return expected_state
-        changed = getattr(expected_state.state, name) != 0 or name in expected_state.unknown
-        state = replace(expected_state.state, **{name: 0})  # type: ignore[arg-type]  # never the motion
-        rests_on = expected_state.rests_on | ({point} if changed else set())
+        """The expected state with the device's choice of a point: a variable is kept or reset."""
+        name = point.variable
+        value, unknown = 0, expected_state.unknown - {name}
+        changed = name in expected_state.unknown
+        if self.choices.word(point.id) == point.word_of(Behaviour.KEPT):
+            value, unknown = getattr(before.state, name), unknown | (before.unknown & {name})
+            changed = False
+        changed |= getattr(expected_state.state, name) != value
         pending_speed = None if name == "speed" else expected_state.pending_speed
-        return ExpectedState(state, expected_state.unknown - {name}, pending_speed, rests_on)
-
-    def _kept(
-        self, expected_state: ExpectedState, before: ExpectedState, point: str
-    ) -> ExpectedState:
-        if self.choices.word(point) != "kept":
-            return expected_state
-        changed = expected_state.state.steering != before.state.steering
-        state = replace(expected_state.state, steering=before.state.steering)
-        unknown = expected_state.unknown | (before.unknown & {"steering"})
-        rests_on = expected_state.rests_on | ({point} if changed else set())
-        return replace(expected_state, state=state, unknown=unknown, rests_on=rests_on)
-
-
-def rotates(state: State) -> bool:
-    """Whether the kind of motion turns the wheels against each other."""
-    left, right = WHEELS[state.motion]
-    return left != right
+        rests_on = expected_state.rests_on | ({point.id} if changed else set())
+        state = replace(expected_state.state, **{name: value})  # type: ignore[arg-type]  # never the motion
+        return ExpectedState(state, unknown, pending_speed, rests_on)

@@ -30,6 +30,9 @@ class Verdict(IntEnum):
         return cast(Label, self.name.lower().replace("_", "-"))
 
 
+LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
+
+
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
     """The worst verdict; SKIPPED where there is none."""
     return max(verdicts, default=Verdict.SKIPPED)

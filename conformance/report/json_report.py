@@ -11,13 +11,19 @@ import msgspec
 
 from bilprov.analyzer.files import read_bounded
 from bilprov.captures.text import printable
-from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.oracle.verdicts import (
+    LABELS,
+    AnswerByte,
+    Axis,
+    CaseResult,
+    Verdict,
+    WireEvent,
+)
 from bilprov.conformance.report import schema
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.run_report import AXES, Report, reproduce
 from bilprov.spec.errors import UserError
 
-LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
 NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 # The values that a Report and its JSON have in common, and those whose "" is null in the JSON.
 _SAME = (

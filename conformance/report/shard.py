@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 
 from bilprov.captures.text import printable
-from bilprov.conformance.oracle.verdicts import worst
+from bilprov.conformance.oracle.verdicts import LABELS, worst
 from bilprov.conformance.report import schema
-from bilprov.conformance.report.json_report import LABELS, report_from
+from bilprov.conformance.report.json_report import report_from
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.steps import code_of
 from bilprov.conformance.dut.operations import Procedure, listen, send
-from bilprov.conformance.oracle.choices import POINTS, Choices
+from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
@@ -19,16 +20,10 @@ from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moves, moving_to
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, State
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.motion import Moment, State, moment_of
+from bilprov.spec.open_points import Behaviour, points_after
 
 _CASE = "the first frames after power-on"
-_STOP = {"steering": "R-stop-steering", "speed": "R-stop-speed", "led": "R-led-state stop"}
-_FAULT = {
-    "steering": "R-fault-state steering",
-    "speed": "R-fault-state speed",
-    "led": "R-led-state fault",
-}
 
 
 def first_choices(run: Run) -> Procedure[None]:
@@ -37,19 +32,20 @@ def first_choices(run: Run) -> Procedure[None]:
     Only unambiguous observations count: every answer right, the robot in the state set up before.
     """
     protocol = run.protocol
-    full = _full(protocol)
-    if full is None or not run.config.observable:
+    mover = next((s for s in protocol.instructions if moves(s) and not s.length), None)
+    if mover is None or not run.config.observable:
         return
+    full = full_state(protocol, mover)
     fault = protocol.header_bytes.get((protocol.unused_ids[0], 0)) if protocol.unused_ids else None
     stop = protocol.header_bytes[protocol.stop.id, 0]
     if fault is not None and run.config.power and "pipelining" not in run.profile.choices.allowed:
         yield from _sent_ahead(run, bytes([fault, stop, stop]))
-    rows = [(stop, code_of(protocol, Outcome.VALID), _STOP)]
+    rows = [(stop, code_of(protocol, Outcome.VALID), Moment.STOP)]
     if fault is not None:
-        rows.insert(0, (fault, code_of(protocol, Outcome.UNKNOWN_ID), _FAULT))
+        rows.insert(0, (fault, code_of(protocol, Outcome.UNKNOWN_ID), Moment.FAULT))
     if not (yield from _drives_on(run, full)):
         return
-    for frame, code, points in rows:
+    for frame, code, moment in rows:
         ready = yield from set_up(run, full)
         if ready.missing:
             return
@@ -61,11 +57,11 @@ def first_choices(run: Run) -> Procedure[None]:
         if heard.codes != (code,):
             return
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
-        if seen.look.moving and points is _FAULT:
+        if seen.look.moving and moment is Moment.FAULT:
             _missed(run, bytes([frame]), seen.look)
         if seen.look.moving is not False:
             return
-        _settle(run.profile.choices, points, full, seen.look)
+        _settle(run.profile.choices, moment, full, seen.look)
         yield from listen(None, run.timers.settle)
 
 
@@ -94,7 +90,7 @@ def _drives_on(run: Run, full: State) -> Procedure[bool]:
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
-    _settle(run.profile.choices, {"steering": "R-drive-steering"}, full, seen.look)
+    _settle(run.profile.choices, moment_of(mover.effect), full, seen.look)
     return True
 
 
@@ -111,22 +107,9 @@ def _missed(run: Run, frame: bytes, look: Look) -> None:
     run.conclude(case, {"stop": fault})
 
 
-def _settle(choices: Choices, points: dict[str, str], full: State, look: Look) -> None:
-    for variable, ident in points.items():
+def _settle(choices: Choices, moment: Moment, full: State, look: Look) -> None:
+    for variable, point in points_after(moment).items():
         seen, was = getattr(look, variable), getattr(full, variable)
-        if seen not in (0, was) or not was:
-            continue
-        # Such a point has two choices: the value is kept (or unchanged), or it is reset.
-        kept = {"kept", "unchanged"}
-        word = next(c.word for c in POINTS[ident].choices if (c.word in kept) is (seen == was))
-        choices.record(ident, word, _CASE)
-
-
-def _full(protocol: Protocol) -> State | None:
-    """A state in which every variable is far from its value at rest, None if nothing moves."""
-    mover = next((s for s in protocol.instructions if moves(s) and not s.length), None)
-    if mover is None:
-        return None
-    ends = {name: high for name, (_, high) in protocol.limits.items()}
-    motion = mover.effect.motion or Motion.STOPPED
-    return State(motion, ends.get("speed", 0), ends.get("steering", 0), ends.get("led", 0))
+        if seen in (0, was) and was:
+            does = Behaviour.KEPT if seen == was else Behaviour.RESET
+            choices.record(point.id, point.word_of(does), _CASE)

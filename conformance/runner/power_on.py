@@ -18,7 +18,6 @@ from bilprov.conformance.dut.operations import (
     power_cycle,
     send,
 )
-from bilprov.conformance.oracle.choices import FLUSH_POINTS
 from bilprov.conformance.oracle.judge import NOT_OBSERVABLE, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -26,6 +25,7 @@ from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.homing import pad
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.motion import State
+from bilprov.spec.open_points import FLUSH_POINTS
 
 _STOPPED = "stopped"
 _CALIBRATION = 20

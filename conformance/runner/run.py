@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.oracle.choices import FLUSH_POINTS
 from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
@@ -20,6 +19,7 @@ from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.result import result_of
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.waiting import Waiting
+from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen
-from bilprov.conformance.oracle.choices import FLUSH_POINTS, POINTS
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial
+from bilprov.spec.open_points import FLUSH_POINTS, POINTS
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 """For each pause inside a burst: how many of its bytes had been sent, and the answers in it."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.operations import Procedure, listen, observe
-from bilprov.conformance.oracle.choices import POINTS
 from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words, state_words
 from bilprov.conformance.runner.sequence_answers import Mismatch, unasked
 from bilprov.conformance.runner.trial import Trial
+from bilprov.spec.open_points import POINTS
 
 _IDLE_MS = 4 * MS  # between two looks while the line is idle
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Received
-from bilprov.conformance.oracle.choices import POINTS
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.result import result_of
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.spec.open_points import POINTS
 
 
 @dataclass(frozen=True, slots=True)

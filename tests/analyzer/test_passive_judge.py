@@ -23,7 +23,7 @@ from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.spec.codec import judge
-from bilprov.spec.legal_answers import other_choices
+from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.commands import command
@@ -120,7 +120,7 @@ def test_the_suite_and_the_passive_judge_accept_the_same_answers(
     for case in cases:
         judgement = judge(protocol, case.frame)
         others = {
-            (choice.codes[0] if choice.codes else None, choice.reading)
+            (choice.codes[0] if choice.codes else None, choice.reading, choice.word)
             for choice in case.accepted[1:]
         }
         assert case.accepted[0].codes == (judgement.response.code,), case.id

@@ -37,7 +37,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
 from bilprov.spec.by_effect import moving_motions, setters, variable_of
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import WHEELS, State
+from bilprov.spec.motion import State, rotates
 from bilprov.spec.protocol import Protocol
 
 narrow_fault = Family("narrow", "instructions")
@@ -231,7 +231,7 @@ def _at_one_side(protocol: Protocol) -> Iterator[Fault]:
                 when(every(condition, steered_to(sign)), keeps("steering")),
             )
     for motion in moving_motions(protocol):
-        if WHEELS[motion][0] == WHEELS[motion][1]:
+        if not rotates(motion):
             yield steering_fault(
                 f"{stop.name}-keeps-steering-while-{words(motion)}",
                 f"{stop.name} resets the steering, but not while it moves {motion.value}",

@@ -31,7 +31,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
 )
 from bilprov.spec.by_effect import movers, setters, variable_of
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import WHEELS, Motion, State
+from bilprov.spec.motion import WHEELS, State, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 pair_fault = Family("pair", "instructions")
@@ -76,14 +76,14 @@ def _after_an_instruction(protocol: Protocol) -> Iterator[Fault]:
             f"{other.name} does nothing as long as it moves by {one.name}: it wants a stop between",
             when(every(is_named(other), moving_in(one.effect.motion)), drives_on),
         )
-    turning = [s for s in moves if s.effect.motion and _turns(s.effect.motion)]
+    turning = [s for s in moves if s.effect.motion and rotates(s.effect.motion)]
     straight = [s for s in moves if s not in turning]
     for mover in straight[:1]:
         yield pair_fault(
             f"{mover.name}-mirrors-steering-after-a-rotation",
             f"{mover.name} during a rotation takes the steering to the other side",
             when(
-                every(is_named(mover), lambda e: _turns(e.before.motion)),
+                every(is_named(mover), lambda e: rotates(e.before.motion)),
                 becomes(lambda e, state: replace(state, steering=-state.steering)),
             ),
         )
@@ -190,14 +190,9 @@ def _opposite(
                 yield one, other
 
 
-def _turns(motion: Motion) -> bool:
-    left, right = WHEELS[motion]
-    return left != right
-
-
 def _rotating(event: Event) -> bool:
     """Trigger: the robot rotated when the frame came."""
-    return event.before.moving and _turns(event.before.motion)
+    return event.before.moving and rotates(event.before.motion)
 
 
 def _adds(limits: tuple[int, int]) -> React:

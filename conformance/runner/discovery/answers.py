@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.adaptation import adapt_to_device, led_instruction
@@ -10,7 +10,7 @@ from bilprov.conformance.cases.steps import (
     Step,
     bad_data_frame,
     code_of,
-    truncated_frame,
+    open_frames,
     unused_id_frame,
     valid_frame,
     wrong_length_frame,
@@ -22,6 +22,7 @@ from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
+from bilprov.spec.open_points import POINTS, Behaviour
 from bilprov.spec.protocol import Protocol
 
 
@@ -29,29 +30,28 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
     """Every experiment that needs no look, in order: first those on which others depend."""
     yield from _led_experiments(protocol)
     fill = bytes([protocol.pad_byte])
-    some = _setting(protocol)
+    some, frames = _setting(protocol), open_frames(protocol)
     many = wrong_length_frame(protocol, protocol.stop, 2, fill * 2)
-    yield _burst("drain-known", ("R-drain-known",), (many, some), "flushed", "consumed")
+    yield _burst("R-drain-known", (many, some))
     if protocol.unused_ids:
         nobody = protocol.unused_ids[0]
-        drained = unused_id_frame(protocol, nobody, 2, fill * 2)
-        yield _burst("drain-unused", ("R-drain-unused",), (drained, some), "flushed", "consumed")
+        drained = frames.pop("R-unused-length")
+        yield _burst("R-drain-unused", (drained, some))
         lone = unused_id_frame(protocol, nobody, 0, b"")
-        yield _ahead("unused-id", (lone, some, some))
-        yield _chosen("unused-length", drained)
+        yield _burst("R-pipelining unused-id", (lone, some, some))
+        yield _chosen(drained)
     first_bad = next(((s, d) for s in protocol.instructions for d in bad_data(s)), None)
     carrying = next((s for s in protocol.instructions if s.length), None)
     if carrying:
         few = wrong_length_frame(
             protocol, carrying, carrying.length - 1, fill * (carrying.length - 1)
         )
-        yield _ahead("too-few", (few, some, some))
+        yield _burst("R-pipelining too-few", (few, some, some))
     if first_bad:
         spec, data = first_bad
-        yield _ahead("bad-data", (bad_data_frame(protocol, spec, data), some, some))
-        both = wrong_length_frame(protocol, spec, spec.length + 1, data + fill)
-        yield _chosen("competing-errors", both)
-    yield from _cuts(protocol)
+        bad = bad_data_frame(protocol, spec, data)
+        yield _burst("R-pipelining bad-data", (bad, some, some))
+    yield from map(_chosen, frames.values())
     if protocol.data_lengths[-1] > 2:
         slow = wrong_length_frame(protocol, protocol.stop, 3, fill * 3)
         yield Experiment(
@@ -89,10 +89,9 @@ def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[R
     return Received(heard.answers + more.answers, more.now)
 
 
-def _burst(
-    name: str, points: tuple[str, ...], steps: tuple[Step, ...], lost: str, kept: str
-) -> Experiment:
-    """An experiment: are frames sent right behind a faulty one run (`kept`), or `lost`?"""
+def _burst(ident: str, steps: tuple[Step, ...]) -> Experiment:
+    """An experiment: are frames sent right behind a faulty one run, or discarded?"""
+    point = POINTS[ident]
     data = b"".join(step.frame for step in steps)
 
     def make(run: Run) -> Procedure[Finding]:
@@ -103,32 +102,33 @@ def _burst(
         expected = f"{len(steps)} answers"
         actual = answer_words(run.protocol, heard.codes)
         behind = (ok,) * (len(steps) - 1)
-        word, fault = kept, ""
+        word, fault = point.default, ""
         if heard.codes[1:] == ():
-            word = lost if heard.codes else ""
+            word = point.word_of(Behaviour.DISCARDED) if heard.codes else ""
             run.profile.flushes = run.profile.flushes or bool(heard.codes)
             fault = "" if heard.codes else "no answer came"
         elif heard.codes[1:] != behind:
             word = "run"
-            if POINT_RUN not in points or "unused-length" not in run.profile.choices.allowed:
+            if not point.choice(word) or "unused-length" not in run.profile.choices.allowed:
                 fault = "the data of a faulty frame are run as instructions, or answers are lost"
-        return Finding(((points[0], word),), expected, actual, fault, heard.answers)
+        return Finding(((ident, word),), expected, actual, fault, heard.answers)
 
     requirement = "what follows a faulty instruction is run, each instruction answered once"
-    return Experiment(name, points, requirement, make, data)
+    return Experiment(_name(ident), (ident,), requirement, make, data)
 
 
-POINT_RUN = "R-drain-unused"
+def _name(point: str) -> str:
+    """The name of the experiment on an open point."""
+    return point.removeprefix("R-").replace(" ", "-")
 
 
-def _ahead(kind: str, steps: tuple[Step, ...]) -> Experiment:
-    """An experiment: valid frames sent ahead behind a fault that leaves no data over."""
-    name, point = f"pipelining-{kind}", f"R-pipelining {kind}"
-    return _burst(name, (point,), steps, "lost-after-fault", "in-order")
-
-
-def _chosen(name: str, one: Step, patience: Callable[[Run], int] = lambda run: 0) -> Experiment:
+def _chosen(one: Step) -> Experiment:
     """An experiment: which of the answers that are open for this frame does the device give?"""
+
+    def patience(run: Run) -> int:
+        timeout = run.waiting.timeout
+        wait = timeout + timeout // 4 + run.timers.settle + run.waiting.usual
+        return wait if one.truncated else 0
 
     def make(run: Run) -> Procedure[Finding]:
         step = adapt_to_device(run.protocol, run.profile.choices, one)
@@ -137,36 +137,14 @@ def _chosen(name: str, one: Step, patience: Callable[[Run], int] = lambda run: 0
         expected = answer_words(run.protocol, step.accepted[0].codes)
         actual = answer_words(run.protocol, heard.codes)
         match = next((a for a in step.accepted if a.codes == heard.codes), None)
-        default = step.accepted[0]
         if match is None:
             words = ((step.point, ""),)
             return Finding(words, expected, actual, f"answered {actual}", heard.answers)
-        word = DEFAULT if match is default else match.word
+        word = match.word or POINTS[step.point].default
         return Finding(((step.point, word),), expected, actual, "", heard.answers)
 
-    return Experiment(name, (one.point,), "answers in one way throughout", make, one.frame)
-
-
-DEFAULT = "default"
-
-
-def _cuts(protocol: Protocol) -> Iterator[Experiment]:
-    """Experiments with truncated frames: a known ID, a length too long for it, an unused ID."""
-
-    def patience(run: Run) -> int:
-        timeout = run.waiting.timeout
-        return timeout + timeout // 4 + run.timers.settle + run.waiting.usual
-
-    carrying = next((s for s in protocol.instructions if s.length), None)
-    if carrying:
-        known = truncated_frame(protocol, carrying.id, carrying.length, b"")
-        yield _chosen("truncated-known", known, patience)
-        if carrying.length < protocol.data_lengths[-1]:
-            long = truncated_frame(protocol, carrying.id, carrying.length + 1, b"")
-            yield _chosen("truncated-long", long, patience)
-    if protocol.unused_ids:
-        nobody = truncated_frame(protocol, protocol.unused_ids[0], 1, b"")
-        yield _chosen("truncated-unused", nobody, patience)
+    requirement = "answers in one way throughout"
+    return Experiment(_name(one.point), (one.point,), requirement, make, one.frame)
 
 
 def _answer_point(run: Run, many: Step, some: Step) -> Procedure[Finding]:
@@ -212,8 +190,9 @@ def _whole_frame(run: Run, step: Step) -> Procedure[Finding]:
         early += 0 if last else len(heard.answers)
         usable = usable and (last or heard.now - sent < run.waiting.timeout * 9 // 10)
     # A truncated frame leaves bytes over that are headers of their own, answered later.
-    rest = run.waiting.timeout + run.waiting.usual
-    more = yield from listen(None, rest if early else run.timers.silence)
+    more = yield from listen(
+        None, run.waiting.timeout + run.waiting.usual if early else run.timers.silence
+    )
     heard_all = (*codes, *more.answers)
     expected = "between two bytes"
     if not usable:
@@ -233,14 +212,6 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
     step = valid_frame(protocol, led, {f.name: f.high for f in led.fields})
     ok, refused = code_of(protocol, Outcome.VALID), code_of(protocol, Outcome.UNKNOWN_ID)
 
-    def version(run: Run) -> Procedure[Finding]:
-        heard = yield from _exchange(run, step.frame, 1)
-        words: dict[tuple[int, ...], str] = {(ok,): "current", (refused,): "older"}
-        word = words.get(heard.codes, "")
-        fault = "" if word else "neither this version of the protocol nor the one before"
-        actual = answer_words(run.protocol, heard.codes)
-        return Finding((("R-version", word),), "known, or unused", actual, fault, heard.answers)
-
     def moved(run: Run) -> Procedure[Finding]:
         choices = run.profile.choices
         other = int(choices.allowed["led-id"])
@@ -256,19 +227,29 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
         return Finding((("R-led-id", word),), "one ID", actual, fault, own.answers + there.answers)
 
     requirement = f"the {led.name} has one ID"
-    yield Experiment("version", ("R-version",), requirement, version, step.frame, option="version")
+    fault = "neither this version of the protocol nor the one before"
+    yield _allowed("R-version", step, requirement, "known, or unused", fault)
     yield Experiment("led-id", ("R-led-id",), requirement, moved, step.frame, option="led-id")
     data = next(iter(bad_data(led)), None)
     if data is not None:
         wrong = bad_data_frame(protocol, led, data)
+        yield _allowed("R-led-upper-bits", wrong, requirement, "refused, or ignored")
 
-        def upper(run: Run) -> Procedure[Finding]:
-            heard = yield from _exchange(run, wrong.frame, 1)
-            word = {(ok,): "ignored", wrong.accepted[0].codes: "refused"}.get(heard.codes, "")
-            actual = answer_words(run.protocol, heard.codes)
-            fault = "" if word else f"answered {actual}"
-            words = (("R-led-upper-bits", word),)
-            return Finding(words, "refused, or ignored", actual, fault, heard.answers)
 
-        name, points = "led-upper-bits", ("R-led-upper-bits",)
-        yield Experiment(name, points, requirement, upper, wrong.frame, option="led-upper")
+def _allowed(
+    ident: str, step: Step, requirement: str, expected: str, otherwise: str = ""
+) -> Experiment:
+    """An experiment, made only with an option: which choice's answer comes to this frame?"""
+    choices = POINTS[ident].choices
+    outcomes = {c.does: c.word for c in choices if isinstance(c.does, Outcome)}
+
+    def make(run: Run) -> Procedure[Finding]:
+        heard = yield from _exchange(run, step.frame, 1)
+        actual = answer_words(run.protocol, heard.codes)
+        match = (word for o, word in outcomes.items() if heard.codes == (code_of(run.protocol, o),))
+        word = next(match, "")
+        fault = "" if word else otherwise or f"answered {actual}"
+        return Finding(((ident, word),), expected, actual, fault, heard.answers)
+
+    option, _, _ = choices[1].option.partition("=")
+    return Experiment(_name(ident), (ident,), requirement, make, step.frame, option=option)

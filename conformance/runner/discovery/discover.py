@@ -11,14 +11,15 @@ from collections.abc import Iterator
 
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.dut.operations import Procedure
-from bilprov.conformance.oracle.choices import FLUSH_POINTS, POINTS
+from bilprov.conformance.oracle.choices import verdict_of
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.discovery.answers import DEFAULT, answer_experiments
+from bilprov.conformance.runner.discovery.answers import answer_experiments
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.discovery.state import state_experiments
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.power_on import first_frames_lost
 from bilprov.conformance.runner.run import Run
+from bilprov.spec.open_points import FLUSH_POINTS, POINTS
 from bilprov.spec.protocol import Protocol
 
 _AGREE, _TRIES = 2, 6
@@ -57,8 +58,10 @@ def discover(run: Run) -> Procedure[None]:
             continue
         run.begin(case.id)
         if experiment.sees and not run.config.observable:
-            expected = "one choice of what the document leaves open"
-            run.conclude(case, {"state": run.config.not_observable(expected)})
+            run.conclude(
+                case,
+                {"state": run.config.not_observable("one choice of what the document leaves open")},
+            )
             continue
         if experiment.sees and run.profile.moves is not None and not run.profile.moves:
             reason = "never seen moving in any kind of motion: is the motor power on?"
@@ -122,21 +125,20 @@ def _judged(run: Run, best: Finding, case: Case) -> Axis:
         return Axis(verdict, best.expected, best.actual, best.coarse, case.reading)
     worst = Axis(Verdict.PASS, best.expected, best.actual)
     for point, word in best.words:
-        word = POINTS[point].default if word == DEFAULT else word
-        choice = POINTS[point].choice(word)
         if word == "":
             if worst.verdict < Verdict.INCONCLUSIVE:
                 reason = f"not observable: the probe does not tell ({point})"
                 worst = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason)
             continue
         reading = POINTS[point].reading
-        if choice is None:
+        if POINTS[point].choice(word) is None:
             reason = f"{reading}: {word}"
             return Axis(Verdict.FAIL, best.expected, best.actual, reason, reading)
         contradicts = run.profile.choices.record(point, word, case.id)
         if contradicts:
             return Axis(Verdict.FAIL, best.expected, best.actual, contradicts, reading)
-        if choice.verdict > worst.verdict:
+        verdict = verdict_of(point, word)
+        if verdict > worst.verdict:
             reason = f"{word}: another reading of {reading}"
-            worst = Axis(choice.verdict, best.expected, best.actual, reason, reading)
+            worst = Axis(verdict, best.expected, best.actual, reason, reading)
     return worst

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.steps import unused_id_frame, wrong_length_frame
 from bilprov.conformance.dut.operations import Procedure, listen, observe, send
-from bilprov.conformance.oracle.state_model import rotates
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
-from bilprov.spec.by_effect import moves, setting
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.by_effect import setting
+from bilprov.spec.motion import Moment, State, moment_of
+from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, points_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _LOOK = 50 * MS  # between two looks while the line is silent
@@ -23,28 +24,29 @@ _AGAIN = 500 * MS  # how long a robot that stopped by itself is observed
 
 def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
     """Every experiment that needs looks."""
-    movers = [s for s in protocol.instructions if moves(s) and not s.length]
-    straight = [s for s in movers if not rotates(_moving(protocol, s))]
-    turning = [s for s in movers if rotates(_moving(protocol, s))]
+    short = [s for s in protocol.instructions if not s.length]
+    straight = [s for s in short if moment_of(s.effect) is Moment.DRIVE]
+    turning = [s for s in short if moment_of(s.effect) is Moment.ROTATION]
     if not straight:
         return
-    first, last = straight[0], straight[-1]
-    limits = protocol.limits
-    if "steering" in limits:
-        yield _probe(
-            "drive-steering",
-            ("R-drive-steering",),
-            f"{last.name} keeps the steering",
-            partial(_drive_steering, first=first, last=last),
-            protocol.header_bytes[last.id, 0],
-        )
+    first = straight[0]
+    for moment, kind in ((Moment.DRIVE, straight), (Moment.ROTATION, turning)):
+        point = _points(protocol, moment).get("steering")
+        if point and kind and point.moments[0] is moment:
+            last = kind[-1]
+            yield _probe(
+                point.id.removeprefix("R-"),
+                (point,),
+                f"{last.name} keeps the steering",
+                partial(_move_on, first=first, last=last, point=point),
+                protocol.header_bytes[last.id, 0],
+            )
     stop = bytes([protocol.header_bytes[protocol.stop.id, 0]])
-    points = ("R-stop-steering", "R-stop-speed", "R-led-state stop")
     yield _probe(
         "after-stop",
-        _known(protocol, points),
+        _points(protocol, Moment.STOP).values(),
         f"{protocol.stop.name} resets the directions and keeps speed and LED",
-        partial(_after, first=first, frame=stop, points=points),
+        partial(_after, first=first, frame=stop, moment=Moment.STOP),
         stop[0],
     )
     fill = bytes([protocol.pad_byte])
@@ -53,26 +55,25 @@ def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
         if protocol.unused_ids
         else wrong_length_frame(protocol, protocol.stop, 1, fill)
     ).frame
-    points = ("R-fault-state steering", "R-fault-state speed", "R-led-state fault")
     yield _probe(
         "after-fault",
-        _known(protocol, points),
+        _points(protocol, Moment.FAULT).values(),
         "a fault resets what a stop does and keeps speed and LED",
-        partial(_after, first=first, frame=fault, points=points),
+        partial(_after, first=first, frame=fault, moment=Moment.FAULT),
         fault[0],
     )
     if setting(protocol, "speed", 0):
         yield _probe(
             "speed-moving",
-            ("R-speed-moving",),
+            (POINTS["R-speed-moving"],),
             "a speed takes effect at once",
             partial(_speed_moving, first=first),
             setting(protocol, "speed", 0)[0],
         )
-    if turning and "steering" in limits:
+    if turning and "steering" in protocol.limits:
         yield _probe(
             "steer-rotating",
-            ("R-steer-rotating",),
+            (POINTS["R-steer-rotating"],),
             "steering during a rotation does not end it",
             partial(_steer_rotating, turning=turning[0]),
             protocol.header_bytes[turning[0].id, 0],
@@ -91,33 +92,20 @@ def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
 
 def _probe(
     name: str,
-    points: tuple[str, ...],
+    points: Iterable[OpenPoint],
     requirement: str,
     make: Callable[[Run], Procedure[Finding]],
     header: int,
 ) -> Experiment:
-    return Experiment(name, points, requirement, make, bytes([header]), sees=True, safety=True)
+    ids = tuple(point.id for point in points)
+    return Experiment(name, ids, requirement, make, bytes([header]), sees=True, safety=True)
 
 
-def _known(protocol: Protocol, points: tuple[str, ...]) -> tuple[str, ...]:
-    """The points about variables that the protocol sets."""
-    names = {"steering": "steering", "speed": "speed", "led": "led"}
-    return tuple(p for p in points if any(n in p and names[n] in protocol.limits for n in names))
-
-
-def _moving(protocol: Protocol, spec: InstructionSpec) -> State:
-    return spec.effect.apply(protocol.power_on)
-
-
-def _full(protocol: Protocol, motion: Motion) -> State:
-    """A state in which every variable is far from its value at rest."""
-    ends = {name: high for name, (_, high) in protocol.limits.items()}
-    return State(motion, ends.get("speed", 0), ends.get("steering", 0), ends.get("led", 0))
-
-
-def _motion(spec: InstructionSpec) -> Motion:
-    assert spec.effect.motion is not None
-    return spec.effect.motion
+def _points(protocol: Protocol, moment: Moment) -> dict[str, OpenPoint]:
+    """The points about variables that the protocol sets, in the order in which they are judged."""
+    points = points_after(moment)
+    judged = [name for name in ("steering", "speed", "led") if name in protocol.limits]
+    return {name: points[name] for name in judged if name in points}
 
 
 def _send(run: Run, frame: bytes) -> Procedure[int]:
@@ -127,34 +115,36 @@ def _send(run: Run, frame: bytes) -> Procedure[int]:
     return len(heard.answers)
 
 
+def _compared(name: str, value: int | None, full: int) -> str:
+    """What a variable shows whose value was `full`: kept, reset, "" if it is not seen."""
+    known = {None: "", full: Behaviour.KEPT, 0: Behaviour.RESET}
+    return known.get(value, f"{name} is {value}")
+
+
 def _steering(look: Look, full: State) -> str:
-    """The choice that a moving robot's steering shows: kept, reset, "" if it cannot be told."""
+    """What a moving robot's steering shows: kept, reset, "" if it cannot be told."""
     if look.steering is not None:
-        known = {full.steering: "kept", 0: "reset"}
-        return known.get(look.steering, f"steering is {look.steering}")
+        return _compared("steering", look.steering, full.steering)
     if look.left is None or look.right is None or not look.moving:
         return ""
-    return "reset" if look.left == look.right else "kept"
+    return Behaviour.RESET if look.left == look.right else Behaviour.KEPT
 
 
-def _drive_steering(
-    run: Run, *, first: InstructionSpec, last: InstructionSpec
+def _move_on(
+    run: Run, *, first: InstructionSpec, last: InstructionSpec, point: OpenPoint
 ) -> Procedure[Finding]:
-    full = _full(run.protocol, _motion(first))
+    full = full_state(run.protocol, first)
     lost = (yield from set_up(run, full)).missing
     yield from _send(run, bytes([run.protocol.header_bytes[last.id, 0]]))
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-    word = _steering(seen.look, full)
-    word = "straight" if word == "reset" else word
-    return Finding((("R-drive-steering", word),), "steering kept", look_words(seen.look), lost)
+    word = point.word_of(_steering(seen.look, full))
+    return Finding(((point.id, word),), "steering kept", look_words(seen.look), lost)
 
 
-def _after(
-    run: Run, *, first: InstructionSpec, frame: bytes, points: tuple[str, ...]
-) -> Procedure[Finding]:
+def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) -> Procedure[Finding]:
     """Find out what a frame that stops the robot leaves of steering, speed and LED."""
     protocol = run.protocol
-    full = _full(protocol, _motion(first))
+    full = full_state(protocol, first)
     lost = (yield from set_up(run, full)).missing
     yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from _send(run, frame)
@@ -178,22 +168,20 @@ def _after(
     blind = look.steering is None and straight
     steering = "" if blind else _steering(look if look.steering is not None else again, full)
     if look.speed is not None:
-        speed = {full.speed: "kept", 0: "zeroed"}.get(look.speed, f"speed is {look.speed}")
+        speed = _compared("speed", look.speed, full.speed)
     else:
-        moves_on = speed_again.moving
-        speed = "" if moves_on is None else "kept" if moves_on else "zeroed"
-    leds = {None: "", full.led: "unchanged", 0: "off"}
-    led = leds.get(look.led, f"LED is {look.led}")
-    words = dict(zip(points, (steering, speed, led), strict=True))
-    known = _known(protocol, points)
+        speed = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[speed_again.moving]
+    seen_now = {"steering": steering, "speed": speed, "led": _compared("LED", look.led, full.led)}
+    points = _points(protocol, moment)
     if not run.wire(setting(protocol, "led", full.led)):
         # A device that does not know the LED's instruction has no light to switch off.
-        known = tuple(p for p in known if "led" not in p)
-    return Finding(tuple((p, words[p]) for p in known), "stopped", actual, fault)
+        points.pop("led", None)
+    words = tuple((point.id, point.word_of(seen_now[name])) for name, point in points.items())
+    return Finding(words, "stopped", actual, fault)
 
 
 def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
-    full = _full(run.protocol, _motion(first))
+    full = full_state(run.protocol, first)
     lost = (yield from set_up(run, full)).missing
     yield from _send(run, setting(run.protocol, "speed", 0))
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
@@ -209,7 +197,7 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
 
 
 def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]:
-    full = _full(run.protocol, _motion(turning))
+    full = full_state(run.protocol, turning)
     lost = (yield from set_up(run, State(full.motion, full.speed, 0, full.led))).missing
     yield from _send(run, setting(run.protocol, "steering", full.steering))
     yield from listen(None, run.timers.silence)
@@ -228,7 +216,7 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]
 
 def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     """Find out whether a driving robot stops, sends or starts again while the line is silent."""
-    lost = (yield from set_up(run, _full(run.protocol, _motion(first)))).missing
+    lost = (yield from set_up(run, full_state(run.protocol, first))).missing
     begun = yield from watch(run, moving=True, patience=run.timers.deadline)
     point, expected = "R-watchdog", "keeps driving, says nothing"
     if begun.look.moving is not True:

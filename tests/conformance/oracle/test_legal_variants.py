@@ -6,6 +6,9 @@ verdict that this column gives.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import pytest
 
 from bilprov.captures.schemas import Look
@@ -14,8 +17,11 @@ from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults.vocabulary import faulty, sets, stands_still, when
+from bilprov.conformance.mutation.mixtures import mixtures_of
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.motion import Moment
+from bilprov.spec.open_points import POINTS, Behaviour, Choice, OpenPoint, points_after
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.support.robots import CountingLink, cases_of, run_over
@@ -95,6 +101,50 @@ def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(
         )
     }
     assert legal == {variant.reading for variant in known.values()}
+
+
+@pytest.fixture
+def one_point_more(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The table of open points with a rotation's steering as a point of its own; its id."""
+    driving = POINTS["R-drive-steering"]
+    ident = f"{driving.id} rotation"
+    choices = (Choice("kept", Behaviour.KEPT), Choice("reset", Behaviour.RESET))
+    turning = OpenPoint(ident, choices, "steering", (Moment.ROTATION,))
+    monkeypatch.setitem(POINTS, driving.id, replace(driving, moments=(Moment.DRIVE,)))
+    monkeypatch.setitem(POINTS, ident, turning)
+    points_after.cache_clear()
+    yield ident
+    points_after.cache_clear()
+
+
+@pytest.mark.parametrize("word", ["kept", "reset"])
+def test_a_point_in_the_table_is_found_out_expected_and_simulated(
+    protocol: Protocol, one_point_more: str, word: str
+) -> None:
+    made = variants.__wrapped__(protocol)
+    fault = made["R-drive-steering=rotation-reset"].fault if word == "reset" else None
+
+    report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
+
+    assert set(made) - set(VERDICTS) == {"R-drive-steering=rotation-reset"}
+    shown = report.profile["readings"]
+    assert (shown["R-drive-steering"], shown[one_point_more]) == ("kept", word)
+    axes = [axis for result in report.results for axis in result.axes.values()]
+    rests = {axis.reading for axis in axes if axis.verdict > PASS}
+    assert report.verdict is (PASS if fault is None else INFORMATIONAL)
+    assert rests == (set() if fault is None else {"R-drive-steering"})
+
+
+def test_a_device_that_mixes_the_choices_of_a_point_in_the_table_fails(
+    protocol: Protocol, one_point_more: str
+) -> None:
+    variant = variants.__wrapped__(protocol)["R-drive-steering=rotation-reset"]
+    mixed = list(mixtures_of(protocol, variant))
+
+    assert len(mixed) == 4
+    for fault in mixed:
+        device = Simulator(protocol, fault)
+        assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1, fault
 
 
 @pytest.mark.sample(3)
