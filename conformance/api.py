@@ -1,16 +1,12 @@
-"""Runs the suite, for Python: on a device object in virtual time, or on an open port."""
+"""Runs the suite, for Python: on a device object in virtual time, or on any opened target."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Protocol
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable
 from bilprov.conformance.cases.budget import dropped, within
@@ -25,23 +21,18 @@ from bilprov.conformance.cases.levels import (
 )
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, reaches, share
-from bilprov.conformance.dut.checked_device import CheckedDevice
-from bilprov.conformance.dut.link import Device, Link, LinkListener, drive
-from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.power import Power
-from bilprov.conformance.dut.probes import Probe
+from bilprov.conformance.dut.link import Device, LinkListener, drive, interruption
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.dut.target import SIM, Target, device_target
 from bilprov.conformance.oracle.choices import Choices, parse_allowed
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.profile_file import profile_from
-from bilprov.conformance.oracle.timers import Observability
+from bilprov.conformance.oracle.timers import Timers, timers_of
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Ending, Report, RunFacts, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
-from bilprov.conformance.runner.environment import Environment
 from bilprov.conformance.runner.executor import Runner, SkipPolicy
-from bilprov.conformance.runner.listeners.journal import RunJournal, journalled
+from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener, as_listener
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
@@ -76,26 +67,6 @@ class Options:
     budget: float | None = None
     profile: str = ""
     shard: tuple[int, int] | None = None
-
-
-class RunListener(Protocol):
-    """Receives the begin and the result of each case of a run."""
-
-    def begin(self, ident: str) -> None:
-        """A case begins."""
-
-    def end(self, result: CaseResult) -> None:
-        """A case is final."""
-
-
-class SilentListener:
-    """A run listener that does nothing."""
-
-    def begin(self, ident: str) -> None:
-        """A case begins."""
-
-    def end(self, result: CaseResult) -> None:
-        """A case is final."""
 
 
 def select_cases(
@@ -168,8 +139,8 @@ def conform(
     listener: RunListener | None = None,
     tap: LinkListener | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
-    name: str = "sim",
-    probe: str = "sim",
+    name: str = SIM,
+    probe: str = SIM,
     fault: str | None = None,
     spare: SkipPolicy | None = None,
     logged: bool = True,
@@ -177,138 +148,73 @@ def conform(
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
     `device` is anything with the four methods of `conformance.dut.link.Device` (times in ns), the
-    kit's own simulator if None; one without `look` is judged by its answers alone. `name`, `probe`
-    and `fault` only name the device, its probe and its fault in the report. `spare` decides before
-    each case, from its id and the results so far, whether to skip it. Without `logged` no case
-    keeps its wire log. Raises ValueError when no case is left to run, and DeviceError, in one
-    sentence, for a device object that does not keep to its four methods.
+    kit's own simulator if None; one without `look` is judged by its answers alone. `listener` is
+    told of the run, `tap` of what passes over the link. `name`, `probe` and `fault` only name the
+    device, its probe and its fault in the report. `spare` decides before each case, from its id and
+    the results so far, whether to skip it. Without `logged` no case keeps its wire log. Raises
+    ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
+    that does not keep to its four methods.
     """
     grammar = grammar or load_protocol()
-    options = options or Options()
     device = device or Simulator(grammar)
-    line = grammar.line
-    settings = LineSettings(line.baud, line.parity, line.stopbits)
-    own = isinstance(device, Simulator)
-    link = VirtualLink(device if own else CheckedDevice(device), settings.byte_time, tap)
-    observability = Observability(hasattr(device, "look"), why="the device object has no look")
-    about = {
-        "kind": "virtual",
-        "line": str(settings),
-        "probe": probe if observability.available else "none",
-        "fault": fault,
-    }
-    return run_on(
-        link,
-        Environment(True, observability, hasattr(device, "power_cycle"), name, about),
-        grammar=grammar,
-        options=options,
-        listener=listener,
-        interrupted=interrupted,
-        tap=tap,
-        spare=spare,
+    target = device_target(grammar, device, name=name, probe=probe, fault=fault)
+    heard = [listener] if tap is listener else [listener, tap]
+    return run_suite(
+        replace(target, interrupted=interrupted),
+        options or Options(),
+        [as_listener(one) for one in heard if one is not None],
+        skip=spare,
         logged=logged,
     )
 
 
-def conform_port(
-    port: Port,
-    probe: Probe | None,
-    probe_name: str,
-    *,
-    grammar: Grammar,
+def run_suite(
+    target: Target,
     options: Options,
-    stop: int,
-    interrupted: Callable[[], bool | str],
-    listener: RunListener | None = None,
-    tap: LinkListener | None = None,
-    power: Power | None = None,
-    name: str | None = None,
-) -> Report:
-    """Run the cases on an open port in real time; the robot moves.
-
-    `stop` is a descriptor that is readable once the user wants to stop, `interrupted` says whether
-    that is so. `power` switches the robot off and on. `name` says in the report what the device is,
-    the port's own name unless given. Raises ValueError when no case is left to run.
-    """
-    if probe is None:
-        observability = Observability(available=False)
-    else:
-        observability = Observability(
-            True, probe.costly, f"{probe_name} is asked only about a few cases"
-        )
-    about = {
-        "kind": "port",
-        "line": str(port.settings),
-        "baud": port.settings.baud,
-        "probe": probe_name,
-    }
-    try:
-        return run_on(
-            PortLink(port, probe, stop, tap, power),
-            Environment(False, observability, power is not None, name or port.name, about),
-            grammar=grammar,
-            options=options,
-            listener=listener,
-            interrupted=interrupted,
-            tap=tap,
-        )
-    except BaseException:
-        # A fault of the kit itself must not leave the robot driving.
-        with contextlib.suppress(LinkError):
-            port.write(bytes([grammar.pad_byte]) * grammar.longest_frame)
-        raise
-
-
-def run_on(
-    link: Link,
-    environment: Environment,
+    listeners: Sequence[RunListener] = (),
     *,
-    grammar: Grammar,
-    options: Options,
-    listener: RunListener | None = None,
-    interrupted: Callable[[], bool | str] = lambda: False,
-    tap: LinkListener | None = None,
-    spare: SkipPolicy | None = None,
+    skip: SkipPolicy | None = None,
     logged: bool = True,
 ) -> Report:
-    """Run the cases over a link, live or recorded; every run goes through this function.
+    """Run the cases on a target, live or recorded; every run goes through this function.
 
-    Raises ValueError when no case is left to run.
+    `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
+    before each case, from its id and the results so far, whether to skip it. Without `logged` no
+    case keeps its wire log. Raises ValueError when no case is left to run.
     """
-    line = line_named(grammar, str(environment.link.get("line", "")))
-    cases = select_cases(grammar, options, line)
-    journal = tap if isinstance(tap, RunJournal) else None
-    if journal:
-        journal.begins(grammar, options, environment)
-        link, interrupted = journalled(link, interrupted, journal)
-    log = WireLog()
-    meter = Meter(line.byte_time)
-    link = meter.over(log.over(link) if logged else link)
-    listener = listener or SilentListener()
-    deadline = options.deadline or grammar.timing.answer_deadline
-    timers = environment.timers(grammar).due_within(int(deadline * MS))
-    timers = replace(timers, idle=LEVELS[options.level].idle * MS)
-    if options.budget is not None and timers.run_budget is not None:
-        timers = replace(timers, run_budget=int(options.budget * 1e9))
-    if options.silence:
-        timers = replace(timers, silence=int(options.silence * MS))
-    allowed = parse_allowed(grammar, options.allow)
-    profile = Profile(choices=Choices(allowed=allowed))
-    if options.profile:
-        profile = profile_from(grammar, options.profile, allowed)
+    grammar = target.protocol
+    log, meter = WireLog(), Meter(target.line.byte_time)
+    everyone = (*listeners, meter, log) if logged else (*listeners, meter)
+    link = ObservedLink(target.connect, everyone)
+    cases = select_cases(grammar, options, target.line)
+    for listener in everyone:
+        listener.begins(grammar, options, target.environment)
 
     def begin(ident: str) -> None:
-        if logged:
-            log.begin(ident)
-        listener.begin(ident)
+        for listener in everyone:
+            listener.begin(ident)
 
+    def end(result: CaseResult) -> None:
+        result = log.attached(result)
+        for listener in everyone:
+            listener.end(result)
+
+    def interrupted() -> bool | str:
+        broken = (listener.broken for listener in everyone if listener.broken)
+        why = target.interrupted() or str(next(broken, ""))
+        if why:
+            link.done(None, interruption(why))
+        return why
+
+    profile = _profile(grammar, options)
     if options.truncation_timeout is not None:
         profile.truncation_timeout = int(options.truncation_timeout * MS)
+    environment = target.environment
     run = Run(
-        RunConfig(grammar, timers, environment.observability, environment.power),
+        RunConfig(grammar, _timers(target, options), environment.observability, environment.power),
         profile,
         begin=begin,
-        report=lambda result: listener.end(log.attached(result)),
+        report=end,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)
@@ -318,26 +224,51 @@ def run_on(
         fail_fast=options.fail_fast,
         measure=asked,
         discover=not options.profile,
-        spare=spare,
+        spare=skip,
     )
-    drive(runner.execute(), link, interrupted)
-    report = make_report(
-        grammar,
-        [log.attached(result) for result in run.results],
-        cases,
-        run.profile,
-        RunFacts(
-            environment.device,
-            environment.link,
-            asdict(options),
-            meter.report(run.waiting.timeouts),
-            _dropped(grammar, options, cases, line),
-        ),
-        Ending.of(runner.unusable, runner.ended),
-    )
-    if journal:
-        journal.reported(report)
+    try:
+        drive(runner.execute(), link, interrupted)
+        report = make_report(
+            grammar,
+            [log.attached(result) for result in run.results],
+            cases,
+            run.profile,
+            RunFacts(
+                environment.device,
+                environment.link,
+                asdict(options),
+                meter.report(run.waiting.timeouts),
+                _dropped(grammar, options, cases, target.line),
+            ),
+            Ending.of(runner.unusable, runner.ended),
+        )
+        for listener in everyone:
+            listener.reported(report)
+    except BaseException:
+        # A fault of the kit itself must not leave the robot driving.
+        target.halt()
+        raise
     return report
+
+
+def _timers(target: Target, options: Options) -> Timers:
+    """The timers of the target's environment with the options applied to them."""
+    deadline = options.deadline or target.protocol.timing.answer_deadline
+    timers = timers_of(target.environment, target.protocol).due_within(int(deadline * MS))
+    timers = replace(timers, idle=LEVELS[options.level].idle * MS)
+    if options.budget is not None and timers.run_budget is not None:
+        timers = replace(timers, run_budget=int(options.budget * 1e9))
+    if options.silence:
+        timers = replace(timers, silence=int(options.silence * MS))
+    return timers
+
+
+def _profile(grammar: Grammar, options: Options) -> Profile:
+    """What is known of the device before the run. Raises ValueError for what does not fit."""
+    allowed = parse_allowed(grammar, options.allow)
+    if options.profile:
+        return profile_from(grammar, options.profile, allowed)
+    return Profile(choices=Choices(allowed=allowed))
 
 
 def _dropped(

@@ -1,6 +1,6 @@
 """Judges a recorded run again from its bytes and looks alone, and compares the verdicts.
 
-The run is made as every run is made (`conformance.api.run_on`), over the recording instead of a
+The run is made as every run is made (`conformance.api.run_suite`), over the recording instead of a
 device. Recorded verdicts are only compared with. The seal and the checksums reveal damage, not
 forgery: a recording that is written anew as a whole can hold anything that is consistent.
 """
@@ -20,12 +20,14 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark
 from bilprov.captures.text import printable
-from bilprov.conformance.api import Options, run_on
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.dut.environment import Environment
 from bilprov.conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult, worst
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.environment import Environment
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.safe_grammar import NotDeclared, require_declarations
@@ -79,17 +81,19 @@ class _Run(msgspec.Struct, frozen=True):
     environment: Environment = msgspec.field(name="circumstances")
 
 
-class _Results:
-    """A run listener that keeps the results, also of a run that strays from the recording."""
+class _Results(RunListener):
+    """Keeps the results, also of a run that strays from the recording."""
 
     def __init__(self) -> None:
         self.results: list[CaseResult] = []
         self.last = "before the first case"
 
     def begin(self, ident: str) -> None:
+        """A case begins."""
         self.last = ident
 
     def end(self, result: CaseResult) -> None:
+        """A case is final."""
         self.results.append(result)
 
 
@@ -107,14 +111,8 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     report, strayed = None, ""
     try:
         link = RecordedLink(evidence.capture.messages(TOPICS))
-        report = run_on(
-            link,
-            run.environment,
-            grammar=grammar,
-            options=run.options,
-            listener=listener,
-            interrupted=link.interrupted,
-        )
+        target = Target(grammar, run.environment, lambda listener: link, link.interrupted)
+        report = run_suite(target, run.options, [listener])
         cut = link.cut
         if link.left:
             strayed = "the recording goes on where the run ends"

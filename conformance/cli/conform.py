@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import AbstractContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import rich_click as click
@@ -14,23 +15,23 @@ from bilprov.analyzer.cli.confirm import confirm_motion
 from bilprov.analyzer.cli.options import line_options, note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.signals import undisturbed
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.signals import Stopper, undisturbed
 from bilprov.conformance.api import (
     Options,
     estimated_seconds,
     opening_and_reading_cases,
     planned,
+    run_suite,
     select_cases,
 )
-from bilprov.conformance.cases.levels import LEVELS, STANDARD
+from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.selection import matching, shard_named
 from bilprov.conformance.cli.begin import Begin
-from bilprov.conformance.cli.job import SIM, ConformRun
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
+    gathered,
     named_device,
     read_profile,
     update_expected_option,
@@ -43,17 +44,61 @@ from bilprov.conformance.cli.outputs import (
     output_options,
     require_writable,
 )
-from bilprov.conformance.dut.boards.target import board_named
+from bilprov.conformance.cli.progress import Progress
 from bilprov.conformance.dut.power import by_command
-from bilprov.conformance.dut.probes import open_probe
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.probes import PROBES, asks_person
+from bilprov.conformance.dut.target import (
+    PORT,
+    SIM,
+    Target,
+    TargetName,
+    open_target,
+    target_named,
+)
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile_file import profile_text
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.report.summary import show
+from bilprov.conformance.runner.listeners.listener import RunListener
+from bilprov.conformance.runner.listeners.recorder import open_recorder
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class RobotOptions:
+    """The options that say what is tested and how it is reached."""
+
+    target: str
+    probe: str | None
+    power: str | None
+    fault: str | None
+    variant: str | None
+    baud: int | None
+    parity: str | None
+    stopbits: str | None
+    yes: bool
+
+    def settings(self, protocol: Protocol, name: TargetName) -> LineSettings:
+        """The line's settings; the simulator and boards have the grammar's. Raises ValueError."""
+        if name.kind != PORT:
+            return line_settings(protocol, None, None, None)
+        return line_settings(protocol, self.baud, self.parity, self.stopbits)
+
+    def require_fitting(self, name: TargetName) -> None:
+        """Raise UsageError for an option that is not for this kind of target."""
+        if name.own_probe and self.probe not in (None, SIM):
+            raise click.UsageError(
+                f"the target {name.text} brings its own probe; --probe {self.probe} is for ports"
+            )
+        if name.kind != SIM and (self.fault or self.variant):
+            option = "--fault" if self.fault else "--variant"
+            raise click.UsageError(
+                f"{option} is for the target sim; start `bilprov simulate {option}`"
+            )
+        if self.power is not None and (name.kind != PORT or not self.power.startswith("exec:")):
+            raise click.UsageError(f"--power {self.power}: it takes exec:COMMAND, and is for ports")
 
 
 def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
@@ -65,12 +110,14 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.argument("target", metavar="PORT|sim|emulator:KIND:FIRMWARE")
 @click.option(
     "--probe",
-    help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, modem:LINE, ask, none (a port's unless "
-    "given) or sim (the target sim's own).",
+    help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (a port's unless given) or "
+    "sim (the target sim's own).",
 )
 @click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
 @click.option("--only", multiple=True, metavar="GLOB", help="Only these cases; * crosses /.")
-@click.option("--shard", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge.")
+@click.option(
+    "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
+)
 @click.option("--list", "listing", is_flag=True, help="List the cases and send nothing.")
 @click.option("--fail-fast", is_flag=True, help="End after the first failure.")
 @click.option(
@@ -117,35 +164,19 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
 @click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
 @click.pass_obj
+@gathered("robot", RobotOptions)
+@gathered("options", Options)
 def conform(
     grammar: str | None,
-    target: str,
-    probe: str | None,
-    power: str | None,
-    only: tuple[str, ...],
-    shard: str | None,
+    robot: RobotOptions,
+    options: Options,
+    share: str | None,
     listing: bool,
-    fail_fast: bool,
-    level: str,
-    soak: int,
-    budget: float | None,
-    allow: tuple[str, ...],
     profile_path: str | None,
-    seed: int,
-    strict: bool,
-    deadline: float | None,
-    silence: float | None,
-    truncation_timeout: float | None,
     outputs: list[Output],
     expect_failures: str | None,
     update_expected: bool,
     record: str | None,
-    fault: str | None,
-    variant: str | None,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    yes: bool,
     verbose: bool,
 ) -> int:
     """Test a device against the document: its answers, its safety stop, its state.
@@ -157,75 +188,38 @@ def conform(
     the run goes on to its end and the exit code is 2.
     """
     protocol = load_protocol(grammar)
-    options = Options(
-        only,
-        seed,
-        strict,
-        fail_fast,
-        deadline,
-        silence,
-        truncation_timeout,
-        level,
-        soak,
-        allow,
-        budget,
-    )
-    given = read_profile(protocol, profile_path, allow)
-    options = replace(options, profile=given)
-    settings = line_settings(protocol, None, None, None)
+    given = read_profile(protocol, profile_path, options.allow)
     try:
-        board = board_named(target)
-        if target != SIM and not board:  # the simulator and emulated boards have their own line
-            settings = line_settings(protocol, baud, parity, stopbits)
-        parse_allowed(protocol, allow)
-        options = replace(options, shard=shard_named(shard) if shard is not None else None)
+        name = target_named(robot.target)
+        settings = robot.settings(protocol, name)
+        parse_allowed(protocol, options.allow)
+        shard = shard_named(share) if share is not None else None
+        options = replace(options, profile=given, shard=shard)
         cases = select_cases(protocol, options, settings)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    virtual = target == SIM or bool(board and board.virtual)
     if listing:
-        chosen = matching(only or "*")
+        chosen = matching(options.only or "*")
         for case in filter(
             lambda case: chosen(case.id), (*opening_and_reading_cases(protocol), *cases)
         ):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
-    if (virtual or board) and probe not in (None, SIM):
-        raise click.UsageError(
-            f"the target {target} brings its own probe; --probe {probe} is for ports"
-        )
-    if target != SIM and (fault or variant):
-        option = "--fault" if fault else "--variant"
-        raise click.UsageError(f"{option} is for the target sim; start `bilprov simulate {option}`")
-    if power is not None and (virtual or board or not power.startswith("exec:")):
-        raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
+    robot.require_fitting(name)
     fresh = profile_path if not given else None
     require_writable(outputs)
     known = expected_file(protocol, options, expect_failures, settings, update=update_expected)
-    switch = by_command(power.removeprefix("exec:")) if power else None
-    job = ConformRun(protocol, options, record, switch)
-    count = planned(protocol, options, cases)
-    begin = Begin()
-    with ExitStack() as stack:
-        if board:
-            report = job.on_board(stack, board, target, count)
-        elif virtual:
-            device = Simulator(protocol, named_device(protocol, fault, variant))
-            report = job.on_simulator(stack, device, count)
-        else:
-            port = stack.enter_context(open_port(target, settings))
-            seconds = estimated_seconds(protocol, cases, options, settings)
-            probe = "none" if probe is None else probe
-            eye = open_probe(probe, port)
-            if eye:
-                stack.callback(eye.close)
-            what = f"the robot at {target} will drive and turn for about {seconds:.0f} s"
-            confirm_motion(what, yes=yes)
-            note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
-            begin = Begin()  # the time until the user confirmed does not count
-            report = job.on_port(stack, port, eye, probe, count)
-    report = begin.told(report)
+    opened = partial(
+        open_target,
+        protocol,
+        name,
+        settings=settings,
+        probe=robot.probe,
+        power=by_command(robot.power.removeprefix("exec:")) if robot.power else None,
+        fault=named_device(protocol, robot.fault, robot.variant),
+    )
+    report, broken = _tested(opened, options, cases, record, robot)
     onto_stdout = onto_standard_output(outputs)
     if fresh is not None and not report.unusable:
         outputs.append(Output("--profile", fresh, _profile))
@@ -241,9 +235,45 @@ def conform(
             show(report, console, everything=verbose)
     if fresh is not None and not report.unusable:
         note(f"{fresh}: the profile of this device; give it again with --profile")
-    if job.broken:
-        raise job.broken
+    if broken:
+        raise broken
     return report.exit
+
+
+def _tested(
+    opened: Callable[[Stopper], AbstractContextManager[Target]],
+    options: Options,
+    cases: Sequence[AnyCase],
+    record: str | None,
+    robot: RobotOptions,
+) -> tuple[Report, Exception | None]:
+    """Open the target, ask whether a robot may move, and run the cases.
+
+    Gives the report, and why the recording ended before the run did, None if it did not.
+    """
+    begin = Begin()
+    with ExitStack() as stack:
+        stopper = stack.enter_context(closing(Stopper()))
+        target = stack.enter_context(opened(stopper))
+        count = planned(target.protocol, options, cases)
+        if target.moves:
+            seconds = estimated_seconds(target.protocol, cases, options, target.line)
+            what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
+            confirm_motion(what, yes=robot.yes)
+            note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
+            begin = Begin()  # the time until the user confirmed does not count
+        stack.enter_context(stopper)
+        listeners: list[RunListener] = []
+        if record is not None:
+            recorder = open_recorder(record, target, options.truncation_timeout)
+            listeners.append(stack.enter_context(recorder))
+        progress = Progress(count, shown=not asks_person(robot.probe))
+        listeners.append(stack.enter_context(progress))
+        report = run_suite(target, options, listeners)
+        if target.remark():
+            note(target.remark())
+    broken = next((listener.broken for listener in listeners if listener.broken), None)
+    return begin.told(report), broken
 
 
 def _profile(reports: Sequence[Report], protocol: Protocol) -> str:

@@ -16,7 +16,7 @@ from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.elf import ARM, architecture
 from bilprov.conformance.dut.boards.paced import PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.boards.target import PREFIX, QEMU
+from bilprov.conformance.dut.target import BOARD, QEMU
 
 
 @click.command()
@@ -48,7 +48,7 @@ def emulate(
     if architecture(firmware) == ARM:
         raise EmulatorError(
             f"{firmware} is for an ARM, and simavr runs only AVR: QEMU takes it, with "
-            f"bilprov conform {PREFIX}{QEMU}:{firmware}"
+            f"bilprov conform {BOARD}{QEMU}:{firmware}"
         )
     board = SimavrBoard(firmware)
     try:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import wraps
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import rich_click as click
 
@@ -19,6 +22,23 @@ from bilprov.conformance.oracle.profile_file import profile_from
 from bilprov.conformance.report.expected_file import ExpectedFile
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def gathered(name: str, kind: type[Any]) -> Callable[[Command], Command]:
+    """Give a command the arguments that are fields of a dataclass as one value of it, `name`."""
+    names = {field.name for field in fields(kind)}
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def call(*arguments: Any, **options: Any) -> Any:
+            value = kind(**{option: options.pop(option) for option in names & options.keys()})
+            return command(*arguments, **options, **{name: value})
+
+        return cast(Command, call)
+
+    return decorate
 
 
 def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> Fault | None:

@@ -6,13 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.operations import (
-    Ended,
-    Observation,
-    Operation,
-    Procedure,
-    Received,
-)
+from bilprov.conformance.dut.operations import Ended, Operation, Procedure, Reply
 
 T = TypeVar("T")
 
@@ -53,7 +47,7 @@ class LinkListener(Protocol):
 class Link(Protocol):
     """The connection to a device under test: does operations, one at a time."""
 
-    def do(self, operation: Operation) -> int | Received | Observation:
+    def do(self, operation: Operation) -> Reply:
         """Do one operation. Raises conformance.dut.operations.Ended when it cannot."""
 
 

@@ -67,6 +67,9 @@ class Observation:
 
 
 Operation = Send | Listen | Observe | PowerCycle
+Reply = int | Received | Observation
+"""What a link gives for an operation; an int is the time (ns) when it was done."""
+
 Procedure = Generator[Operation, Any, T]
 
 

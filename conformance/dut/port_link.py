@@ -17,6 +17,7 @@ from bilprov.conformance.dut.operations import (
     Operation,
     PowerCycle,
     Received,
+    Reply,
     Send,
 )
 from bilprov.conformance.dut.power import Power, PowerError
@@ -55,7 +56,7 @@ class PortLink:
         """The time in ns since the link was made."""
         return self._clock() - self._start
 
-    def do(self, operation: Operation) -> int | Received | Observation:
+    def do(self, operation: Operation) -> Reply:
         """Do one operation. Raises Ended when the port, the probe or the power switch fails."""
         try:
             match operation:

@@ -5,12 +5,14 @@ A probe has a file descriptor to wait for with select, so that the port is read 
 
 from __future__ import annotations
 
-import contextlib
 import os
 import socket
 import subprocess
 import sys
-from typing import Annotated, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
 
 import msgspec
 
@@ -27,50 +29,29 @@ class ProbeError(UserError):
     """The probe cannot be asked or does not answer as agreed, in one sentence."""
 
 
-class Probe(Protocol):
-    """An observer of the robot: sees whether it moves, and possibly more of its state."""
+class Probe(ABC):
+    """An observer of the robot: sees whether it moves, and possibly more of its state.
 
-    @property
-    def costly(self) -> bool:
-        """Whether a look is costly, so that only the thorough cases are observed."""
+    `costly` means that only the thorough cases are observed; `patience` is how long a look may take
+    (s).
+    """
 
-    @property
-    def patience(self) -> float:
-        """How long (s) a look may take."""
+    costly = False
+    patience = 1.0
 
-    def ask(self) -> None:
+    def ask(self) -> None:  # noqa: B027  # some can be read at any time
         """Begin a look. Raises ProbeError."""
 
     def fileno(self) -> int | None:
         """The file descriptor to wait for before `take`; None if the look is there at once."""
+        return None
 
+    @abstractmethod
     def take(self, now: int) -> Look | None:
         """The look, as of `now` (ns); None while it is incomplete. Raises ProbeError."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  # most have nothing to release
         """Release the probe."""
-
-
-def open_probe(name: str, port: Port) -> Probe | None:
-    """The probe of that name: `none`, `tcp:HOST:PORT`, `exec:COMMAND`, `modem:LINE` or `ask`.
-
-    Raises ProbeError, in one sentence, for a name that is none of these or cannot be reached.
-    """
-    kind, _, rest = name.partition(":")
-    if name == "none":
-        return None
-    if name == "ask":
-        return AskProbe()
-    if kind == "tcp" and rest:
-        return TcpProbe(rest)
-    if kind == "exec" and rest:
-        return ExecProbe(rest)
-    if kind == "modem" and rest in MODEM_LINES:
-        return ModemProbe(port, rest)
-    raise ProbeError(
-        f"--probe is {name!r}; it can be tcp:HOST:PORT, exec:COMMAND, modem:cts|dsr|dcd|ri, ask or "
-        "none (and sim, for the target sim)"
-    )
 
 
 # Beyond the range of every facet; larger numbers could not be recorded either.
@@ -115,14 +96,11 @@ def parse_look(line: bytes, now: int) -> Look:
     return Look(t=now, moving=facets.moving, motion=motion, **numbers)
 
 
-class TcpProbe:
+class TcpProbe(Probe):
     """A program on a TCP port: it gets `state` and a newline and returns one line of JSON.
 
     There is one connection for the whole run.
     """
-
-    costly = False
-    patience = 1.0
 
     def __init__(self, address: str) -> None:
         self._name = f"tcp:{address}"
@@ -180,7 +158,7 @@ class TcpProbe:
         self._socket.close()
 
 
-class ExecProbe:
+class ExecProbe(Probe):
     """A command run for each look: exit 0 is stopped, exit 1 with `moving` on stdout is moving.
 
     Any other result is unknown.
@@ -240,11 +218,8 @@ class ExecProbe:
                 process.stdout.close()
 
 
-class ModemProbe:
+class ModemProbe(Probe):
     """A modem line of the port itself, wired so that it is asserted while the robot moves."""
-
-    costly = False
-    patience = 1.0
 
     def __init__(self, port: Port, line: str) -> None:
         self._port = port
@@ -252,21 +227,12 @@ class ModemProbe:
         if port.modem_line(line) is None:
             raise ProbeError(f"{port.name} has no modem lines, so --probe modem:{line} cannot see")
 
-    def ask(self) -> None:
-        """Do nothing: the line can be read at any time."""
-
-    def fileno(self) -> None:
-        """None: the look is there at once."""
-
     def take(self, now: int) -> Look:
         """The look, from the present state of the modem line."""
         return Look(t=now, moving=self._port.modem_line(self._line))
 
-    def close(self) -> None:
-        """Do nothing: the port is closed by its owner."""
 
-
-class AskProbe:
+class AskProbe(Probe):
     """A person who watches the robot and answers yes or no."""
 
     costly = True
@@ -291,7 +257,60 @@ class AskProbe:
         moving = {b"y": True, b"yes": True, b"n": False, b"no": False}.get(answer)
         return Look(t=now, moving=moving)
 
-    def close(self) -> None:
-        """Leave the terminal as it is."""
-        with contextlib.suppress(OSError):
-            sys.stderr.flush()
+
+@dataclass(frozen=True, slots=True)
+class ProbeKind:
+    """A kind of probe: the name that `--probe` takes, and how the probe is opened.
+
+    After `name` and a colon comes `rest` (one of `values`, if there are any); "" for a kind that
+    has nothing more. `asks` is true for one that needs a person at a terminal.
+    """
+
+    name: str
+    rest: str
+    open: Callable[[str, Port], Probe | None]
+    values: tuple[str, ...] = ()
+    asks: bool = False
+
+    def takes(self, text: str) -> bool:
+        """Whether the text names a probe of this kind."""
+        name, colon, rest = text.partition(":")
+        fits = rest in self.values if self.values else bool(rest)
+        return name == self.name and (fits if self.rest else not colon)
+
+    @property
+    def form(self) -> str:
+        """How its name is written, in a help text."""
+        return f"{self.name}:{self.rest}" if self.rest else self.name
+
+
+PROBES = (
+    ProbeKind("tcp", "HOST:PORT", lambda rest, port: TcpProbe(rest)),
+    ProbeKind("exec", "COMMAND", lambda rest, port: ExecProbe(rest)),
+    ProbeKind("modem", "LINE", lambda rest, port: ModemProbe(port, rest), values=MODEM_LINES),
+    ProbeKind("ask", "", lambda rest, port: AskProbe(), asks=True),
+    ProbeKind("none", "", lambda rest, port: None),
+)
+"""The kinds of probe, from which the help and error texts come; the last is a port's by default."""
+
+
+def open_probe(name: str, port: Port) -> Probe | None:
+    """The probe of that name, for the robot at this port; None for `none`.
+
+    Raises ProbeError, in one sentence, for a name that none of PROBES takes, and for a probe that
+    cannot be reached.
+    """
+    for kind in PROBES:
+        if kind.takes(name):
+            return kind.open(name.partition(":")[2], port)
+    *forms, last = (
+        f"{kind.name}:{'|'.join(kind.values)}" if kind.values else kind.form for kind in PROBES
+    )
+    raise ProbeError(
+        f"--probe is {name!r}; it can be {', '.join(forms)} or {last} (and sim, for the target sim)"
+    )
+
+
+def asks_person(name: str | None) -> bool:
+    """Whether the probe of that name needs a person at a terminal."""
+    return name is not None and any(kind.asks and kind.takes(name) for kind in PROBES)

@@ -25,6 +25,7 @@ from bilprov.conformance.dut.operations import (
     Operation,
     PowerCycle,
     Received,
+    Reply,
     Send,
 )
 from bilprov.spec.codec import spaced
@@ -77,7 +78,7 @@ class RecordedLink:
         asked = self._take(self._next).asked
         return str(asked.ended) if asked.error else True
 
-    def do(self, operation: Operation) -> int | Received | Observation:
+    def do(self, operation: Operation) -> Reply:
         """Reply as it was recorded.
 
         Raises Ended where the operation could not be done, or the recording ends; Strayed where

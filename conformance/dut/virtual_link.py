@@ -10,6 +10,7 @@ from bilprov.conformance.dut.operations import (
     Operation,
     PowerCycle,
     Received,
+    Reply,
     Send,
 )
 
@@ -28,7 +29,7 @@ class VirtualLink:
         self._ready = 0
         self._heard: list[tuple[int, int]] = []
 
-    def do(self, operation: Operation) -> int | Received | Observation:
+    def do(self, operation: Operation) -> Reply:
         """Do one operation at once. Raises RuntimeError for a deadline that does not advance."""
         match operation:
             case Send(data):

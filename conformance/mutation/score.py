@@ -16,12 +16,12 @@ from typing import TypeVar
 
 import msgspec
 
-from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, conform
+from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.equivalence import MOST, Search, search
 from bilprov.conformance.mutation.faults import fault_bank
@@ -254,33 +254,14 @@ class _Spares:
         )
 
 
-class _Counter:
-    """A tap that counts the bytes that go to the device."""
-
-    count = 0
-
-    def sent(self, data: bytes, t: int) -> None:
-        """Bytes that went to the device."""
-        self.count += len(data)
-
-    def received(self, data: bytes, t: int) -> None:
-        """Bytes that came from it."""
-
-    def looked(self, look: Look) -> None:
-        """A reading of the probe."""
-
-
 def _try(protocol: Protocol, task: Task, seed: int) -> Caught:
     name, level = task
     fault = CONFORMING if name == REFERENCE else find_fault(protocol, name)
-    counter = _Counter()
     broken = {getattr(protocol.clauses, clause) for clause in fault.clauses}
-    report = conform(
-        Simulator(protocol, fault),
-        grammar=protocol,
-        options=Options(seed=seed, level=level),
-        tap=counter,
-        spare=_Spares(broken),
+    report = run_suite(
+        device_target(protocol, Simulator(protocol, fault)),
+        Options(seed=seed, level=level),
+        skip=_Spares(broken),
         logged=False,
     )
     failed = [result for result in report.results if result.verdict is Verdict.FAIL]
@@ -291,7 +272,7 @@ def _try(protocol: Protocol, task: Task, seed: int) -> Caught:
         verdict=report.verdict.label,
         groups=tuple(Counter(group_of(result.id) for result in failed)),
         own_clause=not failed or bool(broken & {result.clause for result in failed}),
-        sent=counter.count,
+        sent=int(report.timing["bytes_sent"]),
     )
 
 

@@ -1,12 +1,18 @@
-"""The timers of a run (how long it waits) and its observability (what its probe can see)."""
+"""The timers of a run: how long it waits, by default and in an environment."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import msgspec
-
 from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.environment import Environment
+from bilprov.spec.protocol import Protocol
+
+# How much later than an answer a stop may be seen on a real line although it was in time: link and
+# probe are two lines, and a busy machine is late itself.
+_GRACE = 20 * MS
+_WAITING_BUDGET = 90_000 * MS
+_RUN_BUDGET = 300_000 * MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +46,16 @@ class Timers:
         return replace(self, deadline=deadline, longest=max(self.longest, deadline))
 
 
-class Observability(msgspec.Struct, frozen=True, rename={"available": "open", "costly": "sparse"}):
-    """What a probe can see: nothing (`available` false), everything, or a few looks (`costly`).
-
-    `why` says why something is not observable. Recordings keep the fields under older names.
-    """
-
-    available: bool
-    costly: bool = False
-    why: str = "no probe; see --probe"
+def timers_of(environment: Environment, protocol: Protocol) -> Timers:
+    """The default timers of a run in this environment, to which the options are then applied."""
+    # Answers later than allowed must still be received, to be judged.
+    longest = int(protocol.timing.answer_longest * MS)
+    if environment.virtual:
+        return Timers(longest=longest)
+    return Timers(
+        longest=longest,
+        grace=_GRACE,
+        settle=2 * MS,
+        waiting_budget=_WAITING_BUDGET,
+        run_budget=_RUN_BUDGET,
+    )

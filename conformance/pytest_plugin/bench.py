@@ -8,45 +8,39 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from queue import SimpleQueue
-from typing import Any
 
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
 from bilprov.conformance.api import (
     Options,
-    conform,
-    conform_port,
     estimated_seconds,
     opening_and_reading_cases,
+    run_suite,
     select_cases,
 )
-from bilprov.conformance.dut.boards.target import board_named
+from bilprov.conformance.dut.environment import Environment
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.link import Device, Link
-from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.power import Power
-from bilprov.conformance.dut.probes import Probe, ProbeError, open_probe
-from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.dut.probes import ProbeError, asks_person
+from bilprov.conformance.dut.target import Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.pytest_plugin.robot_client import Client
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 
-SIM = "sim"
 
-
-class SuiteThread:
+class SuiteThread(RunListener):
     """One run of the suite, and any number of clients, on a port, `sim` or an emulated board.
 
     Nothing is opened before `open`. `close` stops a run that is still going, and homes. `order` has
     the ids of the cases and their places in a run; `unplanned` gets the results of other cases.
+    `environment` is the run's, once it has begun.
     """
+
+    environment: Environment
 
     def __init__(
         self,
@@ -61,8 +55,7 @@ class SuiteThread:
         self.protocol = protocol
         self.target = target
         self.options = options
-        self._board = board_named(target)
-        self.virtual = target == SIM or bool(self._board and self._board.virtual)
+        self._name = target_named(target)
         self.report: Report | None = None
         cases = select_cases(protocol, options, settings)
         self.order = {
@@ -70,14 +63,12 @@ class SuiteThread:
         }
         self._cases = cases
         self._settings = settings
-        self.own_probe = self._board.kind if self._board else SIM if self.virtual else None
-        self._probe_name = self.own_probe or probe or "none"
+        self.own_probe = self._name.own_probe
+        self._probe = probe or None
         self._fault = fault
         self._stack = ExitStack()
         self._stopper = Stopper()
-        self._port: Port | None = None
-        self._probe: Probe | None = None
-        self._power: Power | None = None
+        self._port: Target | None = None
         self._thread: threading.Thread | None = None
         # Ctrl-C may come at any moment: SimpleQueue.get can be interrupted, a condition cannot.
         self._results_queue: SimpleQueue[CaseResult | None] = SimpleQueue()
@@ -86,15 +77,6 @@ class SuiteThread:
         self.unplanned: list[CaseResult] = []
         self.told_why = False
         self._broken: BaseException | None = None
-
-    @property
-    def device(self) -> dict[str, Any]:
-        """The link as a report describes it."""
-        about = {"line": str(self._settings), "probe": self._probe_name}
-        if self.virtual:
-            fault = self._fault.name if self._fault else None
-            return {"kind": "virtual", **about, "fault": fault}
-        return {"kind": "port", **about}
 
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""
@@ -107,25 +89,32 @@ class SuiteThread:
         It is not called for the simulator or an emulated board, which move nothing. Raises
         LinkError, ProbeError and EmulatorError, in one sentence.
         """
-        if self.virtual:
-            with self._device():  # raises if the firmware cannot be run
-                return
         if self._port is not None:
             return
-        if self._board:
-            from bilprov.conformance.dut.boards.qemu import running
+        if asks_person(self._probe) and not self.own_probe:
+            raise ProbeError(
+                f"--robot-probe {self._probe} cannot be used under pytest; run bilprov conform"
+            )
+        if self._name.virtual:
+            with self._opened():  # raises if the firmware cannot be run
+                return
+        self._port = self._stack.enter_context(self._opened())
+        if self._port.moves:
+            confirm()
 
-            board = running(self._board.firmware, self._settings)
-            self._port, robot = self._stack.enter_context(board)
-            self._probe, self._power = robot, robot.power_cycle
+    @contextmanager
+    def _opened(self) -> Iterator[Target]:
+        """The robot at the port; a target in virtual time is opened anew, just after power-on."""
+        if self._port is not None:
+            yield self._port
             return
-        if self._probe_name == "ask":
-            raise ProbeError("--robot-probe ask cannot be used under pytest; run bilprov conform")
-        self._port = self._stack.enter_context(open_port(self.target, self._settings))
-        self._probe = open_probe(self._probe_name, self._port)
-        if self._probe:
-            self._stack.callback(self._probe.close)
-        confirm()
+        with open_target(
+            *(self.protocol, self._name, self._stopper),
+            settings=self._settings,
+            probe=self._probe,
+            fault=self._fault,
+        ) as target:
+            yield target
 
     # -- the run ----------------------------------------------------------------------------------
 
@@ -178,57 +167,21 @@ class SuiteThread:
         if result.id not in self.order:
             self.unplanned.append(result)
 
-    def begin(self, ident: str) -> None:
-        """A case begins (as a run listener)."""
+    def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
+        """The run begins."""
+        self.environment = environment
 
     def end(self, result: CaseResult) -> None:
-        """A case is final (as a run listener)."""
+        """A case is final."""
         self._results_queue.put(result)
 
     def _run(self, options: Options) -> None:
         try:
-            self.report = self._conform(options)
+            with self._opened() as target:
+                self.report = run_suite(target, options, [self])
         except BaseException as error:
             self._broken = error
         self._results_queue.put(None)
-
-    def _conform(self, options: Options) -> Report:
-        if self.virtual:
-            with self._device() as device:
-                return conform(
-                    device,
-                    grammar=self.protocol,
-                    options=options,
-                    listener=self,
-                    interrupted=lambda: self._stopper.stopped,
-                    name=self.target,
-                    probe=self._probe_name,
-                    fault=self._fault.name if self._fault else None,
-                )
-        assert self._port is not None, "open() comes first"
-        return conform_port(
-            self._port,
-            self._probe,
-            self._probe_name,
-            grammar=self.protocol,
-            options=options,
-            stop=self._stopper.fileno(),
-            interrupted=lambda: self._stopper.stopped,
-            listener=self,
-            power=self._power,
-            name=self.target,
-        )
-
-    @contextmanager
-    def _device(self) -> Iterator[Device]:
-        """The device that runs in virtual time, just after power-on."""
-        if self._board is None:
-            yield Simulator(self.protocol, self._fault)
-            return
-        from bilprov.conformance.dut.boards.simavr import SimavrBoard
-
-        with closing(SimavrBoard(self._board.firmware)) as board:
-            yield board
 
     # -- clients ----------------------------------------------------------------------------------
 
@@ -239,16 +192,10 @@ class SuiteThread:
         Raises RobotError where the robot cannot be homed.
         """
         self.finish()
-        with ExitStack() as stack:
-            link: Link
-            if self.virtual:
-                device = stack.enter_context(self._device())
-                link, sees = VirtualLink(device, self._settings.byte_time), True
-            else:
-                assert self._port is not None, "open() comes first"
-                link = PortLink(self._port, self._probe, self._stopper.fileno())
-                sees = self._probe is not None and not self._probe.costly
-            client = Client(self.protocol, link, sees=sees)
+        with self._opened() as target:
+            eyes = target.environment.observability
+            sees = eyes.available and not eyes.costly
+            client = Client(self.protocol, target.connect(None), sees=sees)
             client.home()
             try:
                 yield client

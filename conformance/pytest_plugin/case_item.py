@@ -85,7 +85,7 @@ class CaseItem(pytest.Item):
 
     def _evidence(self, result: CaseResult) -> str:
         bench = self.parent.bench
-        facts = RunFacts(bench.target, bench.device, asdict(bench.options))
+        facts = RunFacts(bench.target, bench.environment.link, asdict(bench.options))
         nothing = make_report(bench.protocol, (), (), Profile(), facts, Ending())
         rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
         lines = [f"{label:10}{printable(words)}" for label, words in rows]

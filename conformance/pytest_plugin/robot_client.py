@@ -18,6 +18,7 @@ from bilprov.conformance.dut.operations import (
     Observe,
     Operation,
     Received,
+    Reply,
     Send,
 )
 from bilprov.spec.protocol import Protocol
@@ -90,7 +91,7 @@ class LinkWire:
         assert isinstance(seen, Observation)
         return seen.look
 
-    def _do(self, operation: Operation) -> int | Received | Observation:
+    def _do(self, operation: Operation) -> Reply:
         try:
             return self._link.do(operation)
         except Ended as ended:

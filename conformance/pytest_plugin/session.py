@@ -20,10 +20,11 @@ from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.probes import ProbeError
+from bilprov.conformance.dut.target import SIM
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.pytest_plugin.bench import SIM, SuiteThread
+from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
 from bilprov.spec.protocol import GrammarError, Protocol
 

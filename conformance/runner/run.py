@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.result import result_of
 from bilprov.conformance.runner.stray_answers import StrayAnswers

@@ -16,12 +16,14 @@ from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, PassiveJudge
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
-from bilprov.conformance.api import Options, conform
+from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.codec import judge
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
@@ -81,7 +83,7 @@ def of_capture(path: Path, protocol: Protocol) -> Findings:
     return judged(protocol, capture.sights(), session=session)
 
 
-class Overheard:
+class Overheard(RunListener):
     """Keeps what goes over a line and what its probe tells, as a capture would, in memory."""
 
     def __init__(self) -> None:
@@ -100,7 +102,7 @@ class Overheard:
 def of_run(protocol: Protocol, device: Simulator, *only: str) -> Findings:
     """What is found while these cases are run on a device."""
     line = Overheard()
-    conform(device, grammar=protocol, options=Options(only=only), tap=line, logged=False)
+    run_suite(device_target(protocol, device), Options(only=only), [line], logged=False)
     return judged(protocol, line.events)
 
 

@@ -12,6 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
@@ -22,18 +23,19 @@ import pytest
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, conform, conform_port, planned, select_cases
+from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.probes import TcpProbe
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target, open_target, target_named
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
@@ -764,13 +766,60 @@ def test_a_report_does_not_depend_on_the_order_of_a_set() -> None:
     assert hashed[0] == hashed[1]
 
 
+def test_objects_that_are_no_run_listeners_are_told_what_they_have_methods_for() -> None:
+    class Cases:
+        """Notes the results of cases."""
+
+        def __init__(self) -> None:
+            self.notes: list[str] = []
+
+        def begin(self, ident: str) -> None: ...
+
+        def end(self, result: CaseResult) -> None:
+            self.notes.append(result.id)
+
+    class Line:
+        """Notes the bytes that are sent."""
+
+        def __init__(self) -> None:
+            self.notes: list[bytes] = []
+
+        def sent(self, data: bytes, t: int) -> None:
+            self.notes.append(data)
+
+    cases, line = Cases(), Line()
+    options = Options(only=("valid/LED/5",))
+    report = conform(options=options, listener=cases, tap=line)  # type: ignore[arg-type]
+
+    assert cases.notes == [result.id for result in report.results]
+    assert b"\x81\x05" in line.notes
+
+
+def test_the_last_resort_is_for_runs_that_have_begun(protocol: Protocol) -> None:
+    class Breaking(RunListener):
+        """Fails at the first case."""
+
+        def begin(self, ident: str) -> None:
+            raise ZeroDivisionError
+
+    halts: list[str] = []
+    target = replace(
+        device_target(protocol, Simulator(protocol)), halt=lambda: halts.append("halt")
+    )
+
+    with pytest.raises(ValueError, match="no case matches"):
+        run_suite(target, Options(only=("nothing",)))
+    assert not halts
+    with pytest.raises(ZeroDivisionError):
+        run_suite(target, Options(only=("valid/Stop",)), [Breaking()])
+    assert halts == ["halt"]
+    assert run_suite(target, Options(only=("valid/Stop",))).exit == 0
+    assert halts == ["halt"]
+
+
 def test_a_fault_of_the_kit_itself_does_not_leave_the_robot_driving() -> None:
-    class Broken:
-        """A tap that fails when it is told that the robot moves."""
-
-        def sent(self, data: bytes, t: int) -> None: ...
-
-        def received(self, data: bytes, t: int) -> None: ...
+    class Broken(RunListener):
+        """Fails when it is told that the robot moves."""
 
         def looked(self, look: Look) -> None:
             if look.moving:
@@ -778,16 +827,11 @@ def test_a_fault_of_the_kit_itself_does_not_leave_the_robot_driving() -> None:
 
     protocol = load_protocol()
     options = Options(only=("unused-id/9/*",))
-    with simulate() as served, open_port(served.port) as port, Stopper() as stopper:
-        probe = TcpProbe(served.probe.removeprefix("tcp:"))
-        with pytest.raises(ZeroDivisionError):
-            conform_port(
-                *(port, probe, served.probe),
-                grammar=protocol,
-                options=options,
-                stop=stopper.fileno(),
-                interrupted=lambda: False,
-                tap=Broken(),
-            )
-        probe.close()
+    with simulate() as served, Stopper() as stopper:
+        name = target_named(served.port)
+        with (
+            open_target(protocol, name, stopper, probe=served.probe) as target,
+            pytest.raises(ZeroDivisionError),
+        ):
+            run_suite(target, options, [Broken()])
         assert served.state()["moving"] is False

@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut import probes
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
@@ -485,6 +486,14 @@ def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     assert "unused-id/15/15" not in rest
     assert "KeyboardInterrupt" in rest
     assert moving is False
+
+
+def test_the_help_names_each_kind_of_probe_that_needs_no_person(run: pytest.Pytester) -> None:
+    *forms, last = (kind.form for kind in probes.PROBES if not kind.asks)
+
+    told = " ".join(text(pytested(run, "--help")).split())
+
+    assert f"What sees a stop: {', '.join(forms)} or {last}; sim and emulators" in told
 
 
 # -- what it costs --------------------------------------------------------------------------------

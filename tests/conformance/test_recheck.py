@@ -15,11 +15,11 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
 from bilprov.conformance.api import Options
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.timers import Observability
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import GrammarError, Protocol, load

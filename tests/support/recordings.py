@@ -15,14 +15,14 @@ from bilprov.captures import topics
 from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
-from bilprov.conformance.api import Options, run_on
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.dut.environment import Environment, Observability
+from bilprov.conformance.dut.link import Link, LinkListener
 from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.oracle.timers import Observability
-from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.environment import Environment
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import BYTE_TIME, MS
@@ -30,23 +30,10 @@ from tests.support.robots import BYTE_TIME, MS
 WALL = 1_790_000_000_000_000_000
 
 
-class Marks:
-    """A watcher that passes the marks on, as the command does."""
-
-    def __init__(self, recorder: RunRecorder) -> None:
-        self._recorder = recorder
-
-    def begin(self, ident: str) -> None:
-        self._recorder.begin(ident)
-
-    def end(self, result: CaseResult) -> None:
-        self._recorder.end(result)
-
-
 class BreakingLink:
     """A link over a device in virtual time that cannot do the ask of a number, with this."""
 
-    def __init__(self, link: VirtualLink, broken: dict[int, Ended]) -> None:
+    def __init__(self, link: Link, broken: dict[int, Ended]) -> None:
         self._link = link
         self._broken = broken
         self._asks = 0
@@ -75,22 +62,20 @@ def recorded(
         protocol, ports={}, line="115200 8N1", timeout=timeout, skew=0, heard=("host", "device")
     )
     session = Session(protocol, timeout=timeout, skew=0)
+    environment = Environment(
+        virtual=True,
+        observability=observability or Observability(hasattr(device, "look")),
+        power=hasattr(device, "power_cycle"),
+        device="sim",
+        link={"kind": "virtual", "probe": "sim"},
+    )
+
+    def connect(listener: LinkListener | None) -> Link:
+        return BreakingLink(VirtualLink(device, BYTE_TIME, listener), broken or {})
+
     with RunRecorder(str(path), session, WALL, about) as recorder:
-        return run_on(
-            BreakingLink(VirtualLink(device, BYTE_TIME, recorder), broken or {}),
-            Environment(
-                virtual=True,
-                observability=observability or Observability(hasattr(device, "look")),
-                power=hasattr(device, "power_cycle"),
-                device="sim",
-                link={"kind": "virtual", "probe": "sim"},
-            ),
-            grammar=protocol,
-            options=options or Options(only=only),
-            listener=Marks(recorder),
-            interrupted=interrupted,
-            tap=recorder,
-        )
+        target = Target(protocol, environment, connect, interrupted)
+        return run_suite(target, options or Options(only=only), [recorder])
 
 
 def attachments_of(path: Path) -> dict[str, bytes]:

@@ -20,11 +20,12 @@ from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig

@@ -7,11 +7,12 @@ from typing import Any
 
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions
 from bilprov.conformance.runner.run import Run, RunConfig

@@ -25,7 +25,7 @@ from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.elf import ARM, AVR, architecture
 from bilprov.conformance.dut.boards.qmp import Monitor
 from bilprov.conformance.dut.power import PowerError
-from bilprov.conformance.dut.probes import ProbeError
+from bilprov.conformance.dut.probes import Probe, ProbeError
 from bilprov.spec.motion import Motion
 
 _PATIENCE = 10.0  # s until the firmware must run, and the line must be opened
@@ -71,15 +71,12 @@ def running(firmware: Path, settings: LineSettings) -> Iterator[tuple[Port, Qemu
         yield port, board
 
 
-class QemuBoard:
+class QemuBoard(Probe):
     """A board under QEMU: `url` is its serial line, and the board is its own probe.
 
     It is switched off until the line has been opened and `power_on` is called. Raises
     EmulatorError, in one sentence, where QEMU is missing or does not run the file.
     """
-
-    costly = False
-    patience = 1.0
 
     def __init__(self, firmware: Path) -> None:
         number = architecture(firmware)

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import statistics
 
-from bilprov.conformance.dut.link import Link
-from bilprov.conformance.dut.operations import Listen, Observation, Operation, Received, Send
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Operation,
+    Received,
+    Reply,
+    Send,
+)
+from bilprov.conformance.runner.listeners.listener import RunListener
 
 
-class Meter:
-    """Counts bytes, silences and looks of a link; `byte_time` and the replies' times are in ns."""
+class Meter(RunListener):
+    """Counts bytes, silences and looks of a run; `byte_time` and the replies' times are in ns."""
 
     def __init__(self, byte_time: int) -> None:
         self._byte_time = byte_time
@@ -19,12 +27,10 @@ class Meter:
         self._first: int | None = None
         self._last = 0
 
-    def over(self, link: Link) -> Link:
-        """The same link, measured."""
-        return _Metered(link, self)
-
-    def told(self, operation: Operation, reply: int | Received | Observation) -> None:
-        """Count one operation, done with this reply."""
+    def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
+        """Count one operation, unless it failed."""
+        if isinstance(reply, Ended):
+            return
         before = self._last
         if isinstance(reply, Received):
             self._last = reply.now
@@ -63,15 +69,3 @@ class Meter:
             "took_s": round(took / 1e9, 3),
             "ratio": round(took / arithmetic, 3) if arithmetic else 0.0,
         }
-
-
-class _Metered:
-    def __init__(self, link: Link, meter: Meter) -> None:
-        self._link = link
-        self._meter = meter
-
-    def do(self, operation: Operation) -> int | Received | Observation:
-        """Do one operation and measure it. Raises Ended when it could not be done."""
-        reply = self._link.do(operation)
-        self._meter.told(operation, reply)
-        return reply

@@ -8,36 +8,62 @@ environment (`run.json`); at the end: what was measured (`profile.json`) and the
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
 
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.recorder import Recorder
+from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
+from bilprov.conformance.dut.environment import Environment
 from bilprov.conformance.dut.operations import (
     OPERATION_NAMES,
     Ended,
     Observation,
     Operation,
     Received,
+    Reply,
 )
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.environment import Environment
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 
 GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"
 """The names of the attachments."""
 
 
-class RunRecorder(Closing):
-    """A run journal that writes everything into a capture. Times are ns since the start.
+def open_recorder(
+    path: str, target: Target, truncation_timeout: float | None = None
+) -> RunRecorder:
+    """A recorder of runs on that target into a new file, with the time-out in ms.
+
+    Raises CaptureError if the file cannot be made.
+    """
+    protocol = target.protocol
+    timeout = timeout_in_ns(protocol, truncation_timeout)
+    metadata = session_metadata(
+        protocol,
+        ports={"device": target.environment.device},
+        line=str(target.line),
+        timeout=timeout,
+        skew=0,
+        heard=("host", "device"),
+    )
+    session = Session(protocol, timeout=timeout, skew=0)
+    return RunRecorder(path, session, time.time_ns(), metadata)
+
+
+class RunRecorder(Closing, RunListener):
+    """A run listener that writes everything into a capture. Times are ns since the start.
 
     Raises CaptureError if the file cannot be made. A later error (a full disk) must not keep the
     run from stopping the robot: it is kept in `broken`, and nothing more is written.
@@ -98,22 +124,20 @@ class RunRecorder(Closing):
         """A case is final."""
         self._mark(CaseMark(self._now, result.id, "end", result.verdict.label, result.reason))
 
-    def begins(self, grammar: Protocol, options: object, environment: Environment) -> None:
+    def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
         """The run begins: grammar, options and environment are written before anything is sent."""
         about = msgspec.json.encode(
             {
                 "kit": kit_version(),
-                "grammar": {"sha256": grammar.sha256, "file": grammar.origin},
+                "grammar": {"sha256": protocol.sha256, "file": protocol.origin},
                 "options": options,
                 "circumstances": environment,
             }
         )
-        self._attach(GRAMMAR, "text/x-python", grammar.source.encode())
+        self._attach(GRAMMAR, "text/x-python", protocol.source.encode())
         self._attach(RUN, "application/json", about)
 
-    def asked(
-        self, operation: Operation | None, reply: int | Received | Observation | Ended
-    ) -> None:
+    def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
         """An operation was done or failed: one message, after the bytes and looks it brought."""
         name = OPERATION_NAMES[type(operation)]
         match reply:

@@ -20,11 +20,10 @@ from operator import itemgetter
 
 import msgspec
 
-from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.link import Link
-from bilprov.conformance.dut.operations import Observation, Operation, Received, Send
+from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received, Reply, Send
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
 from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.codec import spaced
 
 HEAD = TAIL = 250
@@ -61,30 +60,23 @@ class _Log:
         return [*self._head, (self._head[-1][0], "clipped", words), *self._tail]
 
 
-class WireLog:
+class WireLog(RunListener):
     """Keeps the log of each case: the operations done over a link, and their replies."""
 
     def __init__(self) -> None:
         self._open: _Log | None = None
         self._logs: dict[str, _Log | list[Entry]] = {}
 
-    def over(self, link: Link) -> Link:
-        """The same link, logged."""
-        return _Logged(link, self)
-
-    def sent(self, data: bytes, t: int) -> None:
-        """Bytes whose last one was sent at `t` (ns)."""
-        self._bytes("sent", data, t)
-
-    def heard(self, heard: Received) -> None:
-        """Bytes that came from it; those that came together are one entry."""
-        for t, entries in groupby(heard.answers, key=itemgetter(0)):
-            self._bytes("received", bytes([code for _, code in entries]), t)
-
-    def looked(self, look: Look) -> None:
-        """A reading of the probe."""
-        if self._open:
-            self._open.add((look.t, "look", look_words(look)))
+    def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
+        """Log one operation. Answers that came together are one entry."""
+        if isinstance(reply, Received):
+            for t, entries in groupby(reply.answers, key=itemgetter(0)):
+                self._bytes("received", bytes([code for _, code in entries]), t)
+        elif isinstance(reply, Observation):
+            if self._open:
+                self._open.add((reply.look.t, "look", look_words(reply.look)))
+        elif isinstance(operation, Send) and not isinstance(reply, Ended):
+            self._bytes("sent", operation.data, reply)
 
     def begin(self, ident: str) -> None:
         """A case begins: what follows belongs to it. One that is tried again begins anew."""
@@ -105,23 +97,6 @@ class WireLog:
         if len(data) > WIDEST:
             words = f"{len(data) - WIDEST} bytes more are left out here"
             self._open.add((t, "clipped", words))
-
-
-class _Logged:
-    def __init__(self, link: Link, log: WireLog) -> None:
-        self._link = link
-        self._log = log
-
-    def do(self, operation: Operation) -> int | Received | Observation:
-        """Do one operation and log it. Raises Ended when it could not be done."""
-        reply = self._link.do(operation)
-        if isinstance(reply, Received):
-            self._log.heard(reply)
-        elif isinstance(reply, Observation):
-            self._log.looked(reply.look)
-        elif isinstance(operation, Send):
-            self._log.sent(operation.data, reply)
-        return reply
 
 
 def _joined(log: Iterable[Entry]) -> list[Entry]:

@@ -8,12 +8,13 @@ import msgspec
 import pytest
 
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
-from bilprov.conformance.api import Options, conform, estimated_seconds, run_on, select_cases
+from bilprov.conformance.api import Options, conform, estimated_seconds, run_suite, select_cases
 from bilprov.conformance.cases.opening import opening_cases
 from bilprov.conformance.cases.selection import matching, shard_named, share
+from bilprov.conformance.dut.environment import Environment
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.runner.environment import Environment
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.robots import ALL_SEEING, sentence, served_here
@@ -90,12 +91,12 @@ def test_a_run_chooses_its_cases_by_the_line_that_it_has(
     line = LineSettings(1200, "E", 2)
     link = {"kind": "port", "line": str(line)}
 
-    report = run_on(
-        VirtualLink(Simulator(protocol), line.byte_time),
+    target = Target(
+        protocol,
         Environment(virtual=True, observability=ALL_SEEING, power=True, device="x", link=link),
-        grammar=protocol,
-        options=options,
+        connect=lambda listener: VirtualLink(Simulator(protocol), line.byte_time, listener),
     )
+    report = run_suite(target, options)
 
     chosen = [case.id for case in select_cases(protocol, options, line)]
     assert chosen != [case.id for case in select_cases(protocol, options)]

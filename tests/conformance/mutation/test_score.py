@@ -5,8 +5,9 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from bilprov.conformance.api import conform
+from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.score import (
     Caught,
@@ -79,7 +80,8 @@ def test_a_survivor_that_can_show_fails_the_suite_and_is_shown(protocol: Protoco
 def test_what_can_say_no_more_is_skipped_and_nothing_else(protocol: Protocol, name: str) -> None:
     fault = fault_bank(protocol)[name]
     spares = _Spares({getattr(protocol.clauses, clause) for clause in fault.clauses})
-    report = conform(Simulator(protocol, fault), grammar=protocol, spare=spares)
+    target = device_target(protocol, Simulator(protocol, fault))
+    report = run_suite(target, Options(), skip=spares)
 
     failed: set[str] = set()
     for case in report.results:

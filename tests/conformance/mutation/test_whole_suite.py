@@ -10,13 +10,15 @@ from random import Random
 
 import pytest
 
-from bilprov.conformance.api import Options, conform
+from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.mixtures import mixtures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.executor import SkipPolicy
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 
@@ -28,7 +30,7 @@ NAMED = [name for name in BANK if name not in SOAK]
 _SMOKE_FLOOR = 0.88
 
 
-def spare_after(clauses: set[str]) -> object:
+def spare_after(clauses: set[str]) -> SkipPolicy:
     """Leaves out what comes after a case that failed and names one of the clauses."""
     read, done = 0, False
 
@@ -45,11 +47,10 @@ def spare_after(clauses: set[str]) -> object:
 def run(protocol: Protocol, fault: Fault, **options: object) -> tuple[Report, set[str]]:
     """The report, and the clauses that failing cases name of those that the fault breaks."""
     broken = {getattr(protocol.clauses, name) for name in fault.clauses}
-    report = conform(
-        Simulator(protocol, fault),
-        grammar=protocol,
-        options=Options(**options),  # type: ignore[arg-type]
-        spare=spare_after(broken),  # type: ignore[arg-type]
+    report = run_suite(
+        device_target(protocol, Simulator(protocol, fault)),
+        Options(**options),  # type: ignore[arg-type]
+        skip=spare_after(broken),
         logged=False,
     )
     failed = {r.clause for r in report.results if r.verdict is Verdict.FAIL}

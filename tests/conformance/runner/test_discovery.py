@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import Observation, Operation, Procedure, Received, listen
@@ -19,7 +20,7 @@ from bilprov.conformance.mutation.faults.vocabulary import answers_with, sets
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.discovery import discover as discovery
 from bilprov.conformance.runner.discovery.discover import reading_cases

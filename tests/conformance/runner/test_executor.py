@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import (
@@ -28,7 +29,7 @@ from bilprov.conformance.dut.operations import (
 )
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import watch

@@ -11,13 +11,14 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Fault, React, answers
 from bilprov.conformance.dut.operations import Listen, Observation, Operation, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults.vocabulary import answers_with, drives_on, late, sets
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Observability, Timers
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.operations import Received
+from bilprov.conformance.api import Options, conform, run_suite
+from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict, WireEvent
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import a_case, a_run
 
 
-class Ears:
-    """A tap that remembers in what order it heard what."""
+class Ears(RunListener):
+    """Remembers in what order it heard what."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[str, str]] = []
@@ -29,9 +31,14 @@ class Ears:
         self.heard.append(("look", ""))
 
 
-def came(data: bytes, t: int) -> Received:
+def came(log: WireLog, data: bytes, t: int) -> None:
     """One read: bytes that came at `t`."""
-    return Received(tuple((t, code) for code in data), t)
+    log.done(Listen(1, 0), Received(tuple((t, code) for code in data), t))
+
+
+def went(log: WireLog, data: bytes, t: int) -> None:
+    """One write: bytes of which the last one was sent at `t`."""
+    log.done(Send(data), t)
 
 
 def test_a_log_tells_set_up_stimulus_looks_and_homing_in_order(protocol: Protocol) -> None:
@@ -65,12 +72,8 @@ def test_a_case_does_not_have_what_was_before_its_begin(protocol: Protocol) -> N
 def test_the_logs_are_what_the_recording_hears_and_the_tap_hears_all(protocol: Protocol) -> None:
     ears = Ears()
     fault = fault_bank(protocol)["no-stop-on-unknown-id"]
-    report = conform(
-        Simulator(protocol, fault),
-        grammar=protocol,
-        options=Options(only=("unused-id/9/*",)),
-        tap=ears,
-    )
+    target = device_target(protocol, Simulator(protocol, fault))
+    report = run_suite(target, Options(only=("unused-id/9/*",)), [ears])
     logged = [(e.kind, e.hex) for result in report.results for e in result.log]
     rest = iter(ears.heard)
 
@@ -96,7 +99,7 @@ def test_the_middle_of_an_endless_log_is_left_out_and_counted() -> None:
     log = WireLog()
     log.begin("flood")
     for t in range(10_000):
-        log.heard(came(bytes([t % 256]), t))
+        came(log, bytes([t % 256]), t)
     events = log.attached(a_case("flood", Verdict.FAIL)).log
 
     assert len(events) == HEAD + TAIL + 1
@@ -111,7 +114,7 @@ def test_a_log_that_just_fits_is_whole() -> None:
     log = WireLog()
     log.begin("long")
     for t in range(HEAD + TAIL):
-        log.sent(b"\0", t)
+        went(log, b"\0", t)
 
     events = log.attached(a_case("long", Verdict.FAIL)).log
 
@@ -121,7 +124,7 @@ def test_a_log_that_just_fits_is_whole() -> None:
 def test_a_read_that_is_too_long_is_cut_and_says_so() -> None:
     log = WireLog()
     log.begin("flood")
-    log.heard(came(bytes(5000), 7))
+    came(log, bytes(5000), 7)
 
     first, second = log.attached(a_case("flood", Verdict.FAIL)).log
 
@@ -132,11 +135,11 @@ def test_a_read_that_is_too_long_is_cut_and_says_so() -> None:
 def test_answers_in_a_row_are_one_entry_in_a_case_that_passed_and_only_there() -> None:
     log = WireLog()
     log.begin("one")
-    log.sent(b"\0\0", 5)
-    log.heard(came(b"\0", 6))
-    log.heard(came(b"\1", 7))
-    log.looked(Look(8, moving=False))
-    log.heard(came(b"\2", 9))
+    went(log, b"\0\0", 5)
+    came(log, b"\0", 6)
+    came(log, b"\1", 7)
+    log.done(Observe(), Observation(8, 8, Look(8, moving=False)))
+    came(log, b"\2", 9)
 
     passed = log.attached(a_case("one", Verdict.PASS)).log
     failed = log.attached(a_case("one", Verdict.FAIL)).log
@@ -153,14 +156,14 @@ def test_answers_in_a_row_are_one_entry_in_a_case_that_passed_and_only_there() -
 def test_cases_that_begin_before_the_one_before_is_final_keep_their_own_logs() -> None:
     log = WireLog()
     log.begin("first")
-    log.sent(b"\1", 1)
+    went(log, b"\1", 1)
     log.begin("second")
-    log.sent(b"\2", 5)
+    went(log, b"\2", 5)
 
     first = log.attached(a_case("first", Verdict.PASS)).log
-    log.heard(came(b"\2", 6))
+    came(log, b"\2", 6)
     second = log.attached(a_case("second", Verdict.PASS)).log
-    log.sent(b"\3", 9)
+    went(log, b"\3", 9)
 
     assert first == (WireEvent(0, "sent", "01"),)
     assert second == (WireEvent(0, "sent", "02"), WireEvent(1, "received", "02"))
@@ -170,8 +173,8 @@ def test_cases_that_begin_before_the_one_before_is_final_keep_their_own_logs() -
 def test_a_case_that_is_tried_again_begins_anew() -> None:
     log = WireLog()
     log.begin("again")
-    log.sent(b"\1", 1)
+    went(log, b"\1", 1)
     log.begin("again")
-    log.sent(b"\2", 5)
+    went(log, b"\2", 5)
 
     assert log.attached(a_case("again", Verdict.PASS)).log == (WireEvent(0, "sent", "02"),)

@@ -1,0 +1,202 @@
+"""The device under test, by its name or as an object, and how to reach it.
+
+A name is `sim`, `emulator:KIND:FIRMWARE`, or else a port: a path or a pyserial URL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.dut.checked_device import CheckedDevice
+from bilprov.conformance.dut.environment import Environment, Observability
+from bilprov.conformance.dut.fault import CONFORMING, Fault
+from bilprov.conformance.dut.link import Device, Link, LinkListener
+from bilprov.conformance.dut.port_link import PortLink
+from bilprov.conformance.dut.power import Power
+from bilprov.conformance.dut.probes import PROBES, Probe, open_probe
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.spec.protocol import Protocol
+
+SIM, SIMAVR, QEMU, PORT = "sim", "simavr", "qemu", "port"
+"""The kinds of target."""
+BOARD = "emulator:"
+"""How the name of an emulated board begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetName:
+    """The name of a target, its kind, and the ELF file where it is an emulated board."""
+
+    text: str
+    kind: str
+    firmware: Path = Path()
+
+    @property
+    def own_probe(self) -> str | None:
+        """The probe that the simulator or a board brings, None for a port."""
+        return None if self.kind == PORT else self.kind
+
+    @property
+    def virtual(self) -> bool:
+        """Whether it runs in virtual time, in process."""
+        return self.kind in (SIM, SIMAVR)
+
+
+def target_named(text: str) -> TargetName:
+    """Parse the name of a target.
+
+    Raises ValueError, in one sentence, for an unknown emulator or a missing firmware file.
+    """
+    if text == SIM:
+        return TargetName(text, SIM)
+    if not text.startswith(BOARD):
+        return TargetName(text, PORT)
+    kind, _, file = text.removeprefix(BOARD).partition(":")
+    if kind not in (SIMAVR, QEMU) or not file:
+        raise ValueError(
+            f"{text!r} names no board: write {BOARD}{SIMAVR}:FIRMWARE.elf or "
+            f"{BOARD}{QEMU}:FIRMWARE.elf"
+        )
+    if not Path(file).is_file():
+        raise ValueError(f"there is no firmware {file}; build it with: make -C firmware")
+    return TargetName(text, kind, Path(file))
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A device under test that is ready for a run.
+
+    `connect` makes a link to it, whose clock begins then, and which tells a listener all that
+    passes. `interrupted` tells whether the user wants the run to end or, in a sentence, what of the
+    kit failed. `halt` is the last resort where the kit itself fails during a run: it stops a robot
+    at a port as far as the line allows. `remark` gives what the user should know after a run.
+    `moves` is true where a real robot will move, to which the user must agree first.
+    """
+
+    protocol: Protocol
+    environment: Environment
+    connect: Callable[[LinkListener | None], Link]
+    interrupted: Callable[[], bool | str] = lambda: False
+    halt: Callable[[], None] = lambda: None
+    remark: Callable[[], str] = lambda: ""
+    moves: bool = False
+
+    @property
+    def line(self) -> LineSettings:
+        """The settings of its line."""
+        return line_named(self.protocol, str(self.environment.link.get("line", "")))
+
+
+@contextmanager
+def open_target(
+    protocol: Protocol,
+    name: TargetName,
+    stopper: Stopper,
+    *,
+    settings: LineSettings | None = None,
+    probe: str | None = None,
+    power: Power | None = None,
+    fault: Fault | None = None,
+) -> Iterator[Target]:
+    """Open the target of that name; nothing is sent to it. `stopper` ends its runs.
+
+    `settings` are those of a port's line (the grammar's own if None), `probe` names what sees its
+    robot, `power` switches it off and on; `fault` is the simulator's. The simulator and a board
+    have all these themselves. Raises LinkError, ProbeError and EmulatorError, in one sentence.
+    """
+    with ExitStack() as stack:
+        if name.kind == SIM:
+            robot = Simulator(protocol, fault)
+            named = None if robot.fault is CONFORMING else robot.fault.name
+            target = device_target(protocol, robot, fault=named)
+        elif name.kind == SIMAVR:
+            from bilprov.conformance.dut.boards.simavr import SimavrBoard
+
+            board = stack.enter_context(closing(SimavrBoard(name.firmware)))
+            target = device_target(protocol, board, name=name.text, probe=SIMAVR)
+            crash = f"{name.firmware} crashed: the board has been silent since"
+            target = replace(target, remark=lambda: crash if board.crashed else "")
+        elif name.kind == QEMU:
+            from bilprov.conformance.dut.boards.qemu import running
+
+            settings = line_settings(protocol, None, None, None)
+            port, machine = stack.enter_context(running(name.firmware, settings))
+            power = machine.power_cycle
+            target = _port_target(protocol, port, machine, QEMU, stopper, power, name.text)
+        else:
+            settings = settings or line_settings(protocol, None, None, None)
+            port = stack.enter_context(open_port(name.text, settings))
+            probe = PROBES[-1].name if probe is None else probe
+            eye = open_probe(probe, port)
+            if eye:
+                stack.callback(eye.close)
+            target = _port_target(protocol, port, eye, probe, stopper, power, port.name)
+        moves = name.kind == PORT
+        yield replace(target, interrupted=lambda: stopper.stopped, moves=moves)
+
+
+def device_target(
+    protocol: Protocol,
+    device: Device,
+    *,
+    name: str = SIM,
+    probe: str = SIM,
+    fault: str | None = None,
+) -> Target:
+    """A device object as a target in virtual time; `name`, `probe` and `fault` are for the report.
+
+    Raises DeviceError for an object that lacks a method of `Device`.
+    """
+    line = line_settings(protocol, None, None, None)
+    observability = Observability(hasattr(device, "look"), why="the device object has no look")
+    power = hasattr(device, "power_cycle")
+    about = {
+        "kind": "virtual",
+        "line": str(line),
+        "probe": probe if observability.available else "none",
+        "fault": fault,
+    }
+    checked = device if isinstance(device, Simulator) else CheckedDevice(device)
+    return Target(
+        protocol,
+        Environment(True, observability, power, name, about),
+        connect=lambda listener: VirtualLink(checked, line.byte_time, listener),
+    )
+
+
+def _port_target(
+    protocol: Protocol,
+    port: Port,
+    probe: Probe | None,
+    probe_name: str,
+    stopper: Stopper,
+    power: Power | None,
+    name: str,
+) -> Target:
+    """An open port as a target in real time."""
+    observability = Observability(available=False)
+    if probe is not None:
+        why = f"{probe_name} is asked only about a few cases"
+        observability = Observability(True, probe.costly, why)
+    line = port.settings
+    about = {"kind": "port", "line": str(line), "baud": line.baud, "probe": probe_name}
+
+    def halt() -> None:
+        with suppress(LinkError):
+            port.write(bytes([protocol.pad_byte]) * protocol.longest_frame)
+
+    return Target(
+        protocol,
+        Environment(False, observability, power is not None, name, about),
+        connect=lambda listener: PortLink(port, probe, stopper.fileno(), listener, power),
+        halt=halt,
+    )
