@@ -115,16 +115,16 @@ def _send(run: Run, frame: bytes) -> Procedure[int]:
     return len(heard.answers)
 
 
-def _compared(name: str, value: int | None, full: int) -> str:
+def _compared(what: str, value: int | None, full: int) -> str:
     """What a variable shows whose value was `full`: kept, reset, "" if it is not seen."""
     known = {None: "", full: Behaviour.KEPT, 0: Behaviour.RESET}
-    return known.get(value, f"{name} is {value}")
+    return known.get(value, f"{what} {value}")
 
 
 def _steering(look: Look, full: State) -> str:
     """What a moving robot's steering shows: kept, reset, "" if it cannot be told."""
     if look.steering is not None:
-        return _compared("steering", look.steering, full.steering)
+        return _compared("steering is", look.steering, full.steering)
     if look.left is None or look.right is None or not look.moving:
         return ""
     return Behaviour.RESET if look.left == look.right else Behaviour.KEPT
@@ -168,10 +168,11 @@ def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) ->
     blind = look.steering is None and straight
     steering = "" if blind else _steering(look if look.steering is not None else again, full)
     if look.speed is not None:
-        speed = _compared("speed", look.speed, full.speed)
+        speed = _compared("speed is", look.speed, full.speed)
     else:
         speed = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[speed_again.moving]
-    seen_now = {"steering": steering, "speed": speed, "led": _compared("LED", look.led, full.led)}
+    led = _compared("LED is", look.led, full.led)
+    seen_now = {"steering": steering, "speed": speed, "led": led}
     points = _points(protocol, moment)
     if not run.wire(setting(protocol, "led", full.led)):
         # A device that does not know the LED's instruction has no light to switch off.
