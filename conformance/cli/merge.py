@@ -23,8 +23,13 @@ from bilprov.conformance.cli.outputs import (
     write_each,
 )
 from bilprov.conformance.report.json_report import report_file
-from bilprov.conformance.report.merge import merge
-from bilprov.conformance.report.shard import MergeError, ShardReport, require_together, shard_from
+from bilprov.conformance.report.merge import (
+    MergeError,
+    ShardReport,
+    merge,
+    require_together,
+    shard_from,
+)
 from bilprov.conformance.report.summary import show, visible_report
 
 

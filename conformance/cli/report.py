@@ -16,8 +16,7 @@ from bilprov.conformance.cli.outputs import (
 )
 from bilprov.conformance.report.formats import SEVERAL
 from bilprov.conformance.report.json_report import ReportError, read_report
-from bilprov.conformance.report.side_by_side_table import show_compared
-from bilprov.conformance.report.summary import show, visible_report
+from bilprov.conformance.report.summary import show, show_compared, visible_report
 
 *_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
 _HELP = f"""Write pages from what conform --json wrote, several runs side by side.

@@ -1,13 +1,94 @@
-"""Puts cases together for every format of a report: by group, by verdict, by reason."""
+"""Puts cases together for every format of a report: by group, verdict, reason, and side by side."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.side_by_side import Row
+from bilprov.conformance.report.run_report import Report
+
+
+class Row(NamedTuple):
+    """One case: its id, and its result in each report, None where a report has no such case."""
+
+    id: str
+    results: tuple[CaseResult | None, ...]
+
+    @property
+    def any(self) -> CaseResult:
+        """The first result there is; what it says of the case itself is the same in all."""
+        return next(result for result in self.results if result)
+
+    @property
+    def clause(self) -> str:
+        """The clause that the case stands under: the same whether it passes or fails.
+
+        An older report, without `planned_clause`, has it only where the case does not fail.
+        """
+        results = [result for result in self.results if result]
+        return min(results, key=lambda r: (not r.planned, r.verdict)).own_clause
+
+    @property
+    def group(self) -> str:
+        """The first part of the case's id."""
+        return self.any.group
+
+    @property
+    def differs(self) -> bool:
+        """Whether the verdicts of the reports that have the case differ."""
+        return len({result.verdict for result in self.results if result}) > 1
+
+
+def rows(reports: Sequence[Report]) -> list[Row]:
+    """Every case of any report, in the order of the first report that has it.
+
+    A case that only later reports have stands after the one that it follows there.
+    """
+    order: list[tuple[str, int]] = []
+    found: list[dict[tuple[str, int], CaseResult]] = []
+    for report in reports:
+        seen: Counter[str] = Counter()
+        results: dict[tuple[str, int], CaseResult] = {}
+        for result in report.results:
+            # An id stands once in a report; if a file has it more often, no result is lost.
+            results[result.id, seen[result.id]] = result
+            seen[result.id] += 1
+        found.append(results)
+        order = _merged(order, list(results))
+    return [Row(key[0], tuple(results.get(key) for results in found)) for key in order]
+
+
+def _merged(order: list[tuple[str, int]], more: list[tuple[str, int]]) -> list[tuple[str, int]]:
+    known = set(order)
+    after: dict[tuple[str, int] | None, list[tuple[str, int]]] = {}
+    last: tuple[str, int] | None = None
+    for key in more:
+        if key in known:
+            last = key
+        else:
+            after.setdefault(last, []).append(key)
+    merged = list(after.get(None, ()))
+    for key in order:
+        merged += [key, *after.get(key, ())]
+    return merged
+
+
+def names(reports: Sequence[Report]) -> list[str]:
+    """A distinct name for each report: the device, the fault that was set, a number if needed."""
+    plain = [
+        report.device + (f" --fault {report.link['fault']}" if report.link.get("fault") else "")
+        for report in reports
+    ]
+    counts = Counter(plain)
+    seen: Counter[str] = Counter()
+    told = []
+    for name in plain:
+        seen[name] += 1
+        told.append(f"{name} ({seen[name]})" if counts[name] > 1 else name)
+    return told
+
 
 Case = TypeVar("Case", CaseResult, Row)
 

@@ -32,7 +32,7 @@ def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
     """Markdown: verdict, table of case groups, the first cases that did not pass, coverage."""
     text = ""
     for index, report in enumerate(reports):
-        part = "\n".join(_report(report)) + "\n"
+        part = "".join(f"{block}\n\n" for block in _report(report))
         if len(text) + len(part) > _MOST:
             left = len(reports) - index
             return text + f"\n{left} more {'report is' if left == 1 else 'reports are'} left out.\n"
@@ -72,19 +72,17 @@ def _clipped(text: str) -> str:
 
 
 def _report(report: Report) -> Iterator[str]:
+    """The blocks of one report; a blank line follows each."""
     yield f"## {_SIGNS[EXIT_VERDICTS[report.exit]]} {prose(conclusion(report).plain)}"
-    yield ""
     grammar = report.grammar
     facts = [f"{prose(grammar['name'])} {prose(grammar['version'])}", f"seed {report.seed}"]
     facts += [f"probe {code(str(report.link['probe']))}"] if report.link.get("probe") else []
     yield f"{', '.join(facts)}, bilprov {prose(report.kit)}"
-    yield ""
     about = run_facts(report)
     if about:
         yield ", ".join(f"{prose(name)} {code(words)}" for name, words in about.items())
-        yield ""
     if report.results:
-        yield from _table(report)
+        yield "\n".join(_table(report))
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.NON_STRICT):
         found = [result for result in report.results if result.verdict is verdict]
         if found:
@@ -93,10 +91,8 @@ def _report(report: Report) -> Iterator[str]:
     covered = {name: pair for name, pair in report.coverage.items() if pair[1]}
     if report.results and covered:
         yield "### Coverage"
-        yield ""
-        for name, (done, of) in list(covered.items())[:_GROUPS]:
-            yield f"- {prose(name)}: {done} of {of}"
-        yield ""
+        some = list(covered.items())[:_GROUPS]
+        yield "\n".join(f"- {prose(name)}: {done} of {of}" for name, (done, of) in some)
 
 
 def _table(report: Report) -> Iterator[str]:
@@ -111,34 +107,27 @@ def _table(report: Report) -> Iterator[str]:
     if len(groups) > _GROUPS:
         yield f"| and {len(groups) - _GROUPS} more | {' | ' * (len(columns) - 1)} |"
     yield f"| **all** | {' | '.join(f'**{total[v]}**' for v in columns)} |"
-    yield ""
 
 
 def _cases(report: Report, verdict: Verdict, found: list[CaseResult]) -> Iterator[str]:
     yield f"### {_SIGNS[verdict]} {len(found)} {verdict.label}"
-    yield ""
     for result in found[:_FIRST]:
         reading = f" ({prose(result.reading)})" if result.reading else ""
         yield f"**{code(result.id)}** {prose(result.clause)}: {prose(result.reason)}{reading}"
-        yield ""
         yield f"Required: {prose(result.requirement)}"
-        yield ""
         yield _block(reproduce(report, result))
-        yield ""
     if len(found) > _FIRST:
         yield f"and {len(found) - _FIRST} more."
-        yield ""
 
 
 def _reasons(found: list[CaseResult]) -> Iterator[str]:
     """The inconclusive cases by reason, because many cases often share one."""
-    if not found:
-        return
-    yield f"### {_SIGNS[Verdict.INCONCLUSIVE]} {len(found)} not judged"
-    yield ""
-    reasons = by_reason(found)
-    for cases, first, reason in reasons[:_REASONS]:
-        yield f"- {cases}, {code(first)} is the first: {prose(reason)}"
-    if len(reasons) > _REASONS:
-        yield f"- and {len(reasons) - _REASONS} more reasons"
-    yield ""
+    if found:
+        yield f"### {_SIGNS[Verdict.INCONCLUSIVE]} {len(found)} not judged"
+        reasons = by_reason(found)
+        lines = [
+            f"- {cases}, {code(first)} is the first: {prose(reason)}"
+            for cases, first, reason in reasons[:_REASONS]
+        ]
+        more = len(reasons) - _REASONS
+        yield "\n".join([*lines, f"- and {more} more reasons"] if more > 0 else lines)

@@ -1,8 +1,8 @@
-"""Shows a report on a terminal: a table of case groups and verdicts, then cases not passed."""
+"""Shows reports on a terminal: a table of case groups, then what did not pass or what differs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
 from rich.console import Console
@@ -13,11 +13,12 @@ from bilprov.captures.text import escape_all_controls
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import STYLES, conclusion
-from bilprov.conformance.report.grouping import by_group, by_reason, tally
+from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
 from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
 
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
+_DIFFERING = 20
 # The keys of `timing` that are shown; a report from a file may have fewer.
 _TIMED = {
     *("took_s", "ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
@@ -141,3 +142,56 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
     for label, words in rows:
         line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
         console.print(line)
+
+
+def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:
+    """Print one column for each report; `everything` lists every case on which they differ.
+
+    Control characters in the reports must have been escaped before (`visible_report`).
+    """
+    told = names(reports)
+    cases = rows(reports)
+    console.print(_compared(told, cases))
+    differing = [row for row in cases if row.differs]
+    shown = differing if everything else differing[:_DIFFERING]
+    for row in shown:
+        line = Text.assemble((row.id, "bold"), "  ")
+        for index, result in enumerate(row.results):
+            line.append(", " if index else "").append(_word(result))
+        console.print(line)
+    if len(shown) < len(differing):
+        left = len(differing) - len(shown)
+        console.print(Text(f"and {left} more differ; --verbose lists them", "dim"))
+    for name, report in zip(told, reports, strict=True):
+        console.print(Text.assemble((f"{name}: ", "dim"), conclusion(report)))
+
+
+def _compared(told: Sequence[str], cases: Sequence[Row]) -> Table:
+    table = Table()
+    table.add_column("cases")
+    for name in told:
+        table.add_column(Text(name))
+    groups = by_group(cases)
+    for group, found in groups.items():
+        table.add_row(Text(group), *(_cell(found, index) for index in range(len(told))))
+    if len(groups) > 1:
+        table.add_section()
+        table.add_row("all", *(_cell(cases, index) for index in range(len(told))))
+    return table
+
+
+def _cell(found: Sequence[Row], index: int) -> Text:
+    """One report's verdicts on some cases, the worst first."""
+    results = [row.results[index] for row in found]
+    parts = [
+        Text(f"{count} {verdict.label}", STYLES[verdict])
+        for verdict, count in tally(results).items()
+    ]
+    missing = results.count(None)
+    if missing:
+        parts.append(Text(f"{missing} not run", "dim"))
+    return Text(", ").join(parts)
+
+
+def _word(result: CaseResult | None) -> Text:
+    return Text(result.verdict.label, STYLES[result.verdict]) if result else Text("not run", "dim")

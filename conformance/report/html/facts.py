@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bilprov.conformance.oracle.choices import default_of
-from bilprov.conformance.report.html.markup import Safe, tag, text
+from bilprov.conformance.report.html.markup import Safe, bar, tag, text
 from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.readings import READINGS
 
@@ -120,13 +120,8 @@ def _covered(pair: tuple[int, int] | None) -> Safe:
         return tag("span", "not told", class_="dim")
     done, of = pair
     share = min(done / of, 1.0) if of else 0.0
-    rects = (
-        tag("rect", x="0", y="0", width="100", height="8", class_="b-none"),
-        tag("rect", x="0", y="0", width=f"{share * 100:.2f}", height="8", class_="b-done"),
-    )
-    bar = tag("svg", *rects, viewBox="0 0 100 8", preserveAspectRatio="none", class_="bar",
-              aria_hidden="true")  # fmt: skip
-    return tag("span", tag("span", f"{done:,} of {of:,}", class_="of"), bar, class_="covered")
+    shown = bar(100, [("0", "100", "none"), ("0", f"{share * 100:.2f}", "done")])
+    return tag("span", tag("span", f"{done:,} of {of:,}", class_="of"), shown, class_="covered")
 
 
 def _table(lines: dict[str, list[Any]], told: Sequence[str]) -> Safe:

@@ -39,6 +39,18 @@ def joined(parts: Iterable[object]) -> Safe:
     return Safe("".join(text(part) for part in parts))
 
 
+def bar(width: int, parts: Iterable[tuple[str, str, str]]) -> Safe:
+    """A strip, `width` units wide; a part is where it begins, its width, and what it shows."""
+    rects = (
+        tag("rect", x=x, y="0", width=size, height="8", class_=f"b-{name}")
+        for x, size, name in parts
+    )
+    return tag(
+        "svg", *rects, viewBox=f"0 0 {width} 8", preserveAspectRatio="none", class_="bar",
+        aria_hidden="true",
+    )  # fmt: skip
+
+
 def json_block(ident: str, value: object) -> Safe:
     """A value as JSON inside a page; nothing in it can end the block or a line of script."""
     written = json.dumps(value, separators=(",", ":"))  # ASCII only: no U+2028 either

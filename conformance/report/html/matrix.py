@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.grouping import by_group, tally
-from bilprov.conformance.report.html.markup import Safe, joined, tag
-from bilprov.conformance.report.side_by_side import Row
+from bilprov.conformance.report.grouping import Row, by_group, tally
+from bilprov.conformance.report.html.markup import Safe, bar, joined, tag
 
 _BAR = 160  # units of a bar's width
 
@@ -52,15 +51,8 @@ def _line(
     look: str,
 ) -> Safe:
     def link(words: object, verdict: str, css: str = "") -> Safe:
-        return tag(
-            "a",
-            words,
-            href="#cases",
-            data_c=clause,
-            data_g=group,
-            data_v=verdict,
-            class_=css or None,
-        )
+        where = {"data_c": clause, "data_g": group, "data_v": verdict}
+        return tag("a", words, href="#cases", **where, class_=css or None)
 
     count = f"{len(found):,}"
     head = tag(
@@ -81,7 +73,7 @@ def _line(
         )
         for v in columns
     ]
-    return tag("tr", head, *cells, tag("td", bar(counts), class_="share"))
+    return tag("tr", head, *cells, tag("td", _share(counts), class_="share"))
 
 
 def _tallied(results: Sequence[CaseResult | None], link: object) -> Safe:
@@ -95,7 +87,7 @@ def _tallied(results: Sequence[CaseResult | None], link: object) -> Safe:
     return joined(parts)
 
 
-def bar(counts: dict[Verdict, int]) -> Safe:
+def _share(counts: dict[Verdict, int]) -> Safe:
     """The share of each verdict as a strip; the numbers beside it say the same."""
     total = sum(counts.values())
     x, parts = 0.0, []
@@ -105,18 +97,4 @@ def bar(counts: dict[Verdict, int]) -> Safe:
         parts.append((x, width, verdict.label))
         x += width
     scale = _BAR / x if x else 1.0
-    rects = [
-        tag(
-            "rect",
-            x=f"{at * scale:.2f}",
-            y="0",
-            width=f"{width * scale:.2f}",
-            height="8",
-            class_=f"b-{label}",
-        )
-        for at, width, label in parts
-    ]
-    return tag(
-        "svg", *rects, viewBox=f"0 0 {_BAR} 8", preserveAspectRatio="none", class_="bar",
-        aria_hidden="true",
-    )  # fmt: skip
+    return bar(_BAR, [(f"{at * scale:.2f}", f"{w * scale:.2f}", name) for at, w, name in parts])

@@ -13,13 +13,12 @@ from pathlib import Path
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
-from bilprov.conformance.report.grouping import tally
+from bilprov.conformance.report.grouping import Row, names, rows, tally
 from bilprov.conformance.report.html.cases import case_data, case_rows
 from bilprov.conformance.report.html.facts import coverage, facts, profile
 from bilprov.conformance.report.html.markup import Safe, joined, json_block, tag
 from bilprov.conformance.report.html.matrix import matrix
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.side_by_side import Row, names, rows
 from bilprov.spec.protocol import Protocol
 
 _PAGE = Path(__file__).parent / "assets"

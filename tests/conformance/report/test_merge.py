@@ -13,8 +13,13 @@ from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.report.json_report import as_json
-from bilprov.conformance.report.merge import merge
-from bilprov.conformance.report.shard import MergeError, ShardReport, require_together, shard_from
+from bilprov.conformance.report.merge import (
+    MergeError,
+    ShardReport,
+    merge,
+    require_together,
+    shard_from,
+)
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.robots import sentence, simulate, unwell

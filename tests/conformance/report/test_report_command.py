@@ -23,12 +23,12 @@ from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.formats import FORMATS, SEVERAL
+from bilprov.conformance.report.grouping import names, rows
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, read_report
 from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report, reproduce
-from bilprov.conformance.report.side_by_side import names, rows
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile

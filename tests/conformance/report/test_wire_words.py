@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.conformance.oracle.verdicts import WireEvent
-from bilprov.conformance.report.wire_words import WireWords
+from bilprov.conformance.report.html.cases import WireWords
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import every_verdict
 
