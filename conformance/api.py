@@ -9,9 +9,8 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable
-from bilprov.conformance.cases.budget import dropped, within
+from bilprov.conformance.cases.budget import before_the_cases, dropped, seconds, within
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.duration import before_the_cases, seconds
 from bilprov.conformance.cases.levels import (
     LEVELS,
     SEQUENCE_PREFIXES,

@@ -1,6 +1,6 @@
-"""Selects the cases that add the most coverage per second within a time budget.
+"""Estimates how long cases take, and selects those that add the most coverage within a budget.
 
-Pure: takes the cases and their estimated seconds, returns the chosen cases in the order given.
+An estimate counts bytes on the wire, silences, time-outs and looks.
 """
 
 from __future__ import annotations
@@ -9,9 +9,15 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Sequence
 
+from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import Fact, facts
 from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.spec.protocol import Protocol
+
+_EXCHANGE = 0.0004  # s for an answer and a look, on a local line
 
 
 def within(
@@ -56,3 +62,39 @@ def group(ident: str) -> str:
     """The group that a case belongs to: the first part of its id, for sequences the first two."""
     parts = 2 if ident.startswith(SEQUENCE_PREFIXES) else 1
     return "/".join(ident.split("/")[:parts])
+
+
+def seconds(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float) -> float:
+    """About how long (s) a case takes.
+
+    `byte_time` and `timeout` (the pause that ends a truncated frame) are in s.
+    """
+    timers = Timers()
+    home = 4 * protocol.longest_frame * byte_time
+    silence = timers.silence / MS / 1000
+    if isinstance(case, SequenceCase):
+        size = sum(len(data) + 1 for data in case.sent)
+        bursts = len(case.bursts) + len(case.setup)
+        total = home + size * byte_time + bursts * _EXCHANGE
+        for burst in case.bursts:
+            total += 1.25 * timeout if burst.steps[-1].truncated else 0.0
+            total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
+        return total
+    total = home + (12 + len(case.frame)) * byte_time + 8 * _EXCHANGE
+    if case.stop:
+        total += timers.hold / MS / 1000 if case.thorough else silence
+    if case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough:
+        total -= silence * 3 / 4
+    return total + (1.1 * timeout if case.truncated or case.short else 0.0)
+
+
+def answers_in(case: AnyCase) -> int:
+    """How many times a case waits for an answer before it goes on, homing included."""
+    if isinstance(case, SequenceCase):
+        return len(case.setup) + len(case.bursts) + 2
+    return 9
+
+
+def before_the_cases(timeout: float) -> float:
+    """About how long (s) the opening cases and the probes of a run take; `timeout` is in s."""
+    return 2.5 + 8 * timeout

@@ -33,15 +33,17 @@ class _Setups:
     def __init__(self, protocol: Protocol, seed: int) -> None:
         draw = random.Random(seed)
         self._motions = _blocks(draw, moving_motions(protocol))
-        top = {name: high for name, (_, high) in protocol.limits.items()}
-        low = {name: least for name, (least, _) in protocol.limits.items()}
-        fast = top.get("speed", 0)
+        limits = protocol.limits
+        fast = limits.get("speed", (0, 0))[1]
         # At least half speed: a wheel must be seen to turn, also the inner one of a curve.
-        self._speeds = cycle(_shuffled(draw, range(max(1, fast // 2), fast + 1)))
-        self._steers = cycle(
-            _shuffled(draw, range(low.get("steering", 0), top.get("steering", 0) + 1))
+        self._speeds, self._steers, self._leds = (
+            cycle(draw.sample(values := range(low, high + 1), len(values)))
+            for low, high in (
+                (max(1, fast // 2), fast),
+                limits.get("steering", (0, 0)),
+                limits.get("led", (0, 0)),
+            )
         )
-        self._leds = cycle(_shuffled(draw, range(low.get("led", 0), top.get("led", 0) + 1)))
         self._power_on = protocol.power_on
 
     def next(self, motion: Motion | None = None) -> State:
@@ -61,10 +63,6 @@ def _blocks(draw: random.Random, motions: tuple[Motion, ...]) -> Iterator[Motion
     """Motions without end, each as often as the others, in no fixed relation to what is sent."""
     while True:
         yield from draw.sample(motions, len(motions))
-
-
-def _shuffled(draw: random.Random, values: range) -> list[int]:
-    return draw.sample(values, len(values))
 
 
 def all_cases(protocol: Protocol, seed: int, *, every_cut: bool) -> tuple[Case, ...]:

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli.outputs import (
     STANDARD_OUTPUT,
     Output,
@@ -20,7 +21,7 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
-from bilprov.conformance.mutation.score import Score, chosen_faults, levels, score
+from bilprov.conformance.mutation.score import Score, chosen_faults, score
 
 _SHOWN = 4  # faults named behind a case group
 
@@ -59,9 +60,9 @@ def command(
     is caught that must be, 1 something is not.
     """
     protocol = load_protocol(grammar)
-    unknown = [level for level in at if level not in levels()]
+    unknown = [level for level in at if level not in LEVELS]
     if unknown:
-        raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(levels())}")
+        raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(LEVELS)}")
     faults = chosen_faults(protocol, drawn, only)
     if not faults:
         raise click.UsageError(f"no fault matches {' or '.join(only)}; see simulate --list-faults")

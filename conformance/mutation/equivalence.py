@@ -86,22 +86,12 @@ def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
     while True:
         known = len(reads)
         found = _search(protocol, fault, inputs, reads, most)
-        if not found.shown and not found.closed:
-            return _random_search(protocol, fault, inputs, found)
+        if not found.shown and not found.closed:  # too many states
+            words, different = _sequence(protocol, fault, random_search(protocol, fault, inputs))
+            return msgspec.structs.replace(found, shown=words, difference=different)
         # The fault has read a new part of its history: merged states may differ, so search again.
         if found.shown or len(reads) == known:
             return found
-
-
-def _random_search(
-    protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], found: Search
-) -> Search:
-    """Add the result of a random search to `found`, for a search that has too many states."""
-    sequence = random_search(protocol, fault, inputs)
-    if not sequence:
-        return found
-    words, different = _sequence(protocol, fault, sequence)
-    return msgspec.structs.replace(found, shown=words, difference=different)
 
 
 def random_search(
@@ -138,13 +128,17 @@ def _shortened(protocol: Protocol, fault: Fault, sequence: list[Symbol]) -> list
     return sequence
 
 
+def _started(protocol: Protocol, faulty: Simulator) -> tuple[_Pair, str]:
+    """Return both devices 10 ms after power-on, and what differed until then."""
+    pair = _Pair(Simulator(protocol), faulty, 0, ())
+    return pair._replace(now=10 * MS), _watch(pair, 10 * MS)
+
+
 def _sequence(
     protocol: Protocol, fault: Fault, sequence: Sequence[Symbol]
 ) -> tuple[tuple[str, ...], str]:
     """Send inputs to both devices until they differ; return their words and what differs."""
-    pair = _Pair(Simulator(protocol), Simulator(protocol, fault), 0, ())
-    different = _watch(pair, 10 * MS)
-    pair = pair._replace(now=10 * MS)
+    pair, _ = _started(protocol, Simulator(protocol, fault))
     for symbol in sequence:
         pair, different = _send(pair, symbol)
         if not different:
@@ -159,9 +153,7 @@ def _search(
 ) -> Search:
     faulty = Simulator(protocol, fault)
     faulty.reads = reads
-    start = _Pair(Simulator(protocol), faulty, 0, ())
-    different = _watch(start, 10 * MS)
-    start = start._replace(now=10 * MS)
+    start, different = _started(protocol, faulty)
     seen = {start.key(reads)}
     queue = deque([start])
     tried = depth = 0

@@ -6,18 +6,23 @@ A seed gives the same fault on every machine and with every Python.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Iterable, Sequence
+from functools import cache, partial
+from operator import xor
 from typing import NamedTuple, TypeVar
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.dut.fault import Event, Fault, Hear, MutatedDevice, React, Reaction
 from bilprov.conformance.mutation.faults.family import ordinal
 from bilprov.conformance.mutation.faults.vocabulary import (
     FAULTY,
     Condition,
     after,
     after_a_fault,
+    answers_again,
+    answers_ok,
+    answers_with,
+    drives_on,
     every,
     every_nth,
     faulty,
@@ -27,15 +32,22 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     is_named,
     is_outcome,
     is_truncated,
+    late,
     moving_in,
     pipelined,
+    resizes,
+    resumes_after,
+    sets,
+    silent,
     split,
     standing,
+    stands_still,
     steered_to,
+    stops_after,
+    twice,
     when,
 )
-from bilprov.conformance.mutation.random_effects import Effect, effects_on
-from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.by_effect import moving_motions, variable_of
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -66,13 +78,12 @@ class Draw:
 class What(NamedTuple):
     """The frames that trigger a fault: their description, the condition, and their kind.
 
-    `spec` is their instruction, None if they have several; `outcome` is their kind of fault, None
-    for any; `cut` is true for truncated frames.
+    `spec` is the instruction of valid frames, None for faulty ones; `outcome` is their kind of
+    fault, None for any; `cut` is true for truncated frames.
     """
 
     words: str
     condition: Condition
-    valid: bool
     spec: InstructionSpec | None = None
     outcome: Outcome | None = None
     cut: bool = False
@@ -84,6 +95,14 @@ class When(NamedTuple):
     words: str
     condition: Condition
     hints: tuple[int, ...] = ()
+
+
+class Effect(NamedTuple):
+    """One effect: its hooks, and words that continue the description of the trigger."""
+
+    words: str
+    react: React
+    hear: Hear | None = None
 
 
 @cache
@@ -98,9 +117,7 @@ def random_fault(protocol: Protocol, seed: int) -> Fault:
         kind = draw.pick(kinds)
         kinds = [other for other in kinds if other is not kind]
         chosen.append(kind(protocol, draw, what))
-    effect: Effect = draw.pick(
-        effects_on(protocol, draw, what.spec, what.outcome, valid=what.valid, cut=what.cut)
-    )
+    effect = draw.pick(_effects(protocol, draw, what))
     conditions = ", ".join((what.words, *(one.words for one in chosen)))
     return Fault(
         f"{PREFIX}{seed}",
@@ -118,21 +135,21 @@ def _what(protocol: Protocol, draw: Draw) -> What:
     kind = draw.below(10)
     if kind < 5:
         spec = draw.pick(protocol.instructions)
-        return What(f"a valid {spec.name}", is_named(spec), True, spec)
+        return What(f"a valid {spec.name}", is_named(spec), spec)
     if kind < 7:
         outcome = draw.pick(FAULTY)
-        return What(outcome.value, is_outcome(outcome), False, None, outcome)
+        return What(outcome.value, is_outcome(outcome), outcome=outcome)
     if kind == 7:
-        return What("a frame that is cut short", is_truncated, False, cut=True)
+        return What("a frame that is cut short", is_truncated, cut=True)
     if kind == 8 and protocol.unused_ids:
         identity = draw.pick(protocol.unused_ids)
-        unused = has_id(identity)
-        return What(f"the unused ID {identity}", unused, False, None, Outcome.UNKNOWN_ID)
-    return What("any fault", faulty, False)
+        words = f"the unused ID {identity}"
+        return What(words, has_id(identity), outcome=Outcome.UNKNOWN_ID)
+    return What("any fault", faulty)
 
 
 def _has_data(what: What) -> bool:
-    return bool(what.spec and what.spec.fields) or (not what.valid and not what.cut)
+    return bool(what.spec.fields) if what.spec else not what.cut
 
 
 def _state(protocol: Protocol, draw: Draw, what: What) -> When:
@@ -142,7 +159,7 @@ def _state(protocol: Protocol, draw: Draw, what: What) -> When:
     if kind < 3:
         motion = draw.pick(moving_motions(protocol))
         return When(f"while it moves {motion.value}", moving_in(motion))
-    if kind == 3 and what.valid and not (what.spec and what.spec.effect.motion is Motion.STOPPED):
+    if kind == 3 and what.spec and what.spec.effect.motion is not Motion.STOPPED:
         return When("while it stands", standing)
     if kind in (3, 4):
         least = draw.between(1, fast)
@@ -232,4 +249,80 @@ def _timing(protocol: Protocol, draw: Draw, what: What) -> When:
     return When("with a pause between its bytes", split)
 
 
-Kind = Callable[[Protocol, Draw, What], When]
+def _effects(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
+    """Return the effects that a fault may have on such frames; no reading allows them.
+
+    An effect that stands in the list several times is drawn more often.
+    """
+    found, spec = _answers(protocol, draw, what), what.spec
+    if spec is None:
+        found += 3 * [Effect("does not stop it", drives_on)]
+        too_late = stops_after(3 * protocol.timing.stop_longest)
+        found.append(Effect("stops it much too late", too_late))
+        found += [_resumes(pause) for pause in (12, 60, 120)]
+        return found + _astray(protocol, draw, ("led", "speed"))
+    motion = spec.effect.motion
+    if motion is Motion.STOPPED:
+        found += 2 * [Effect("does nothing", drives_on), _resumes(15)]
+        return found + _astray(protocol, draw, ("led",))
+    if not spec.effect.assignments:
+        return found
+    found += 3 * [Effect("is answered and not carried out", drives_on)]
+    if motion is None:
+        own = variable_of(spec)
+        others = [name for name in ("speed", "led", "steering") if name != own]
+        found += 2 * _astray(protocol, draw, (own,)) + _astray(protocol, draw, others)
+        return [*found, Effect("stops it", stands_still)]
+    motions = [other for other in moving_motions(protocol) if other is not motion]
+    if motions:
+        other = draw.pick(motions)
+        found.append(Effect(f"moves it {other.value}", sets(motion=other)))
+    return found + _astray(protocol, draw, ("speed", "led"))
+
+
+def _answers(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
+    ok = protocol.answers[Outcome.VALID]
+    code = draw.pick([code for code in range(256) if code not in protocol.codes])
+    found = [
+        Effect(f"is answered {code}, an unused code", answers_with(code)),
+        Effect("is answered twice", twice),
+        Effect("is answered again 12 ms later", answers_again(12)),
+        Effect("is answered much too late", late(1.2 * protocol.timing.answer_longest)),
+        Effect("makes it lose the next byte", _marks, _loses),
+    ]
+    if what.spec:
+        given = draw.pick([spec for spec in protocol.responses if spec.code != ok.code])
+        found.append(Effect(f"is answered {given.name}", answers_with(given.code)))
+    else:
+        found.append(Effect(f"is answered {ok.name}, but stops it", answers_ok))
+        if what.outcome is not None or what.cut:
+            bad = what.outcome in (None, Outcome.UNKNOWN_ID)
+            wrong = protocol.answers[Outcome.BAD_DATA if bad else Outcome.UNKNOWN_ID]
+            found.append(Effect(f"is answered {wrong.name}", answers_with(wrong.code)))
+    if what.outcome is not None or what.spec:  # not to answer a truncated frame is legal
+        found.append(Effect("is not answered", silent))
+    return found
+
+
+def _resumes(pause: int) -> Effect:
+    return Effect(f"stops it, and it drives on {pause} ms later", resumes_after(pause))
+
+
+def _astray(protocol: Protocol, draw: Draw, variables: Iterable[str]) -> list[Effect]:
+    """Return effects that turn one bit of a variable; readings allow only to keep or zero it."""
+    found = []
+    for name in variables:
+        if name in protocol.limits:
+            bit = draw.below(max(1, protocol.limits[name][1].bit_length()))
+            turned = resizes(name, partial(xor, 1 << bit))
+            found.append(Effect(f"turns bit {bit} of the {name}", turned))
+    return found
+
+
+def _marks(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    device.memory["deaf"] = 1
+    return reaction
+
+
+def _loses(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    return b"" if device.memory.pop("deaf", 0) else data

@@ -17,9 +17,8 @@ from typing import TypeVar
 import msgspec
 
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.fault import CONFORMING, Fault
+from bilprov.conformance.dut.fault import CONFORMING
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
@@ -158,11 +157,6 @@ def chosen_faults(
     return {fault.name: (fault.family, fault.doc) for fault in faults}
 
 
-def levels() -> tuple[str, ...]:
-    """Return the names of the suite's levels."""
-    return tuple(LEVELS)
-
-
 def score(
     protocol: Protocol,
     faults: dict[str, tuple[str, str]],
@@ -268,14 +262,9 @@ def _try(protocol: Protocol, task: Task, seed: int) -> Caught:
     return Caught(
         name=name,
         level=level,
-        caught=_is_caught(fault, report.exit),
+        caught=report.exit == fault.exit,  # 2 for a dead line, 3 for no motion, else 1
         verdict=report.verdict.label,
         groups=tuple(Counter(group_of(result.id) for result in failed)),
         own_clause=not failed or bool(broken & {result.clause for result in failed}),
         sent=int(report.timing["bytes_sent"]),
     )
-
-
-def _is_caught(fault: Fault, code: int) -> bool:
-    """Return whether the exit code is the fault's: 1, but 2 for a dead line, 3 for no motion."""
-    return code == fault.exit if fault.exit != 1 else code == 1

@@ -63,7 +63,7 @@ def out_of_bits(event: Event) -> bool:
 # -- effects: what the device then does ----------------------------------------------------------
 
 
-def only(condition: Condition, change: React, chooses: Chooses = always) -> React:
+def only(condition: Condition, change: React, chooses: Chooses) -> React:
     """Return an effect that makes the change if the trigger holds and the device chooses it."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -74,7 +74,7 @@ def only(condition: Condition, change: React, chooses: Chooses = always) -> Reac
     return react
 
 
-def choosing(words: Mapping[str, str], chooses: Chooses = always) -> React:
+def choosing(words: Mapping[str, str], chooses: Chooses) -> React:
     """Return an effect: the device makes the choice of a word at each of these open points."""
     changes = {ident: _making(POINTS[ident], word) for ident, word in words.items()}
 
@@ -99,11 +99,6 @@ def _making(point: OpenPoint, word: str) -> React:
     return keeps(point.variable) if does is Behaviour.KEPT else sets(**{point.variable: 0})
 
 
-def straight_into_a_curve(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-    """Effect: the robot drives forward, so that a rotation becomes a curve."""
-    return sets(motion=Motion.FORWARD)(device, event, reaction)
-
-
 def low_bits(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     """Effect: accept the data, use the bits that have a meaning and ignore the others."""
     known = event.judgement.instruction
@@ -116,7 +111,7 @@ def low_bits(device: MutatedDevice, event: Event, reaction: Reaction) -> Reactio
     return replace(answers(reaction, device.protocol.answers[Outcome.VALID].code), state=state)
 
 
-def speed_at_next_motion(chooses: Chooses = always) -> React:
+def speed_at_next_motion(chooses: Chooses) -> React:
     """Return an effect: a speed sent while moving applies from the next motion instruction."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -132,38 +127,16 @@ def speed_at_next_motion(chooses: Chooses = always) -> React:
     return react
 
 
-def slow_after_faults(milliseconds: int) -> React:
-    """Return an effect: faults are answered `milliseconds` later; answers keep their order."""
+def answers_at(time: Callable[[Event, int], int]) -> React:
+    """Return an effect: the answers come at the time (ns) that the function gives.
+
+    It gets the frame and the time at which the device is free: that of the answer before, or now.
+    """
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        delay = 0 if event.judgement.valid else milliseconds * MS
-        at = max(event.now + delay, device.memory.get("answered", 0))
-        device.memory["answered"] = at
-        return answers(reaction, *(code for _, code in reaction.answers), delay=at - event.now)
-
-    return react
-
-
-def one_at_a_time(milliseconds: int) -> React:
-    """Return an effect: each instruction takes `milliseconds`; the next begins after its answer."""
-
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        begins = max(event.now, device.memory.get("busy at", 0))
-        ready = device.memory["busy at"] = begins + milliseconds * MS
-        codes = (code for _, code in reaction.answers)
-        return answers(reaction, *codes, delay=ready - event.now)
-
-    return react
-
-
-def watchdog(milliseconds: int) -> React:
-    """Return an effect: the robot stops by itself after `milliseconds` without a frame."""
-
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        if not reaction.state.moving:
-            return reaction
-        stopped = replace(reaction.state, motion=Motion.STOPPED)
-        return replace(reaction, later=((milliseconds * MS, stopped),))
+        free = max(event.now, device.memory.get("answered at", 0))
+        due = device.memory["answered at"] = time(event, free)
+        return answers(reaction, *(code for _, code in reaction.answers), delay=due - event.now)
 
     return react
 
@@ -178,7 +151,7 @@ def lost_behind_a_fault(device: MutatedDevice, event: Event, reaction: Reaction)
     return replace(reaction, answers=(), state=event.before) if lost else reaction
 
 
-def flushing(pause: int, condition: Condition, chooses: Chooses = always) -> tuple[React, Hear]:
+def flushing(pause: int, condition: Condition, chooses: Chooses) -> tuple[React, Hear]:
     """Return hooks that drop all bytes after such a fault until the line is idle for `pause` ms."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -197,7 +170,7 @@ def flushing(pause: int, condition: Condition, chooses: Chooses = always) -> tup
     return react, hear
 
 
-def at_the_header(pause: int, chooses: Chooses = always) -> Hear:
+def at_the_header(pause: int, chooses: Chooses) -> Hear:
     """Return a hook that answers a wrong header at once and drops the data of that frame.
 
     The data end when all have come, or after a pause of `pause` ms.

@@ -18,11 +18,14 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     faulty,
     late,
     pipelined,
+    sets,
     stops_after,
+    watchdog,
     when,
 )
 from bilprov.conformance.mutation.variant_behaviour import Chooses, always, only
 from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import POINTS, Behaviour
 from bilprov.spec.protocol import Protocol
 
@@ -87,11 +90,13 @@ def _fixed(react: React | None = None, **more: object) -> Make:
 
 def _choosing(name: str, doc: str, words: Mapping[str, str]) -> Variant:
     """Return the variant that makes the choice of a word at each of these open points."""
-
-    def make(chooses: Chooses) -> Fault:
-        return _device(take.choosing(words, chooses))
-
-    return Variant(name, doc, make, mixes=True, words=tuple(words.items()))
+    return Variant(
+        name,
+        doc,
+        lambda chooses: _device(take.choosing(words, chooses)),
+        mixes=True,
+        words=tuple(words.items()),
+    )
 
 
 def _left(placed: Iterable[Variant]) -> Iterator[Variant]:
@@ -185,12 +190,16 @@ def _times(protocol: Protocol) -> Iterator[Variant]:
     yield Variant(
         "R-answer-deadline=150-ms-after-faults",
         "answers faults after 150 ms",
-        _fixed(take.slow_after_faults(150)),
+        _fixed(
+            take.answers_at(
+                lambda e, free: free if e.judgement.valid else max(free, e.now + 150 * MS)
+            )
+        ),
     )
     yield Variant(
         "R-answer-deadline=one-at-a-time",
         "takes 60 ms for each instruction, and begins the next when it has answered",
-        _fixed(take.one_at_a_time(60)),
+        _fixed(take.answers_at(lambda e, free: free + 60 * MS)),
     )
     yield Variant(
         "R-stop-point=header",
@@ -205,7 +214,7 @@ def _times(protocol: Protocol) -> Iterator[Variant]:
     yield Variant(
         "R-watchdog=stops",
         "stops by itself when no frame has come for 1 s",
-        _fixed(take.watchdog(1000)),
+        _fixed(watchdog(1000)),
     )
 
 
@@ -290,7 +299,7 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
     yield Variant(
         "R-steer-rotating=curve",
         "steering makes a rotation a curve",
-        _reacting(take.steers_while_rotating, take.straight_into_a_curve),
+        _reacting(take.steers_while_rotating, sets(motion=Motion.FORWARD)),
         mixes=True,
     )
     yield _choosing(

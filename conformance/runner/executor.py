@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bilprov.conformance.cases.budget import within
-from bilprov.conformance.cases.duration import answers_in, seconds
+from bilprov.conformance.cases.budget import answers_in, seconds, within
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict

@@ -18,27 +18,15 @@ from __future__ import annotations
 from functools import cache
 
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation.faults.answers import answer_faults, code_faults
-from bilprov.conformance.mutation.faults.corner_cases import narrow_faults
-from bilprov.conformance.mutation.faults.delivery import (
-    burst_faults,
-    idle_faults,
-    split_faults,
-    time_out_faults,
+from bilprov.conformance.mutation.faults import (
+    answers,
+    corner_cases,
+    delivery,
+    framing,
+    history,
+    motion,
+    sequences,
 )
-from bilprov.conformance.mutation.faults.framing import (
-    data_run_faults,
-    line_faults,
-    parsing_faults,
-)
-from bilprov.conformance.mutation.faults.history import (
-    count_faults,
-    history_faults,
-    power_on_faults,
-)
-from bilprov.conformance.mutation.faults.motion import motion_faults, setting_faults, stop_faults
-from bilprov.conformance.mutation.faults.sequences import pair_faults
-from bilprov.conformance.mutation.faults.timing import timing_faults
 from bilprov.spec.protocol import Protocol
 
 
@@ -51,23 +39,23 @@ def fault_bank(protocol: Protocol) -> dict[str, Fault]:
 def all_faults(protocol: Protocol) -> list[Fault]:
     """Return every named fault of this protocol, family by family."""
     groups = (
-        answer_faults,
-        stop_faults,
-        parsing_faults,
-        motion_faults,
-        setting_faults,
-        history_faults,
-        line_faults,
-        code_faults,
-        power_on_faults,
-        pair_faults,
-        narrow_faults,
-        count_faults,
-        burst_faults,
-        split_faults,
-        time_out_faults,
-        data_run_faults,
-        idle_faults,
-        timing_faults,
+        answers.answer_faults,
+        motion.stop_faults,
+        framing.parsing_faults,
+        motion.motion_faults,
+        motion.setting_faults,
+        history.history_faults,
+        framing.line_faults,
+        answers.code_faults,
+        history.power_on_faults,
+        sequences.pair_faults,
+        corner_cases.narrow_faults,
+        history.count_faults,
+        delivery.burst_faults,
+        delivery.split_faults,
+        delivery.time_out_faults,
+        framing.data_run_faults,
+        delivery.idle_faults,
+        motion.timing_faults,
     )
     return [fault for group in groups for fault in group(protocol)]

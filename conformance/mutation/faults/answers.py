@@ -139,23 +139,13 @@ def code_faults(protocol: Protocol) -> Iterator[Fault]:
         "answers each frame with the code of the one before",
         _recoded(lambda e, code: e.previous.response.code if e.previous else ok),
     )
-    yield code_fault(
-        "code-plus-one",
-        "answers faults with the next code",
-        when(faulty, _recoded(lambda e, code: code + 1)),
-        caught_by=ALL_FAULTY,
-    )
-    yield code_fault(
-        "code-minus-one",
-        "answers faults with the code before the right one",
-        when(faulty, _recoded(lambda e, code: code - 1)),
-    )
-    yield code_fault(
-        "code-inverted",
-        "answers faults with all bits turned",
-        when(faulty, _recoded(lambda e, code: ~code)),
-        caught_by=ALL_FAULTY,
-    )
+    for name, doc, rule, caught_by in (
+        ("plus-one", "the next code", lambda e, code: code + 1, ALL_FAULTY),
+        ("minus-one", "the code before the right one", lambda e, code: code - 1, SEQUENCE),
+        ("inverted", "all bits turned", lambda e, code: ~code, ALL_FAULTY),
+    ):
+        change = when(faulty, _recoded(rule))
+        yield code_fault(f"code-{name}", f"answers faults with {doc}", change, caught_by=caught_by)
     yield code_fault(
         "code-in-ascii",
         "answers with digits, as text",
@@ -166,16 +156,12 @@ def code_faults(protocol: Protocol) -> Iterator[Fault]:
         "sets the highest bit of an answer with an odd number of ones",
         _recoded(lambda e, code: code | (0x80 if code.bit_count() % 2 else 0)),
     )
-    yield code_fault(
-        "code-is-the-id",
-        "answers faults with the ID of the instruction",
-        when(faulty, _recoded(lambda e, code: e.judgement.id)),
-    )
-    yield code_fault(
-        "code-echoes-header",
-        "answers faults with their header",
-        when(faulty, _recoded(lambda e, code: e.judgement.frame[0])),
-    )
+    for name, doc, rule in (
+        ("is-the-id", "the ID of the instruction", lambda e, code: e.judgement.id),
+        ("echoes-header", "their header", lambda e, code: e.judgement.frame[0]),
+    ):
+        change = when(faulty, _recoded(rule))
+        yield code_fault(f"code-{name}", f"answers faults with {doc}", change)
     yield code_fault(
         "codes-reversed",
         "has the codes of faults in the wrong order",

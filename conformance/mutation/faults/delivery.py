@@ -160,7 +160,6 @@ def burst_faults(protocol: Protocol) -> Iterator[Fault]:
 
 def split_faults(protocol: Protocol) -> Iterator[Fault]:
     """Yield the faults that a pause inside a frame triggers."""
-    a_split = "a valid frame with a pause of more than 1 ms:"
     stops = becomes(lambda e, state: protocol.on_fault.apply(e.before))
     usual = int(protocol.timing.truncation_timeout * MS)
     yield split_fault(
@@ -168,21 +167,13 @@ def split_faults(protocol: Protocol) -> Iterator[Fault]:
         "answers a frame with a pause of more than 1 ms as one with too few data, and stops",
         when(every(split, valid), then(answers_as(Outcome.TOO_FEW), stops)),
     )
-    yield split_fault(
-        "split-is-ignored",
-        f"{a_split} answers it and does not carry it out",
-        when(every(split, valid), drives_on),
-    )
-    yield split_fault(
-        "split-is-answered-twice",
-        f"{a_split} carries it out and answers it twice",
-        when(every(split, valid), twice),
-    )
-    yield split_fault(
-        "split-is-not-answered",
-        f"{a_split} carries it out and does not answer it",
-        when(every(split, valid), silent),
-    )
+    for name, doc, effect in (
+        ("ignored", "answers it and does not carry it out", drives_on),
+        ("answered-twice", "carries it out and answers it twice", twice),
+        ("not-answered", "carries it out and does not answer it", silent),
+    ):
+        doc = f"a valid frame with a pause of more than 1 ms: {doc}"
+        yield split_fault(f"split-is-{name}", doc, when(every(split, valid), effect))
     yield split_fault(
         "split-fault-does-not-stop",
         "a whole faulty frame with a pause of more than 1 ms does not stop it",

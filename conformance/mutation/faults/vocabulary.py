@@ -262,6 +262,22 @@ def resumes_after(milliseconds: float) -> React:
     )
 
 
+def watchdog(milliseconds: int, resumes: int | None = None) -> React:
+    """Return an effect: without another frame the robot stops `milliseconds` later.
+
+    After `resumes` ms it drives on; never if that is None.
+    """
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if not reaction.state.moving:
+            return reaction
+        stopped = replace(reaction.state, motion=Motion.STOPPED)
+        later = ((milliseconds * MS, stopped), ((resumes or 0) * MS, reaction.state))
+        return replace(reaction, later=later if resumes else later[:1])
+
+    return react
+
+
 # -- effects on both, and effects that remember --------------------------------------------------
 
 

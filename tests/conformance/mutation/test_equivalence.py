@@ -21,7 +21,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
 )
 from bilprov.conformance.mutation.random_faults import random_fault
 from bilprov.conformance.mutation.search_inputs import alphabet
-from bilprov.conformance.mutation.variant_behaviour import one_at_a_time
+from bilprov.conformance.mutation.variant_behaviour import answers_at
 from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
@@ -30,6 +30,9 @@ from tests.support import ROOT
 
 # xdist must collect the same tests everywhere: the names come from the kit's own grammar.
 BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py"))
+
+# Each frame takes 60 ms, and the next begins when its answer has gone.
+ONE_AT_A_TIME = answers_at(lambda event, free: free + 60 * MS)
 
 
 def faulty_by(react: React, *hints: int) -> Fault:
@@ -191,7 +194,7 @@ def test_every_hook_of_the_bank_reads_in_a_way_that_can_be_noted(protocol: Proto
 
 
 def test_a_twin_goes_its_own_way(protocol: Protocol) -> None:
-    device = Simulator(protocol, faulty_by(one_at_a_time(60)))
+    device = Simulator(protocol, faulty_by(ONE_AT_A_TIME))
     device.receive(bytes.fromhex("11"), 0)
     twin = device.clone()
     assert twin.state_key(0, MS, FaultReads()) == device.state_key(0, MS, FaultReads())
@@ -208,7 +211,7 @@ def test_a_twin_goes_its_own_way(protocol: Protocol) -> None:
 
 def test_a_snapshot_does_not_depend_on_when_it_is_taken(protocol: Protocol) -> None:
     def at(start: int) -> object:
-        device = Simulator(protocol, faulty_by(one_at_a_time(60)))
+        device = Simulator(protocol, faulty_by(ONE_AT_A_TIME))
         device.receive(b"\0\x90\x11", start)
         return device.state_key(start + MS, 100 * MS, FaultReads())
 
