@@ -28,7 +28,7 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.profile_file import profile_from
 from bilprov.conformance.oracle.timers import Timers, timers_of
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.report.run_report import Ending, Report, RunFacts, make_report
+from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.executor import Runner, SkipPolicy
 from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener, as_listener
@@ -232,14 +232,13 @@ def run_suite(
             [log.attached(result) for result in run.results],
             cases,
             run.profile,
-            RunFacts(
-                environment.device,
-                environment.link,
-                asdict(options),
-                meter.report(run.waiting.timeouts),
-                _dropped(grammar, options, cases, target.line),
-            ),
-            Ending.of(runner.unusable, runner.ended),
+            asdict(options),
+            unusable=runner.unusable,
+            ended=runner.ended,
+            device=environment.device,
+            link=environment.link,
+            timing=meter.report(run.waiting.timeouts),
+            dropped=_dropped(grammar, options, cases, target.line),
         )
         for listener in everyone:
             listener.reported(report)

@@ -49,9 +49,10 @@ class Inputs:
         self._add(TOO_FEW, few)
         bad = [step for s in protocol.instructions for step in bad_data_frames(protocol, s.name)]
         if bad:
-            self._supplies[FrameClass.BAD_DATA] = cycle(self._shuffled(bad))
+            self._supplies[FrameClass.BAD_DATA] = cycle(self._draw.sample(bad, len(bad)))
         self.kinds = tuple(self._supplies)
-        self._supplies[FrameClass.TRUNCATED] = cycle(self._shuffled(list(self._cuts())))
+        cuts = list(self._cuts())
+        self._supplies[FrameClass.TRUNCATED] = cycle(self._draw.sample(cuts, len(cuts)))
         self.valid_kinds = tuple(spec.name for spec in protocol.instructions)
         self.faulty_kinds = tuple(k for k in self.kinds if k not in self.valid_kinds)
         self.movers = tuple(s.name for s in movers(protocol))
@@ -65,9 +66,6 @@ class Inputs:
         """`length` data bytes for a faulty frame; each call takes the next way to fill them."""
         self._turn += 1
         return fill(self._protocol, length, self._turn)
-
-    def _shuffled(self, values: list[Step]) -> list[Step]:
-        return self._draw.sample(values, len(values))
 
     def _valid(self, spec: InstructionSpec) -> Iterator[Step]:
         steps = valid_frames(self._protocol, spec.name)

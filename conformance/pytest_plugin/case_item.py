@@ -13,13 +13,7 @@ from bilprov.captures.text import printable
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
-from bilprov.conformance.report.run_report import (
-    Ending,
-    RunFacts,
-    evidence,
-    make_report,
-    reproduce,
-)
+from bilprov.conformance.report.run_report import evidence, make_report, reproduce
 
 NAME = "conformance"
 
@@ -85,8 +79,10 @@ class CaseItem(pytest.Item):
 
     def _evidence(self, result: CaseResult) -> str:
         bench = self.parent.bench
-        facts = RunFacts(bench.target, bench.environment.link, asdict(bench.options))
-        nothing = make_report(bench.protocol, (), (), Profile(), facts, Ending())
+        options, link = asdict(bench.options), bench.environment.link
+        nothing = make_report(
+            bench.protocol, (), (), Profile(), options, device=bench.target, link=link
+        )
         rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
         lines = [f"{label:10}{printable(words)}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])

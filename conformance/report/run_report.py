@@ -72,40 +72,22 @@ class Report(msgspec.Struct, frozen=True):
         return {verdict.label: found[verdict] for verdict in Verdict}
 
 
-class RunFacts(msgspec.Struct, frozen=True):
-    """What a run was made with, and what it spent: values as in a Report."""
-
-    device: str
-    link: dict[str, Any]
-    options: dict[str, Any]
-    timing: dict[str, float] = {}
-    dropped: dict[str, int] = {}
-
-
-class Ending(msgspec.Struct, frozen=True):
-    """How a run ended, values as in a Report; all are "" for one that went to its end."""
-
-    unusable: str = ""
-    ended: str = ""
-    ended_by: str = ""
-
-    @classmethod
-    def of(cls, unusable: str, ended: Ended | None) -> Ending:
-        """The ending of a run that `ended` has cut short, unless it is None."""
-        if ended is None:
-            return cls(unusable)
-        return cls(unusable, str(ended), "error" if ended.error else "user")
-
-
 def make_report(
     protocol: Protocol,
     results: Sequence[CaseResult],
     cases: Sequence[AnyCase],
     profile: Profile,
-    facts: RunFacts,
-    ending: Ending,
+    options: dict[str, Any],
+    *,
+    unusable: str = "",
+    ended: Ended | None = None,
+    **facts: Any,
 ) -> Report:
-    """Put a report together."""
+    """Put a report together; `ended` is what cut the run short, None for a run to its end.
+
+    `facts` are further fields of the report: `device`, `link` and, if known, what the run spent.
+    """
+    ended_by = "" if ended is None else "error" if ended.error else "user"
     return Report(
         grammar={
             "name": protocol.name,
@@ -113,14 +95,17 @@ def make_report(
             "sha256": protocol.sha256,
             "file": protocol.origin,
         },
-        seed=facts.options["seed"],
-        exit=decided_exit(results, facts.options, ending.unusable, ending.ended_by),
+        options=options,
+        seed=options["seed"],
+        exit=decided_exit(results, options, unusable, ended_by),
+        unusable=unusable,
+        ended="" if ended is None else str(ended),
+        ended_by=ended_by,
         profile=_measured(profile),
         coverage=coverage(protocol, results, cases),
         results=tuple(results),
         kit=kit_version(),
-        **msgspec.structs.asdict(facts),
-        **msgspec.structs.asdict(ending),
+        **facts,
     )
 
 

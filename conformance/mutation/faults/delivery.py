@@ -101,17 +101,13 @@ def burst_faults(protocol: Protocol) -> Iterator[Fault]:
         f"loses {stop.name} where it is sent ahead, answered all the same",
         when(every(pipelined, is_named(stop)), drives_on),
     )
-    for setter in setters(protocol):
+    ignored = [(setter, "is answered and ignored") for setter in setters(protocol)]
+    ignored += [(mover, "is answered and does not move it") for mover in movers(protocol)[::3]]
+    for spec, what in ignored:
         yield burst_instruction_fault(
-            f"sent-ahead-{setter.name}-ignored",
-            f"{setter.name} sent ahead is answered and ignored",
-            when(every(pipelined, is_named(setter)), drives_on),
-        )
-    for mover in movers(protocol)[::3]:
-        yield burst_instruction_fault(
-            f"sent-ahead-{mover.name}-ignored",
-            f"{mover.name} sent ahead is answered and does not move it",
-            when(every(pipelined, is_named(mover)), drives_on),
+            f"sent-ahead-{spec.name}-ignored",
+            f"{spec.name} sent ahead {what}",
+            when(every(pipelined, is_named(spec)), drives_on),
         )
     yield burst_fault(
         "runs-on-after-fault-in-a-burst",
