@@ -50,7 +50,7 @@ class Tours:
         setup, where = self._begin()
         places = set(self._draw.sample(range(bursts), min(cuts, bursts)))
         made = [
-            Burst((self._cut(where) if index in places else self._next(where),))
+            Burst((self._go(where, CUT) if index in places else self._next(where),))
             for index in range(bursts)
         ]
         return self._sequence(f"sequence/{name}/{number:03}", setup, made)
@@ -74,11 +74,7 @@ class Tours:
             new = list(self._inputs.movers)
         kind = self._draw.choice(new or kinds)
         met.add(kind)
-        return self._go(where, self._inputs.next(kind), kind)
-
-    def _cut(self, where: _Where) -> Step:
-        """The next truncated frame."""
-        return self._go(where, self._inputs.next(CUT), CUT)
+        return self._go(where, kind)
 
     def pipelined(
         self, name: str, number: int, bursts: int, sizes: tuple[int, int]
@@ -90,7 +86,7 @@ class Tours:
         for index in range(bursts):
             steps = [self._next(where) for _ in range(self._draw.randint(*sizes))]
             if index == cut:
-                steps[-1] = self._cut(where)
+                steps[-1] = self._go(where, CUT)
             dwell = 25 if index == alone else 130 if index == long and number % 2 else 0
             made.append(Burst(tuple(steps), idle_ms=dwell))
         return self._sequence(f"pipelined/{name}/{number:03}", setup, made)
@@ -132,10 +128,11 @@ class Tours:
         return steps, _Where(state)
 
     def _next(self, where: _Where) -> Step:
-        kind = self._kind(where)
-        return self._go(where, self._inputs.next(kind), kind)
+        return self._go(where, self._kind(where))
 
-    def _go(self, where: _Where, step: Step, kind: str) -> Step:
+    def _go(self, where: _Where, kind: str) -> Step:
+        """The next frame of that kind; the position moves on past it."""
+        step = self._inputs.next(kind)
         effect = step.frame_effect.effect or self._protocol.on_fault
         for met in self._kinds_met(where):
             met.add(kind)
@@ -147,7 +144,8 @@ class Tours:
         inputs, draw = self._inputs, self._draw
         if not where.state.moving and draw.random() < 0.5:
             # Standing still hides most faults.
-            speeds = [k for k in inputs.settings if self._sets_speed(k)]
+            by_name = self._protocol.by_name
+            speeds = [k for k in inputs.settings if by_name[k].effect.sets("speed")]
             if not where.state.speed and speeds:
                 return draw.choice(speeds)
             if inputs.movers:
@@ -161,9 +159,6 @@ class Tours:
             if gain > most:
                 best, most = kind, gain
         return best
-
-    def _sets_speed(self, kind: str) -> bool:
-        return self._protocol.by_name[kind].effect.sets("speed")
 
     def _kinds_met(self, where: _Where) -> list[set[str]]:
         """The kinds of frames met so far in each context of this position."""

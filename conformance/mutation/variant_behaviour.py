@@ -56,8 +56,8 @@ def steers_while_rotating(event: Event) -> bool:
 def out_of_bits(event: Event) -> bool:
     """Trigger: bad data of an instruction with named bits: a bit without meaning is set."""
     known = event.judgement.instruction
-    bad = event.judgement.outcome is Outcome.BAD_DATA and known is not None
-    return bad and known is not None and any(part.bits for part in known.fields)
+    bits = known is not None and any(part.bits for part in known.fields)
+    return bits and event.judgement.outcome is Outcome.BAD_DATA
 
 
 # -- effects: what the device then does ----------------------------------------------------------

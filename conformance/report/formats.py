@@ -23,14 +23,13 @@ class Format(NamedTuple):
     several: bool = True
 
 
-def _one_as_json(reports: Sequence[Report], protocol: Protocol) -> str:
-    (report,) = reports
-    return as_json(report).decode()
-
-
 # Each format's option is its name with two dashes.
 FORMATS = {
-    "json": Format("The report as JSON; - is standard output.", _one_as_json, several=False),
+    "json": Format(
+        "The report as JSON; - is standard output.",
+        lambda reports, protocol: as_json(*reports).decode(),
+        several=False,
+    ),
     "junit": Format("JUnit XML, for a CI's list of tests.", as_junit),
     "markdown": Format("A summary for a CI's page.", as_markdown),
     "html": Format("One page with matrix, wire logs and timing pictures.", as_html),

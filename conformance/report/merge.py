@@ -153,9 +153,6 @@ class Merged:
 
     def as_json(self, report: Report) -> bytes:
         """The whole run as JSON; `report` is the merged one, or that with another comparison."""
-        return msgspec.json.format(msgspec.json.encode(self._document(report)), indent=1) + b"\n"
-
-    def _document(self, report: Report) -> dict[str, Any]:
         raws = [part.raw for part in self.parts]
         names = dict.fromkeys(name for raw in raws for name in raw)
         agreed = {
@@ -180,7 +177,8 @@ class Merged:
         if report.comparison:
             known = report.comparison.expected
             cases = [case | {"expected_failure": case["id"] in known} for case in cases]
-        return document | {"shards": shards, "cases": cases}
+        document |= {"shards": shards, "cases": cases}
+        return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
 
 
 def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
