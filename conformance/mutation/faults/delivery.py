@@ -135,12 +135,12 @@ def burst_faults(protocol: Protocol) -> Iterator[Fault]:
     yield buffer_fault(
         "ring-of-64-bytes-skips-its-end",
         "loses the byte that falls on the end of its ring of 64 bytes, in a burst",
-        hear=_ring(64),
+        hear=lambda d, data, now: b"" if _burst(d, now) % 64 == 0 else data,
     )
     yield buffer_fault(
         "frame-across-32-bytes-torn",
         "takes 32 bytes at a time and forgets a frame that lies across two such chunks",
-        hear=_torn(32),
+        hear=_torn,
     )
     yield buffer_fault(
         "deaf-while-it-answers-a-fault",
@@ -287,17 +287,10 @@ def _buffer(size: int) -> Hear:
     return lambda device, data, now: b"" if _burst(device, now) > size else data
 
 
-def _ring(size: int) -> Hear:
-    return lambda device, data, now: b"" if _burst(device, now) % size == 0 else data
-
-
-def _torn(size: int) -> Hear:
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
-        if _burst(device, now) % size == 1 and device.held:
-            device.drop()
-        return data
-
-    return hear
+def _torn(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    if _burst(device, now) % 32 == 1 and device.held:
+        device.drop()
+    return data
 
 
 def _deaf_after_fault(device: MutatedDevice, data: bytes, now: int) -> bytes:

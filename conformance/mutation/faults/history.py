@@ -209,7 +209,7 @@ def _after_an_event(protocol: Protocol) -> Iterator[Fault]:
     yield count_fault(
         "stuck-forward-after-10-reversals",
         "after ten changes of motion while it moves, each motion is the first one",
-        _worn_reverser(10),
+        _worn_reverser,
     )
     yield answer_count_fault(
         "ok-for-ever-after-20-bad-data",
@@ -254,17 +254,12 @@ def _first_time_drives_on(device: MutatedDevice, event: Event, reaction: Reactio
     return drives_on(device, event, reaction)
 
 
-def _worn_reverser(changes: int) -> React:
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        if event.before.moving and reaction.state.moving:
-            changed = event.before.motion is not reaction.state.motion
-            count = min(device.memory.get("changes", 0) + changed, changes)
-            device.memory["changes"] = count
-        if device.memory.get("changes", 0) == changes and reaction.state.moving:
-            return replace(reaction, state=replace(reaction.state, motion=Motion.FORWARD))
+def _worn_reverser(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    if not reaction.state.moving:
         return reaction
-
-    return react
+    changed = event.before.moving and event.before.motion is not reaction.state.motion
+    count = device.memory["changes"] = min(device.memory.get("changes", 0) + changed, 10)
+    return sets(motion=Motion.FORWARD)(device, event, reaction) if count == 10 else reaction
 
 
 def _after_outcomes(outcome: Outcome, count: int, change: React) -> React:
