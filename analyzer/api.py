@@ -12,7 +12,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_session import capture_session
-from bilprov.analyzer.taps.passive import open_taps
+from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.outputs import Output, Shown
+from bilprov.analyzer.output.outputs import Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.captures.schemas import Chunk, Line
@@ -16,7 +16,7 @@ from bilprov.captures.schemas import Chunk, Line
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """Connects a session to its recorder, statistics, output and passive judge.
+    """Connects a session to its recorder, statistics, output (in `shown`) and passive judge.
 
     The raw bytes are written to the capture before they are decoded. `wanted` selects the records
     that may be shown and judged (a replay's window), None for all.
@@ -24,21 +24,10 @@ class Pipeline:
 
     session: Session
     statistics: Statistics
-    output: Output
     shown: Shown
     recorder: Recorder | None = None
     wanted: Callable[[Record], bool] | None = None
     judge: PassiveJudge | None = None
-
-    @property
-    def full(self) -> bool:
-        """Whether the requested number of frames was shown."""
-        return self.shown.full
-
-    @property
-    def deadline(self) -> int | None:
-        """The time (ns) at which `advance` is next needed without an event, None if it is not."""
-        return self.session.deadline
 
     def event(self, event: Chunk | Line) -> list[Record]:
         """Process an event and return the records it completes."""
@@ -54,7 +43,7 @@ class Pipeline:
         records = self._records(self.session.advance(now))
         if self.recorder:
             self.recorder.tick(now)
-        self.output.tick(now)
+        self.shown.output.tick(now)
         return records
 
     def finish(self) -> list[Record]:

@@ -23,7 +23,7 @@ import time
 from pathlib import Path
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.topics import HOST_RAW
@@ -49,8 +49,7 @@ def _terminal() -> tuple[int, int]:
 def measure(style: str, seconds: float, folder: Path) -> str:
     """Sniff a full line in this format; returns a line of figures."""
     protocol = load_protocol()
-    line = protocol.line
-    rate = 1e9 / LineSettings(line.baud, line.parity, line.stopbits).byte_time
+    rate = 1e9 / line_settings(protocol).byte_time
     frames = [
         raw_frame(protocol, spec.id, spec.length, data)
         for spec in protocol.instructions

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.impairment import Noise
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.link import Device

@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
-from bilprov.captures.storage.contents import Contents
-from bilprov.captures.storage.messages import Stored, stored_messages
+from bilprov.captures.storage.messages import Contents, Stored, stored_messages
 from bilprov.captures.storage.records import MAGIC, Damaged
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
 from bilprov.captures.text import printable

@@ -7,11 +7,13 @@ the chunks, in the first chunk (where the chunk's checksum protects it) and at t
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
+from typing import Final
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
@@ -21,15 +23,47 @@ from bilprov.captures import topics
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Log, Time
-from bilprov.captures.storage.limits import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
-from bilprov.captures.storage.seal import SEAL_NAME, HashedFile
+from bilprov.captures.storage.records import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from bilprov.captures.text import printable
 
 FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # the cost of a seek is proportional to this
 CHUNK_BYTES = 256 * 1024
 U64 = 1 << 64
+SEAL_NAME: Final = "bilprov.seal"
+SEAL_HASH: Final = "sha256"
+SEAL_BYTES: Final = "bytes"
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
+
+
+class HashedFile:
+    """A new file that hashes the data as they are written; it is only ever appended to.
+
+    The hash becomes the seal of a finished capture, over all bytes before the seal; the parts
+    after it have checksums of their own. A seal detects damage, not forgery: a person who changes
+    a file on purpose can write a new seal too.
+    """
+
+    def __init__(self, file: BufferedWriter) -> None:
+        self._file = file
+        self._hash = hashlib.sha256()
+
+    def write(self, data: bytes | memoryview) -> int:
+        """Write and hash. Raises OSError."""
+        self._hash.update(data)
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        """The number of bytes written."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Pass the written data to the operating system. Raises OSError."""
+        self._file.flush()
+
+    def seal(self) -> dict[str, str]:
+        """The pairs of the metadata record that seals all data written so far: hash and size."""
+        return {SEAL_HASH: self._hash.hexdigest(), SEAL_BYTES: str(self.tell())}
 
 
 class CaptureWriter(Closing):
@@ -46,7 +80,7 @@ class CaptureWriter(Closing):
     def __init__(
         self, path: str | Path, *, start_wall: int, metadata: Mapping[str, str], version: str
     ) -> None:
-        self._path = Path(path)
+        self.path = Path(path)
         self._start = start_wall
         self._log_time(0)
         self._sequence = 0
@@ -64,7 +98,7 @@ class CaptureWriter(Closing):
                 raise ValueError(
                     f"metadata {printable(name)} is longer than the {STRING_BYTES} bytes allowed"
                 )
-        self._file = _new_file(self._path)
+        self._file = _new_file(self.path)
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
         self._hashed = HashedFile(self._file)
@@ -133,7 +167,7 @@ class CaptureWriter(Closing):
         self._guarded(self._mcap.flush)
         if self._counts_links and os.fstat(self._file.fileno()).st_nlink == 0:
             self._fail(
-                f"the capture file {printable(self._path)} was deleted while recording: what was "
+                f"the capture file {printable(self.path)} was deleted while recording: what was "
                 "captured is lost, record again"
             )
         self._kept_bytes = self._file.tell()
@@ -206,14 +240,14 @@ class CaptureWriter(Closing):
         if self._failure:
             raise CaptureError(self._failure)
         if self._closed:
-            raise ValueError(f"the capture {printable(self._path)} is closed")
+            raise ValueError(f"the capture {printable(self.path)} is closed")
         try:
             act()
         except OSError as error:
             why = "disk full" if error.errno in FULL else printable(error.strerror or error)
             self._fail(
                 f"{why}: what was captured until {self._kept_until / 1e9:.1f} s is kept in "
-                f"{printable(self._path)}",
+                f"{printable(self.path)}",
                 error,
             )
 

@@ -67,7 +67,7 @@ PLACES = {
 _ROWS = (("bilprov",), ("analyzer", "conformance"), ("captures",), ("spec",))
 _WIDTH, _EDGE, _PAD, _GAP, _HEADING = 720, 10, 12, 26, 28
 _ASIDE = 360  # width of the analyzer's panel, beside the suite's
-_TITLE, _NOTE, _LINE = 8.7, 6.9, 17  # px: a letter of a title, of a note, a line of text
+_TITLE, _NOTE, _LINE = 9.2, 6.9, 17  # px: a letter of a title, of a note, a line of text
 
 _STYLE = """
 text { font-family: system-ui, 'DejaVu Sans', Arial, sans-serif; fill: #1b1f24 }

@@ -20,7 +20,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.live_view import View, live_view
 from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
@@ -41,8 +41,7 @@ def drive_picture(protocol: Protocol) -> RenderableType:
     """The live view after the document's examples were driven on the simulator."""
     device = Simulator(protocol, latency=_LATENCY)
     session = Session(protocol, skew=0)
-    line = protocol.line
-    settings = LineSettings(line.baud, line.parity, line.stopbits)
+    settings = line_settings(protocol)
     statistics = Statistics(protocol, settings.byte_time)
     now = 0
     # As printed first and as meant last, so that the picture ends with the robot under way.

@@ -118,10 +118,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         clause = protocol.clauses.responses
         reading = "R-known-length"
     else:
-        fields = tuple(
-            (part.name, part.parse(frame[1 + part.offset :][: part.size]))
-            for part in instruction.fields
-        )
+        fields = tuple(instruction.decode(frame[1:]).items())
         outcome, reason = Outcome.VALID, ""
         for part, (_, value) in zip(instruction.fields, fields, strict=True):
             if outcome is Outcome.VALID and not part.low <= value <= part.high:
@@ -251,7 +248,7 @@ def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
     data = frame[1:] + following
     candidates = [known] if known else list(protocol.instructions)
     meant = min(
-        (spec for spec in candidates),
+        candidates,
         key=lambda spec: (
             (protocol.header_bytes[spec.id, spec.length] ^ frame[0]).bit_count(),
             abs(spec.id - identity),
@@ -259,11 +256,8 @@ def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
         ),
     )
     padded = data[: meant.length].ljust(meant.length, b"\0")
-    values = {
-        part.name: _cut(part, part.parse(padded[part.offset : part.offset + part.size]))
-        for part in meant.fields
-    }
-    return build(protocol, meant.name, values)
+    values = meant.decode(padded)
+    return build(protocol, meant.name, {f.name: _cut(f, values[f.name]) for f in meant.fields})
 
 
 def _cut(part: FieldSpec, value: int) -> int:

@@ -187,11 +187,9 @@ def open_point(judgement: Judgement) -> str:
     agree.
     """
     spec = judgement.instruction
-    if spec and judgement.outcome is Outcome.TOO_MANY:
-        data = judgement.frame[1:]
-        values = ((f, f.parse(data[f.offset : f.offset + f.size])) for f in spec.fields)
-        if any(not f.low <= value <= f.high for f, value in values):
-            return "R-competing-errors"
+    many = judgement.outcome is Outcome.TOO_MANY
+    if spec and many and not spec.in_range(judgement.frame[1:]):
+        return "R-competing-errors"
     return judgement.reading if judgement.reading in POINTS else ""
 
 

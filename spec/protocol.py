@@ -78,6 +78,15 @@ class InstructionSpec:
         """How many frames of the right length there are whose data are out of range."""
         return int(256**self.length) - self.valid_count
 
+    def decode(self, data: bytes) -> dict[str, int]:
+        """The value of each field, in data at least as long as this instruction's."""
+        return {part.name: part.parse(data[part.offset :][: part.size]) for part in self.fields}
+
+    def in_range(self, data: bytes) -> bool:
+        """Whether every field's value in such data is in its range."""
+        values = self.decode(data)
+        return all(part.low <= values[part.name] <= part.high for part in self.fields)
+
 
 @dataclass(frozen=True, slots=True)
 class ResponseSpec:

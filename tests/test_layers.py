@@ -30,7 +30,7 @@ ROOMS = (
     ("spec.emit",),
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
-    ("captures.evidence", "captures.player", "captures.reader", "captures.writer"),
+    ("captures.evidence", "captures.reader", "captures.writer"),
     ("analyzer",),  # files, grammar_file, version
     ("analyzer.transport",),
     ("analyzer.taps",),
@@ -370,7 +370,7 @@ BROKEN = [
     ),
     (
         cli_outside_the_front_door,
-        "analyzer/taps/passive.py",
+        "analyzer/taps/sources.py",
         "from bilprov.analyzer.cli.sniff import sniff",
     ),
     (cli_outside_the_front_door, FRONT_DOOR, "from bilprov.analyzer.cli.text_commands import info"),
@@ -382,7 +382,7 @@ BROKEN = [
     ),
     (library_away_from_home, "spec/motion.py", "from construct import Byte"),
     (library_away_from_home, "analyzer/decode/session.py", "import construct.core"),
-    (library_away_from_home, "analyzer/taps/passive.py", "import serial"),
+    (library_away_from_home, "analyzer/taps/sources.py", "import serial"),
     (library_away_from_home, "analyzer/ports_more.py", "from serial.tools import list_ports"),
     (library_away_from_home, "analyzer/decode/session.py", "from mcap.reader import make_reader"),
     (library_away_from_home, "spec/explain.py", "from rich.table import Table"),
@@ -434,7 +434,7 @@ KEPT = [
     ),
     (
         cli_outside_the_front_door,
-        "analyzer/taps/passive.py",
+        "analyzer/taps/sources.py",
         "from bilprov.analyzer.transport.ports import client",
     ),
     (library_away_from_home, "spec/codec.py", "from construct import ConstructError"),

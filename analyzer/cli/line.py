@@ -13,8 +13,7 @@ import rich_click as click
 from bilprov.analyzer.cli.options import line_options, note
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.ends import SERVED, End, open_end, require_two_ends
-from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults
-from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import join
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper

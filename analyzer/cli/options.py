@@ -5,6 +5,7 @@ It loads nothing that takes long, since commands that only print a help import i
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -37,63 +38,54 @@ def line_options(command: Command) -> Command:
 
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.output.filter_names import HELP
+    from bilprov.analyzer.output.filter import HELP
 
     return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
 
 
-def sender_option(command: Command) -> Command:
-    """Add `--from` (host or device), as `sender`."""
-    return click.option(
-        "--from",
-        "sender",
-        type=click.Choice(["host", "device"]),
-        default="host",
-        show_default=True,
-        help="Who sent the bytes.",
-    )(command)
+# Who sent the bytes, as `sender`.
+sender_option = click.option(
+    "--from",
+    "sender",
+    type=click.Choice(["host", "device"]),
+    default="host",
+    show_default=True,
+    help="Who sent the bytes.",
+)
 
+# The format of a text command (text or json), as `style`.
+text_format_option = click.option(
+    "--format",
+    "style",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="For people or for programs.",
+)
 
-def text_format_option(command: Command) -> Command:
-    """Add `--format` (text or json), as `style`."""
-    return click.option(
-        "--format",
-        "style",
-        type=click.Choice(["text", "json"]),
-        default="text",
-        show_default=True,
-        help="For people or for programs.",
-    )(command)
+# The format of a session (live, lines or jsonl), as `style`, None if it is not given.
+session_format_option = click.option(
+    "--format",
+    "style",
+    type=click.Choice(["live", "lines", "jsonl"]),
+    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
+)
 
+# In ms, as `truncation_timeout`, None if it is not given.
+timeout_option = click.option(
+    "--truncation-timeout",
+    metavar="MS",
+    type=click.FloatRange(0, min_open=True, max=60_000),
+    help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
+)
 
-def session_format_option(command: Command) -> Command:
-    """Add `--format` (live, lines or jsonl), as `style`, None if it is not given."""
-    return click.option(
-        "--format",
-        "style",
-        type=click.Choice(["live", "lines", "jsonl"]),
-        help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
-    )(command)
-
-
-def timeout_option(command: Command) -> Command:
-    """Add `--truncation-timeout MS`, as `truncation_timeout`, None if it is not given."""
-    return click.option(
-        "--truncation-timeout",
-        metavar="MS",
-        type=click.FloatRange(0, min_open=True, max=60_000),
-        help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
-    )(command)
-
-
-def judge_option(command: Command) -> Command:
-    """Add `--judge`, as `judged`."""
-    return click.option(
-        "--judge",
-        "judged",
-        is_flag=True,
-        help="Judge the device by what passes: at the end what was covered, and violations.",
-    )(command)
+# Whether the device is judged by what passes, as `judged`.
+judge_option = click.option(
+    "--judge",
+    "judged",
+    is_flag=True,
+    help="Judge the device by what passes: at the end what was covered, and violations.",
+)
 
 
 def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine], bool] | None:
@@ -108,3 +100,26 @@ def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine],
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+class NotConfirmed(click.ClickException):
+    """The user has not allowed the device to move. The message is one sentence, exit code 2."""
+
+    exit_code = 2
+
+
+def confirm_motion(what: str, *, yes: bool, option: str = "--yes") -> None:
+    """Ask whether the device may move, and return if it may.
+
+    `what` says what will move, like `the device at /dev/ttyUSB0 will drive as recorded`; `yes` is
+    the value of the command's `--yes` (or of the option named `option`). Raises NotConfirmed if the
+    answer is no, or if there is no terminal to ask on.
+    """
+    if yes:
+        return
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise NotConfirmed(
+            f"{what}: there is no terminal to ask on, so say {option} if it may move"
+        )
+    if not click.confirm(f"{what}. Is there room, and may it move?", err=True):
+        raise NotConfirmed("nothing was sent: the device may not move")

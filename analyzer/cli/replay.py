@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import rich_click as click
 
-from bilprov.analyzer.cli.confirm import confirm_motion
 from bilprov.analyzer.cli.options import (
     compiled,
+    confirm_motion,
     filter_option,
     judge_option,
     line_options,
@@ -43,12 +43,11 @@ from bilprov.analyzer.replay.capture_session import (
     said_about,
 )
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
-from bilprov.analyzer.replay.playback import interruptible, played
+from bilprov.analyzer.replay.playback import interruptible, paced, played
 from bilprov.analyzer.replay.target import Target, scaled_timeout
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.player import paced
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk, Look
 from bilprov.captures.text import printable
@@ -143,7 +142,7 @@ def replay(
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
         pipeline = Pipeline(
-            session, statistics, output, Shown(output, test), wanted=window.holds, judge=judge
+            session, statistics, Shown(output, test), wanted=window.holds, judge=judge
         )
         if target is not None:
             return _send(protocol, capture, pipeline, output, target, rate, window, stopper)

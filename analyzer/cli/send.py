@@ -6,8 +6,7 @@ from typing import Literal
 
 import rich_click as click
 
-from bilprov.analyzer.cli.confirm import confirm_motion
-from bilprov.analyzer.cli.options import line_options, note, timeout_option
+from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import stream_output

@@ -25,8 +25,7 @@ from bilprov.analyzer.output.outputs import Format, Shown, chosen_format, opened
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.taps.kinds import TAPS, opened_tap
-from bilprov.analyzer.taps.source import Source
+from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
@@ -129,7 +128,6 @@ def sniff(
                 attached=source.attached,
             ),
             statistics,
-            output,
             Shown(output, test, count),
             recorder,
             judge=judge,
@@ -149,12 +147,12 @@ def sniff(
 def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> str:
     """Process events until the end; return a sentence about a lost port, or an empty string."""
     end = None if duration is None else round(duration * 1e9)
-    while not stopper.stopped and not pipeline.full:
+    while not stopper.stopped and not pipeline.shown.full:
         now = source.now()
         pipeline.advance(now)
         if end is not None and now >= end:
             break
-        due = [at for at in (pipeline.deadline, end) if at is not None]
+        due = [at for at in (pipeline.session.deadline, end) if at is not None]
         wait = min([LONGEST_WAIT, *((at - now) / 1e9 for at in due)])
         lost = ""
         for event in source.poll(max(0.0, wait), [stopper.fileno()]):

@@ -7,15 +7,13 @@ from contextlib import ExitStack
 from os import PathLike
 from typing import Self
 
-from bilprov.analyzer.client.driver import Driver
-from bilprov.analyzer.client.errors import NoAnswer, RobotError
-from bilprov.analyzer.client.homing import home_once
+from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
+from bilprov.analyzer.client.wire import PortWire, home_once
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
-from bilprov.analyzer.transport.wire import PortWire
 from bilprov.spec.protocol import Protocol
 
 
@@ -50,13 +48,7 @@ class PortDriver(Driver):
             grammar = load_protocol(None if grammar is None else str(grammar))
         if timeout is not None and not 0 < timeout < math.inf:
             raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
-        line = grammar.line
-        settings = LineSettings(
-            line.baud if baud is None else baud,
-            line.parity if parity is None else parity,
-            line.stopbits if stopbits is None else stopbits,
-        )
-        self._port = open_port(url, settings)
+        self._port = open_port(url, line_settings(grammar, baud, parity, stopbits))
         self._open = True
         self._signals = ExitStack()
         try:

@@ -10,11 +10,18 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.pairing import Held, Pair, Pairing
-from bilprov.analyzer.decode.record_builders import answer_record, frame_record, garbage_record
-from bilprov.analyzer.decode.records import FaultRecord, LineRecord, Record, written_state
-from bilprov.captures.schemas import MS, Line
-from bilprov.spec.codec import Judgement, judge
+from bilprov.analyzer.decode.pairing import Held, Pair, Pairing, Waiting
+from bilprov.analyzer.decode.records import (
+    Anomaly,
+    DeviceRecord,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    written_state,
+)
+from bilprov.captures.schemas import MS, Instruction, Line, Response
+from bilprov.spec.codec import Judgement, judge, spaced
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer
 from bilprov.spec.protocol import Protocol
@@ -94,7 +101,7 @@ class Decoder:
     def garbage(self, framed: Framed, reason: str) -> Record:
         """The record of host bytes that belong to no frame; `reason` says why."""
         faults = anomalies.of_garbage(framed.known, reason)
-        return garbage_record(framed, reason, self._state, faults)
+        return self._host_record(framed, None, None, reason, faults)
 
     def finish(self, now: int) -> Iterator[Record]:
         """End the recording at `now` (ns): cut the open frame short and release held answers."""
@@ -162,7 +169,7 @@ class Decoder:
         self._motion = effect.apply(self._motion, dict(judgement.fields))
         self._state = written_state(self._motion)
         faults = anomalies.of_frame(judgement, framed.known, sequence)
-        yield frame_record(framed, judgement, sequence, self._state, faults)
+        yield self._host_record(framed, judgement, sequence, judgement.reason, faults)
         if self._paired:
             for pair in self._pairing.instruction(sequence, framed.end, judgement):
                 yield from self._paired_up(pair)
@@ -192,7 +199,7 @@ class Decoder:
         for passed in pair.passed:
             yield FaultRecord(anomalies.unanswered(passed, pair.held.t), self._state)
         verdict = anomalies.of_answer(self._protocol, pair, self._skew)
-        yield answer_record(self._protocol, pair.held, pair.waiting, verdict, self._state)
+        yield self._device_record(pair.held, pair.waiting, verdict)
 
     def _unsolicited(self, held: Held) -> Record:
         near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
@@ -200,4 +207,47 @@ class Decoder:
 
     def _unpaired(self, held: Held, why: anomalies.Cause) -> Record:
         verdict = anomalies.of_unpaired(self._protocol, held, why)
-        return answer_record(self._protocol, held, None, verdict, self._state)
+        return self._device_record(held, None, verdict)
+
+    def _host_record(
+        self,
+        framed: Framed,
+        judgement: Judgement | None,
+        sequence: int | None,
+        reason: str,
+        faults: tuple[Anomaly, ...],
+    ) -> HostRecord:
+        """The record of a frame, whole or cut short, or of garbage, which has no judgement."""
+        spec = judgement.instruction if judgement else None
+        value = Instruction(
+            t=framed.start,
+            end=framed.end,
+            kind=framed.kind,
+            hex=spaced(framed.data),
+            sequence=sequence,
+            id=judgement.id if judgement else None,
+            name=spec.name if spec else None,
+            length=judgement.length if judgement else None,
+            fields=dict(judgement.fields) if judgement else {},
+            judgement=judgement.response.name if judgement else None,
+            reason=reason,
+        )
+        return HostRecord(value, framed.data, judgement, self._state, faults)
+
+    def _device_record(
+        self, held: Held, waiting: Waiting | None, verdict: anomalies.AnswerCheck
+    ) -> DeviceRecord:
+        """The record of a device byte that answers `waiting` (None: it answers no instruction)."""
+        answer = self._protocol.codes.get(held.byte)
+        value = Response(
+            t=held.t,
+            hex=f"{held.byte:02x}",
+            byte=held.byte,
+            name=answer.name if answer else None,
+            instruction=waiting.sequence if waiting else None,
+            latency=held.t - waiting.end if waiting else None,
+            agrees=verdict.agrees,
+            reason="; ".join(fault.reason for fault in verdict.faults),
+        )
+        answered = waiting.judgement if waiting else None
+        return DeviceRecord(value, answer, answered, self._state, verdict.faults)

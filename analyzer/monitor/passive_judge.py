@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+import msgspec
+
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -20,8 +22,7 @@ from bilprov.analyzer.decode.records import (
     Severity,
     written_state,
 )
-from bilprov.analyzer.monitor.coverage import Coverage
-from bilprov.analyzer.monitor.findings import Findings, Violation
+from bilprov.analyzer.monitor.coverage import Coverage, Covered
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
@@ -41,6 +42,45 @@ _DEAF = "the other direction was not listened to"
 _GARBAGE = "bytes that belong to no frame"
 
 
+class Violation(msgspec.Struct, frozen=True):
+    """Something a conforming device never does: its time `t` (ns), clause, reading and reason.
+
+    `kind` is that of the anomaly (`disagreeing`, `unused code`, `unsolicited`, `unanswered`) or
+    `moving after a fault`; `instruction` is the sequence of the instruction that it is about.
+    """
+
+    t: int
+    kind: str
+    clause: str
+    reading: str
+    reason: str
+    instruction: int | None
+
+
+class Findings(msgspec.Struct):
+    """The results of judging one session; the judge counts in it while the session runs.
+
+    `judged` counts the instructions whose answer was judged, and `looks` the probe readings of a
+    robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
+    by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
+    although the kit reads the document otherwise.
+    """
+
+    instructions: int = 0
+    judged: int = 0
+    looks: int = 0
+    not_judged: Counter[str] = msgspec.field(default_factory=Counter)
+    violations: Counter[str] = msgspec.field(default_factory=Counter)
+    readings: Counter[str] = msgspec.field(default_factory=Counter)
+    coverage: tuple[Covered, ...] = ()
+    listed: list[Violation] = []
+
+    @property
+    def exit(self) -> int:
+        """1 if there was a violation, else 0."""
+        return 1 if self.violations else 0
+
+
 class PassiveJudge:
     """Judges a running session, record by record.
 
@@ -57,13 +97,7 @@ class PassiveJudge:
         self._protocol = protocol
         self._paired = paired
         self._coverage = Coverage(protocol)
-        self._instructions = 0
-        self._judged = 0
-        self._looks = 0
-        self._not_judged: Counter[str] = Counter()
-        self._violations: Counter[str] = Counter()
-        self._readings: Counter[str] = Counter()
-        self._listed: list[Violation] = []
+        self._findings = Findings()
         # Instructions that wait for an answer, and whether a device that flushes may lose them.
         self._pending: dict[int, bool] = {}
         self._flushes_until = -1  # R-drain-known: the device may flush until the line is idle
@@ -113,9 +147,9 @@ class PassiveJudge:
         if look.moving and since <= self._longest_stop and not self._stood:
             return  # it may still be stopping (R-stop-latency)
         if look.moving is None:
-            self._not_judged["the probe does not know whether the robot moves"] += 1
+            self._findings.not_judged["the probe does not know whether the robot moves"] += 1
             return
-        self._looks += 1
+        self._findings.looks += 1
         self._stood = not look.moving
         if look.moving:
             number, self._stopped_by = self._stopped_by, None
@@ -129,25 +163,17 @@ class PassiveJudge:
     def finish(self) -> Findings:
         """End the traffic and return the findings."""
         self._give_up(_OVER)
-        return Findings(
-            instructions=self._instructions,
-            judged=self._judged,
-            looks=self._looks,
-            not_judged=dict(self._not_judged),
-            violations=dict(self._violations),
-            readings=dict(self._readings),
-            coverage=tuple(self._coverage.covered()),
-            listed=tuple(self._listed),
-        )
+        self._findings.coverage = tuple(self._coverage.covered())
+        return self._findings
 
     def _host(self, record: HostRecord) -> None:
         value, judgement = record.value, record.judgement
         self._decoded = max(self._decoded, value.end)
         if judgement is None or value.sequence is None:
-            self._not_judged[_GARBAGE] += len(record.data)
+            self._findings.not_judged[_GARBAGE] += len(record.data)
             self._stopped_by = None  # the device may have read these bytes as an instruction
             return
-        self._instructions += 1
+        self._findings.instructions += 1
         if value.t < self._in_step_from:
             self._out_of_step()  # it was buffered: the host was not silent when it seemed to be
         self._coverage.frame(judgement, self._motion)
@@ -166,7 +192,7 @@ class PassiveJudge:
         if self._paired:
             self._pending[value.sequence] = lost
         else:
-            self._not_judged[_DEAF] += 1
+            self._findings.not_judged[_DEAF] += 1
 
     def _device(self, record: DeviceRecord) -> None:
         value, number = record.value, record.value.instruction
@@ -183,15 +209,15 @@ class PassiveJudge:
         if self._agreed >= _IN_A_ROW:
             self._in_step_from = min(self._in_step_from, value.t)
         if value.t < self._in_step_from and not value.agrees:
-            self._not_judged[_UNSEEN] += 1
+            self._findings.not_judged[_UNSEEN] += 1
             return
-        self._judged += 1
+        self._findings.judged += 1
         self._coverage.answer(value.byte)
         for fault in record.faults:
             if fault.severity is Severity.ERROR and record.answered:
                 self._violate(fault, record.answered.clause, record.answered.reading)
             elif fault.severity is Severity.WARNING and record.answered:
-                self._readings[self._reading(fault, value.byte, record.answered)] += 1
+                self._findings.readings[self._reading(fault, value.byte, record.answered)] += 1
 
     def _unpaired(self, record: DeviceRecord) -> None:
         """Judge a device byte that answers no instruction, or none that was heard."""
@@ -199,7 +225,7 @@ class PassiveJudge:
         # A banner before the first instruction, an answer around a loss: see R-unsolicited.
         uncertain = any(fault.severity is Severity.INFO for fault in record.faults)
         if uncertain or not errors or record.value.t < self._in_step_from:
-            self._not_judged[_UNSEEN if self._paired else _DEAF] += 1
+            self._findings.not_judged[_UNSEEN if self._paired else _DEAF] += 1
             return
         clause = self._protocol.clauses.responses
         self._violate(errors[0], clause, "R-unsolicited")
@@ -209,15 +235,15 @@ class PassiveJudge:
             return
         lost = self._pending.pop(fault.instruction)
         if fault.t < self._in_step_from:
-            self._not_judged[_UNSEEN] += 1
+            self._findings.not_judged[_UNSEEN] += 1
             return
-        self._judged += 1
+        self._findings.judged += 1
         if lost:
-            self._readings["R-drain-known"] += 1
+            self._findings.readings["R-drain-known"] += 1
         elif fault.severity is Severity.ERROR:
             self._violate(fault, self._protocol.clauses.responses, "R-answer-deadline")
         else:
-            self._readings[SILENCE_READING] += 1
+            self._findings.readings[SILENCE_READING] += 1
 
     def _line(self, record: LineRecord) -> None:
         if record.lost:
@@ -231,7 +257,7 @@ class PassiveJudge:
 
     def _give_up(self, reason: str) -> None:
         if self._pending:
-            self._not_judged[reason] += len(self._pending)
+            self._findings.not_judged[reason] += len(self._pending)
             self._pending.clear()
 
     def _reading(self, fault: Anomaly, byte: int, answered: Judgement) -> str:
@@ -242,9 +268,9 @@ class PassiveJudge:
         return next(choice.reading for choice in choices if choice.code == byte)
 
     def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
-        self._violations[fault.kind] += 1
-        if len(self._listed) < KEPT:
-            self._listed.append(
+        self._findings.violations[fault.kind] += 1
+        if len(self._findings.listed) < KEPT:
+            self._findings.listed.append(
                 Violation(fault.t, fault.kind, clause, reading, fault.reason, fault.instruction)
             )
 

@@ -12,9 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading
-from bilprov.spec.bits import BitGroup
 from bilprov.spec.codec import spaced
-from bilprov.spec.explain import Explanation, FrameExplanation, ResponseExplanation
+from bilprov.spec.explain import BitGroup, Explanation, FrameExplanation, ResponseExplanation
 
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue")
 _FAULT = "bold red"

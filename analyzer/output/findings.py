@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.monitor.findings import Findings, Violation
+from bilprov.analyzer.monitor.passive_judge import Findings, Violation
 from bilprov.analyzer.output.outputs import Format
 
 

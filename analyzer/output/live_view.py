@@ -1,4 +1,4 @@
-"""Lays out the live view from one frozen value; it uses no terminal and no clock."""
+"""Lays out the live view, with a drawing of the car, from one frozen value; uses no clock."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ from bilprov.analyzer.decode.records import (
     is_frame,
     severity_of,
 )
-from bilprov.analyzer.output.car_view import car_view
 from bilprov.analyzer.output.statistics import Latencies, Snapshot
 from bilprov.analyzer.output.text_lines import SEVERITY_COLOURS
+from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.motion import Motion, wheels
+from bilprov.spec.motion import State as MotionState
+from bilprov.spec.protocol import FieldSpec, Protocol
 
 SIDE_WIDTH = 30
 FAULT_ROWS = 4
@@ -54,7 +56,7 @@ def live_view(view: View) -> RenderableType:
     layout["body"].split_row(Layout(name="frames"), Layout(name="side", size=SIDE_WIDTH))
     layout["frames"].update(_Frames(view.snapshot.recent))
     layout["side"].split_column(
-        Layout(Panel(car_view(view.protocol, view.snapshot.state), title="predicted"), size=10),
+        Layout(Panel(_car(view.protocol, view.snapshot.state), title="predicted"), size=10),
         Layout(Panel(_numbers(view.snapshot), title="line")),
     )
     return layout
@@ -159,3 +161,82 @@ def _latency(latencies: Latencies | None) -> tuple[tuple[str, str], ...]:
     values = (latencies.median / 1e6, latencies.ninety_fifth / 1e6, latencies.longest / 1e6)
     median, most, longest = (f"{ms:.3g}" if abs(ms) < 100 else f"{ms:.0f}" for ms in values)
     return (("latency", f"{median} ms median"), ("", f"{most} 95 %, {longest} max"))
+
+
+BAR = 14
+_ARROWS = {
+    Motion.STOPPED: "■",
+    Motion.FORWARD: "▲",
+    Motion.BACKWARD: "▼",
+    Motion.ROTATE_RIGHT: "↻",
+    Motion.ROTATE_LEFT: "↺",
+}
+# Screen colours for the letters of a colour field; other letters are shown in yellow.
+_COLOURS = {"R": "red", "G": "green", "B": "blue"}
+
+
+def _car(protocol: Protocol, state: State) -> RenderableType:
+    """Draw the state in eight rows of 26 columns: the car from above, then its settings."""
+    motion = Motion(state.motion)
+    full = max((abs(end) for end in protocol.limits.get("steering", (0, 0))), default=0)
+    moved = MotionState(motion, state.speed, state.steering, state.led)
+    left, right = wheels(moved, full)
+    colour = "bold green" if state.moving else "dim"
+    sign = _ARROWS[motion]
+    rows = [
+        Text.assemble(f"{_turning(left)}┌───────┐{_turning(right)}".center(24)),
+        Text.assemble("       │   ", (sign, colour), "   │"),
+        Text.assemble(f"{_turning(left)}└───────┘{_turning(right)}".center(24)),
+        Text(_caption(state).center(24), colour),
+        Text(f"wheels {left:+d} {right:+d}".center(24), "dim"),
+        _speed(protocol, state.speed),
+        _steering(full, state.steering),
+        _led(protocol, state.led),
+    ]
+    return Group(*rows)
+
+
+def _turning(speed: int) -> str:
+    return "▲" if speed > 0 else "▼" if speed < 0 else "▪"
+
+
+def _caption(state: State) -> str:
+    words = state.motion.replace("_", " ")
+    return words if state.moving or state.motion == Motion.STOPPED else f"{words}, speed 0"
+
+
+def _speed(protocol: Protocol, speed: int) -> Text:
+    most = max(protocol.limits.get("speed", (0, 0))) or 1
+    filled = round(BAR * speed / most)
+    return Text.assemble(
+        ("speed ", "dim"), ("█" * filled, "green"), ("░" * (BAR - filled), "dim"), f" {speed}"
+    )
+
+
+def _steering(full: int, steering: int) -> Text:
+    half = BAR // 2
+    place = half + round(half * steering / (full or 1))
+    track = ["─"] * (BAR + 1)
+    track[half] = "┼"
+    track[place] = "●"
+    return Text.assemble(("steer ", "dim"), "".join(track), f" {steering:+d}")
+
+
+def _led(protocol: Protocol, led: int) -> Text:
+    line = Text.assemble(("led   ", "dim"))
+    bits = _led_bits(protocol)
+    for at, name in enumerate(bits):
+        on = bool(led >> (len(bits) - 1 - at) & 1)
+        line.append("●" if on else "○", f"bold {_COLOURS.get(name, 'yellow')}" if on else "dim")
+        line.append(f" {name}  ", "" if on else "dim")
+    return line if bits else line.append(str(led))
+
+
+def _led_bits(protocol: Protocol) -> str:
+    """The letters of the LED's bits, from the field that sets the LED; empty if it has none."""
+    for spec in protocol.instructions:
+        for variable, value in spec.effect.assignments:
+            if variable == "led" and isinstance(value, tuple):
+                fields: dict[str, FieldSpec] = {part.name: part for part in spec.fields}
+                return fields[value[0]].bits
+    return ""

@@ -1,4 +1,4 @@
-"""The outputs for decoded records (text lines, JSON lines, live view) and their interface.
+"""The outputs for decoded records: text lines, JSON lines, live view.
 
 Each line is flushed at once, so that the reader of a pipe gets it without delay.
 """
@@ -9,31 +9,18 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, TextIO
+from typing import TYPE_CHECKING, Literal, TextIO, TypeAlias
 
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
-from bilprov.spec.protocol import Protocol as Grammar
+from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.output.live_output import LiveOutput
 
 Format = Literal["live", "lines", "jsonl"]
-
-
-class Output(Protocol):
-    """An output of records: takes each record once, in order, and is informed of the time."""
-
-    def show(self, record: Record) -> None:
-        """Show one record."""
-        ...
-
-    def tick(self, now: int) -> None:
-        """Draw what is due at `now` (ns since the start)."""
-        ...
-
-    def close(self) -> None:
-        """Restore the terminal."""
-        ...
 
 
 class StreamOutput:
@@ -57,6 +44,10 @@ class StreamOutput:
         """Nothing is held."""
 
 
+Output: TypeAlias = "StreamOutput | LiveOutput"
+"""Takes each record once, in order (`show`), and is informed of the time (`tick`)."""
+
+
 def stream_output(style: Literal["lines", "jsonl"]) -> Output:
     """The output to standard output as lines of text or as JSON lines.
 
@@ -71,7 +62,7 @@ def stream_output(style: Literal["lines", "jsonl"]) -> Output:
 
 def opened_output(
     style: Format,
-    protocol: Grammar,
+    protocol: Protocol,
     statistics: Statistics,
     title: str,
     captured: Callable[[], str] = lambda: "",
@@ -96,18 +87,11 @@ def chosen_format(asked: Format | None) -> Format:
     return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
 
 
-def passes(record: Record, test: Callable[[JsonLine], bool] | None) -> bool:
-    """Whether a record passes a filter (None: all do); one without a JSON line passes no filter."""
-    if test is None:
-        return True
-    line = json_line(record)
-    return line is not None and test(line)
-
-
 @dataclass(slots=True)
 class Shown:
     """Passes records through a filter to an output, and counts the frames that were shown.
 
+    Without a filter (`test` is None) all records pass; one without a JSON line passes no filter.
     `left` is how many frames more are shown, None for no limit; at 0 `full` is true and nothing
     more is shown.
     """
@@ -123,8 +107,12 @@ class Shown:
 
     def show(self, record: Record) -> bool:
         """Show the record if it passes; return whether it did."""
-        if self.full or not passes(record, self.test):
+        if self.full:
             return False
+        if self.test is not None:
+            line = json_line(record)
+            if line is None or not self.test(line):
+                return False
         self.output.show(record)
         if self.left is not None and is_frame(record):
             self.left -= 1

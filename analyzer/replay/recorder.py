@@ -7,19 +7,7 @@ from pathlib import Path
 
 from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord, Record
 from bilprov.analyzer.version import kit_version
-from bilprov.captures.closing import Closing
-from bilprov.captures.schemas import (
-    MS,
-    Asked,
-    CaseMark,
-    Chunk,
-    Direction,
-    Line,
-    Log,
-    Look,
-    State,
-    Time,
-)
+from bilprov.captures.schemas import MS, Chunk, Direction, Line, Log, State, Time
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 
@@ -55,56 +43,36 @@ def session_metadata(
     }
 
 
-class Recorder(Closing):
+class Recorder(CaptureWriter):
     """Writes events and records into a capture; a context manager that finishes the file.
 
     Raises CaptureError where the file cannot be written.
     """
 
     def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
-        self.path = Path(path)
+        super().__init__(path, start_wall=start_wall, metadata=metadata, version=kit_version())
         self.bytes = 0
-        self._start = start_wall
         self._state: State | None = None
-        self._writer = CaptureWriter(
-            path, start_wall=start_wall, metadata=metadata, version=kit_version()
-        )
 
     def event(self, event: Chunk | Line) -> None:
         """Write a raw event, before it is decoded."""
         if isinstance(event, Chunk):
-            self._writer.chunk(event)
+            self.chunk(event)
             self.bytes += len(event.data)
         else:
-            self._writer.write(event, event.t)
+            self.write(event, event.t)
 
     def record(self, record: Record) -> None:
         """Write a decoded record: the frame, the state when it changes, and the anomalies."""
         if isinstance(record, HostRecord):
-            self._writer.write(record.value, record.value.t)
+            self.write(record.value, record.value.t)
             if record.state != self._state:
                 self._state = record.state
-                self._writer.write(record.state, record.value.end)
+                self.write(record.state, record.value.end)
         elif isinstance(record, DeviceRecord):
-            self._writer.write(record.value, record.value.t)
+            self.write(record.value, record.value.t)
         for fault in record.faults:
-            self._writer.write(self._log(fault), fault.t)
-
-    def mark(self, value: CaseMark | Look | Asked, t: int) -> None:
-        """Write a message of a conformance run, at `t` ns since the start."""
-        self._writer.write(value, t)
-
-    def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
-        """Attach a file's content at `t` ns since the start."""
-        self._writer.attach(name, media_type, data, t)
-
-    def tick(self, now: int) -> None:
-        """Let time pass to `now` (ns since the start); flush data that has waited for 0.1 s."""
-        self._writer.tick(now)
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.close()
+            self.write(self._log(fault), fault.t)
 
     def _log(self, fault: Anomaly) -> Log:
         seconds, nanoseconds = divmod(self._start + fault.t, 1_000_000_000)

@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from bilprov.analyzer.client.homing import home, home_once
+from bilprov.analyzer.client.wire import PortWire, home, home_once
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.comparison import ReplayRun
@@ -14,7 +14,6 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.wire import PortWire
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol

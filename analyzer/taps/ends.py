@@ -8,35 +8,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
-
-
-class End(Protocol):
-    """One end of a line; `served` is the name under which others open it, "" for a device."""
-
-    served: str
-
-    @property
-    def port(self) -> Port | None:
-        """The port that wait_readable waits for, None if there are only `descriptors`."""
-
-    def descriptors(self) -> list[int]:
-        """Return the descriptors that select waits for besides the port."""
-
-    def read(self) -> bytes:
-        """Return the available bytes. Raises LinkError once the end is lost."""
-
-    def write_some(self, data: bytes) -> int:
-        """Write as many bytes as are taken now and return their number. Raises LinkError."""
-
-    def close(self) -> None:
-        """Close the end; further calls do nothing."""
 
 
 def require_two_ends(a: str, b: str) -> None:
@@ -63,7 +41,12 @@ def open_end(name: str, settings: LineSettings) -> End:
 
 @dataclass(slots=True)
 class OpenedEnd:
-    """An opened port or pty as an end; a port is lost when unplugged, a pty never."""
+    """An opened port or pty as an end; a port is lost when unplugged, a pty never.
+
+    `read` returns the available bytes and raises LinkError once the end is lost, `write_some`
+    returns how many bytes were taken. `served` is the name under which others open the end, "" for
+    a device; `port` is what wait_readable waits for, None if there are only `waited` descriptors.
+    """
 
     read: Callable[[], bytes]
     write_some: Callable[[bytes], int]
@@ -139,6 +122,9 @@ class ListeningEnd:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+End: TypeAlias = OpenedEnd | ListeningEnd
 
 
 class ServedKind(NamedTuple):

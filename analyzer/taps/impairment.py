@@ -1,4 +1,4 @@
-"""Impairs one direction of a line: drops, flips, doubles and delays bytes. Uses no port or clock.
+"""Impairs a line: flips, drops, doubles and delays bytes at random. Uses no port and no clock.
 
 Random numbers are drawn byte by byte, so the same seed and the same bytes give the same faults,
 whatever the chunks are. Delays have a random generator of their own: a line with a delay and one
@@ -10,10 +10,49 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from random import Random
-
-from bilprov.analyzer.taps.noise import Noise
+from typing import Literal
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back
+
+
+Harm = Literal["", "flipped", "dropped", "doubled"]
+
+_BITS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The probabilities (0 to 1) that a byte is flipped in one bit, dropped, or doubled.
+
+    Raises ValueError for a probability outside 0 to 1, and if together they exceed 1.
+    """
+
+    flipped: float = 0.0
+    dropped: float = 0.0
+    doubled: float = 0.0
+
+    def __post_init__(self) -> None:
+        chances = (self.flipped, self.dropped, self.doubled)
+        if not (all(chance >= 0 for chance in chances) and sum(chances) <= 1):  # nor is nan
+            raise ValueError(
+                f"the noise is {self.flipped:g} flipped, {self.dropped:g} dropped and "
+                f"{self.doubled:g} doubled; each is 0 to 1, and all of them together at most 1"
+            )
+
+    def impair(self, byte: int, chance: Random) -> tuple[Harm, bytes]:
+        """Apply the noise to a byte; return the effect ("" for none) and the bytes that arrive."""
+        drawn = chance.random()
+        if drawn < self.flipped:
+            return "flipped", bytes([byte ^ 1 << chance.randrange(_BITS)])
+        if drawn < self.flipped + self.dropped:
+            return "dropped", b""
+        if drawn < self.flipped + self.dropped + self.doubled:
+            return "doubled", bytes([byte, byte])
+        return "", bytes([byte])
+
+    def over(self, data: bytes, chance: Random) -> bytes:
+        """Apply the noise to each byte of `data` and return the bytes that arrive."""
+        return b"".join(self.impair(byte, chance)[1] for byte in data)
 
 
 @dataclass(frozen=True, slots=True)

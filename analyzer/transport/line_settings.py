@@ -26,7 +26,7 @@ class LineSettings:
         if self.parity not in tuple("NEOMS"):
             raise ValueError(f"parity is {self.parity!r}, allowed are N, E, O, M and S")
         if self.stopbits not in (1, 1.5, 2):
-            raise ValueError(f"stopbits is {self.stopbits}, allowed are 1, 1.5 and 2")
+            raise ValueError(f"stopbits is {self.stopbits:g}, allowed are 1, 1.5 and 2")
 
     @property
     def byte_time(self) -> int:
@@ -42,13 +42,13 @@ def line_settings(
     protocol: Protocol,
     baud: int | None = None,
     parity: str | None = None,
-    stopbits: str | None = None,
+    stopbits: str | float | None = None,
 ) -> LineSettings:
     """The given line settings; the grammar's own for each that is None. Raises ValueError."""
     line = protocol.line
     return LineSettings(
         baud=line.baud if baud is None else baud,
-        parity=line.parity if parity is None else parity.upper(),
+        parity=line.parity if parity is None else parity,
         stopbits=line.stopbits if stopbits is None else float(stopbits),
     )
 

@@ -1,16 +1,88 @@
-"""Reads the messages of a surveyed file in order, each with a note of what is lost before it."""
+"""Reads the messages of a surveyed file in order, each with a note of what is lost before it.
+
+Those of foreign writers are sorted by time, with a bounded number of them held back.
+"""
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
+from dataclasses import dataclass
 from io import BufferedReader
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.contents import Contents
-from bilprov.captures.storage.limits import MESSAGE_BYTES
+from bilprov.captures.storage.records import MESSAGE_BYTES
 from bilprov.captures.storage.recovery import SKIPPED, RecordFile
-from bilprov.captures.storage.time_order import TimeWindow
+
+WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
+WINDOW_BYTES = 16 * 1024 * 1024  # of the messages held back
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """The results of a survey. Times are `log_time` in ns, 0 if there is no message.
+
+    `size` is the file's size in bytes; `regions` are its ranges of complete records, as the first
+    byte and the byte after the last. `own` is true if bilprov recorded the file, so that the order
+    in the file is the order of events; `counted` is true if no other program rewrote it since, so
+    that a jump of `sequence` is a loss. `starts` are the file's statements of its start (digits,
+    ns), the best protected one first. `channels` maps channel ids to topic and encoding; `counts`
+    and `sizes` are messages and bytes by topic.
+    """
+
+    size: int
+    regions: tuple[tuple[int, int], ...]
+    own: bool
+    counted: bool
+    library: str
+    metadata: dict[str, str]
+    starts: tuple[str, ...]
+    channels: dict[int, tuple[str, str]]
+    first: int
+    last: int
+    counts: dict[str, int]
+    sizes: dict[str, int]
+    unfinished: bool
+    damage: tuple[str, ...]
+
+
+class TimeWindow(Generic[Item]):
+    """A sorting window that holds back up to 4,096 messages or 16 MiB and yields them by time.
+
+    Messages with equal times keep their order. `late` counts messages that came out after a later
+    one, because the window was too small.
+    """
+
+    def __init__(self) -> None:
+        self.late = 0
+        self._held: list[tuple[int, int, int, Item]] = []
+        self._bytes = 0
+        self._count = 0
+        self._latest = 0
+
+    def push(self, time: int, size: int, item: Item) -> Iterator[Item]:
+        """Add a message of `size` bytes at `time` (ns); yield those that exceed the window."""
+        heapq.heappush(self._held, (time, self._count, size, item))
+        self._count += 1
+        self._bytes += size
+        while len(self._held) > WINDOW_MESSAGES or self._bytes > WINDOW_BYTES:
+            yield self._pop()
+
+    def rest(self) -> Iterator[Item]:
+        """Yield all messages that are still held."""
+        while self._held:
+            yield self._pop()
+
+    def _pop(self) -> Item:
+        time, _, size, item = heapq.heappop(self._held)
+        self._bytes -= size
+        if time < self._latest:
+            self.late += 1
+        self._latest = max(self._latest, time)
+        return item
 
 
 class Stored(NamedTuple):
@@ -28,9 +100,14 @@ def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored
 
     Raises Damaged if the file has changed since the survey.
     """
+    in_file_order = _in_file_order(file, contents)
     if contents.own:
-        return _in_file_order(file, contents)
-    return _by_time(_in_file_order(file, contents))
+        yield from in_file_order
+        return
+    window: TimeWindow[Stored] = TimeWindow()
+    for message in in_file_order:
+        yield from window.push(message.log_time, len(message.data), message)
+    yield from window.rest()
 
 
 def _in_file_order(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
@@ -76,10 +153,3 @@ def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, in
             elif found.opcode == records.FOOTER:
                 return
         where = "the file is damaged here"
-
-
-def _by_time(messages: Iterator[Stored]) -> Iterator[Stored]:
-    window: TimeWindow[Stored] = TimeWindow()
-    for message in messages:
-        yield from window.push(message.log_time, len(message.data), message)
-    yield from window.rest()

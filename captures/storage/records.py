@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from bilprov.captures.storage.limits import STRING_BYTES
-
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
 """The prefix of the library's name in our own files."""
@@ -30,6 +28,14 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 FOOTER_BYTES: Final = 20
 DATA_END_BYTES: Final = 4
+
+# The largest parts that are read; checked before memory is allocated.
+CHUNK_BYTES: Final = 16 * 1024 * 1024  # of one chunk, as stored and as unpacked
+MESSAGE_BYTES: Final = 64 * 1024  # of data of one message
+STRING_BYTES: Final = 64 * 1024  # of one string of a header, a channel or a metadata record
+RECORD_BYTES: Final = 16 * 1024 * 1024  # of any other record whose content is read
+ATTACHMENT_BYTES: Final = 64 * 1024 * 1024  # of one attachment whose content is read
+CHANNELS: Final = 64  # in one file
 
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")

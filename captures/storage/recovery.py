@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import re
+import zlib
 from collections.abc import Callable
 from io import BufferedReader
 from typing import Final, NamedTuple
 
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
 from bilprov.captures.storage import records
-from bilprov.captures.storage.limits import (
-    ATTACHMENT_BYTES,
-    CHUNK_BYTES,
-    MESSAGE_BYTES,
-    RECORD_BYTES,
-)
-from bilprov.captures.storage.records import CutOff, Damaged
-from bilprov.captures.storage.unpack import unpacked_chunk
+from bilprov.captures.storage.records import CHUNK_BYTES, CutOff, Damaged
 
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
@@ -31,7 +29,7 @@ CHUNK_FRONT = re.compile(
     re.DOTALL,
 )
 
-ATTACHED: Final = ATTACHMENT_BYTES + 1024
+ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 """Largest size in bytes of an attachment record, its names included."""
 
 INDEX_RECORDS = {0x08, 0x0A, 0x0B, 0x0D, 0x0E, records.FOOTER}
@@ -136,7 +134,7 @@ class RecordFile:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
             return Found(SKIPPED, end, note=f"{note}: left out")
-        content, verified = unpacked_chunk(front + self._content(length - len(front)), self.own)
+        content, verified = _unpacked_chunk(front + self._content(length - len(front)), self.own)
         return Found(records.CHUNK, end, content, verified)
 
     def _message(self, length: int, end: int) -> Found:
@@ -144,15 +142,15 @@ class RecordFile:
             raise Damaged("a message stands outside of the chunks")
         if length < records.MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
-        if length - records.MESSAGE_HEAD.size > MESSAGE_BYTES:
-            note = f"a message holds {length} bytes, allowed are {MESSAGE_BYTES}: left out"
+        if length - records.MESSAGE_HEAD.size > records.MESSAGE_BYTES:
+            note = f"a message holds {length} bytes, allowed are {records.MESSAGE_BYTES}: left out"
             return Found(SKIPPED, end, note=note)
         return Found(records.MESSAGE, end, self._content(length))
 
     def _other(self, opcode: int, length: int, end: int) -> Found:
         # Foreign attachments are skipped, since none of their content is used.
         if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
-            most = ATTACHED if opcode == records.ATTACHMENT else RECORD_BYTES
+            most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES
             if length > most:
                 raise Damaged(f"a record is larger than the {most} bytes allowed")
             content = self._content(length)
@@ -177,3 +175,46 @@ class RecordFile:
         if len(content) < length:
             raise CutOff("the file ends inside a record")
         return content
+
+
+def _unpacked_chunk(content: bytes, own: bool) -> tuple[bytes, bool]:
+    """Unpack the records of a chunk; also return whether a checksum covers them.
+
+    A CRC of 0 means that there is none, which is accepted from foreign writers only. Raises Damaged
+    if anything is not as declared.
+    """
+    size, crc, compression, start = records.chunk_fields(content)
+    data = _unpacked(memoryview(content)[start:], compression, size)
+    if len(data) != size:
+        raise Damaged("a chunk does not unpack to the size that it declares")
+    if crc == 0 and not own:
+        return data, False
+    if zlib.crc32(data) != crc:
+        raise Damaged("a chunk's checksum is wrong")
+    return data, True
+
+
+def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
+    try:
+        if compression == "zstd":
+            return _zstd(packed, size)
+        if compression == "lz4":
+            return _lz4(packed, size)
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+        raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
+    if compression == "":
+        return bytes(packed)
+    raise Damaged("a chunk is compressed with something other than zstd and lz4")
+
+
+def _zstd(packed: memoryview, size: int) -> bytes:
+    # Streamed, because the one-call function allocates what the *frame* declares.
+    decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
+    source = io.BytesIO(packed)
+    with decompressor.stream_reader(source, read_across_frames=True) as reader:
+        return reader.read(size + 1)
+
+
+def _lz4(packed: memoryview, size: int) -> bytes:
+    data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+    return data

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Final
 
@@ -10,12 +12,12 @@ import msgspec
 
 from bilprov.captures import topics
 from bilprov.captures.schemas import Line
-from bilprov.captures.storage import limits, records
-from bilprov.captures.storage.contents import Contents, Tally
+from bilprov.captures.storage import records
+from bilprov.captures.storage.messages import Contents, TimeWindow
 from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff, Damaged
 from bilprov.captures.storage.recovery import SKIPPED, Found, RecordFile
-from bilprov.captures.storage.time_order import TimeWindow
 
+DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
 JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
 """Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
@@ -26,6 +28,40 @@ def surveyed(file: BufferedReader, size: int) -> Contents:
     survey = _Survey(file, size)
     survey.walk()
     return survey.contents()
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Counts of messages and bytes by channel id, and the times, of one chunk or of a file."""
+
+    counts: Counter[int] = field(default_factory=Counter)
+    sizes: Counter[int] = field(default_factory=Counter)
+    times: list[int] = field(default_factory=list)  # first, earliest, latest
+    too_long: int = 0
+    bad_lines: int = 0
+
+    def message(self, channel: int, time: int, size: int) -> None:
+        """Count one message."""
+        self.counts[channel] += 1
+        self.sizes[channel] += size
+        if not self.times:
+            self.times = [time, time, time]
+        elif time > self.times[2]:
+            self.times[2] = time
+        elif time < self.times[1]:
+            self.times[1] = time
+
+    def add(self, other: _Tally) -> None:
+        """Add the counts of another tally, whose messages come later in the file."""
+        self.counts.update(other.counts)
+        self.sizes.update(other.sizes)
+        if not self.times:
+            self.times = other.times
+        elif other.times:
+            self.times[1] = min(self.times[1], other.times[1])
+            self.times[2] = max(self.times[2], other.times[2])
+        self.too_long += other.too_long
+        self.bad_lines += other.bad_lines
 
 
 class _Survey:
@@ -40,7 +76,7 @@ class _Survey:
         self._guarded_start: str | None = None
         self._channels: dict[int, ChannelRecord] = {}
         self._verified: set[int] = set()
-        self._tally = Tally()
+        self._tally = _Tally()
         self._order: TimeWindow[None] = TimeWindow()
         self._notes: list[str] = []
         self._more_notes = 0
@@ -66,7 +102,7 @@ class _Survey:
         unknown = sum(n for channel, n in self._tally.counts.items() if channel not in channels)
         if self._tally.too_long:
             self._note(
-                f"{self._tally.too_long} messages hold more than the {limits.MESSAGE_BYTES} bytes "
+                f"{self._tally.too_long} messages hold more than the {records.MESSAGE_BYTES} bytes "
                 "allowed and are left out"
             )
         if self._tally.bad_lines:
@@ -143,13 +179,13 @@ class _Survey:
     def _take_chunk(self, found: Found) -> None:
         # The chunk has a tally of its own at first, since a damaged chunk is left out as a whole.
         content = found.content
-        tally = Tally()
+        tally = _Tally()
         channels: list[ChannelRecord] = []
         lines = set(self._lines)
         for opcode, start, end in records.records_in(content):
             if opcode == records.MESSAGE:
                 self._count(tally, content, start, end, lines)
-            elif opcode == records.CHANNEL and len(channels) <= limits.CHANNELS:
+            elif opcode == records.CHANNEL and len(channels) <= records.CHANNELS:
                 channel = records.channel_record(content[start:end])
                 channels.append(channel)
                 if channel.topic == topics.LINE:
@@ -158,11 +194,11 @@ class _Survey:
             self._learn(channel, found.verified)
         self._tally.add(tally)
 
-    def _count(self, tally: Tally, content: bytes, start: int, end: int, lines: set[int]) -> None:
+    def _count(self, tally: _Tally, content: bytes, start: int, end: int, lines: set[int]) -> None:
         channel, _, time, _ = records.MESSAGE_HEAD.unpack_from(content, start)
         start += records.MESSAGE_HEAD.size
         size = end - start
-        if size > limits.MESSAGE_BYTES:
+        if size > records.MESSAGE_BYTES:
             tally.too_long += 1
             return
         tally.message(channel, time, size)
@@ -177,8 +213,8 @@ class _Survey:
 
     def _learn(self, channel: ChannelRecord, verified: bool) -> None:
         known = self._channels.get(channel.id)
-        if known is None and len(self._channels) >= limits.CHANNELS:
-            note = f"the file describes more than the {limits.CHANNELS} channels allowed"
+        if known is None and len(self._channels) >= records.CHANNELS:
+            note = f"the file describes more than the {records.CHANNELS} channels allowed"
             if note not in self._notes:
                 self._note(note)
             return
@@ -215,7 +251,7 @@ class _Survey:
             self._regions.append((start, end))
 
     def _note(self, sentence: str) -> None:
-        if len(self._notes) < limits.DAMAGE_NOTES:
+        if len(self._notes) < DAMAGE_NOTES:
             self._notes.append(sentence)
         else:
             self._more_notes += 1

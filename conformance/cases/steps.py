@@ -79,11 +79,7 @@ def valid_frame(protocol: Protocol, spec: InstructionSpec, values: Mapping[str, 
 def valid_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
     """The instruction with valid data, over the whole range of each field."""
     spec = protocol.by_name[name]
-    every = (
-        {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
-        for data in all_data(spec)
-    )
-    return tuple(valid_frame(protocol, spec, values) for values in every)
+    return tuple(valid_frame(protocol, spec, spec.decode(data)) for data in all_data(spec))
 
 
 @lru_cache(maxsize=1 << 6)
@@ -114,7 +110,7 @@ def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, d
     many = length > spec.length
     outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
     # Data out of range *and* too many: judging the data first is a legal other reading.
-    point = "R-competing-errors" if many and _out_of_range(spec, data) else ""
+    point = "R-competing-errors" if many and not spec.in_range(data) else ""
     return Step(
         raw_frame(protocol, spec.id, length, data),
         FrameClass.WRONG_LENGTH,
@@ -124,12 +120,6 @@ def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, d
         point,
         point or "R-known-length",
     )
-
-
-def _out_of_range(spec: InstructionSpec, data: bytes) -> bool:
-    """Whether the data that the instruction would take hold a value out of range."""
-    parts = ((part, data[part.offset : part.offset + part.size]) for part in spec.fields)
-    return any(not part.low <= part.parse(coded) <= part.high for part, coded in parts)
 
 
 def bad_data_frame(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:
@@ -196,7 +186,6 @@ def complete_frame(protocol: Protocol, header: int, data: bytes) -> Step:
         return unused_id_frame(protocol, identity, length, data)
     if length != spec.length:
         return wrong_length_frame(protocol, spec, length, data)
-    values = {f.name: f.parse(data[f.offset : f.offset + f.size]) for f in spec.fields}
-    if all(f.low <= values[f.name] <= f.high for f in spec.fields):
-        return valid_frame(protocol, spec, values)
+    if spec.in_range(data):
+        return valid_frame(protocol, spec, spec.decode(data))
     return bad_data_frame(protocol, spec, data)

@@ -11,8 +11,7 @@ from typing import Any, TypeVar
 import rich_click as click
 from rich.console import Console
 
-from bilprov.analyzer.cli.confirm import confirm_motion
-from bilprov.analyzer.cli.options import line_options, note
+from bilprov.analyzer.cli.options import confirm_motion, line_options, note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from random import Random
 
-from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Device
 

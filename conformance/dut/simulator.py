@@ -13,7 +13,7 @@ from typing import cast
 
 import msgspec
 
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
 from bilprov.conformance.dut.fault_reads import COUNTED, FaultReads, RecordingProxy
@@ -52,8 +52,7 @@ class Simulator:
         self.fault = fault or CONFORMING
         self.latency = latency
         self.reads: FaultReads | None = None
-        line = protocol.line
-        self.byte_time = LineSettings(line.baud, line.parity, line.stopbits).byte_time
+        self.byte_time = line_settings(protocol).byte_time
         self.step = conforming_step(protocol)
         self._full_steering = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
         self._lengths: Sequence[int] = self.fault.lengths or protocol.lengths

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -31,8 +31,7 @@ class Symbol(NamedTuple):
 
 def alphabet(protocol: Protocol, hints: Sequence[int] = ()) -> tuple[Symbol, ...]:
     """Return every input that a search tries; `hints` are further data values to include."""
-    line = protocol.line
-    byte = LineSettings(line.baud, line.parity, line.stopbits).byte_time
+    byte = line_settings(protocol).byte_time
     waited, idle = 3 * byte, _QUIET
     timeout = int(protocol.timing.truncation_timeout * MS)
     valid = [frame for spec in protocol.instructions for frame in _valid(spec, protocol, hints)]

@@ -6,9 +6,9 @@ simulator in virtual time.
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.errors import RobotError
+from bilprov.analyzer.client.driver import RobotError
 from bilprov.analyzer.client.robot import Instructions
-from bilprov.analyzer.transport.wire import Heard as Answers
+from bilprov.analyzer.client.wire import Heard as Answers
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.link import Link
 from bilprov.conformance.dut.operations import (
@@ -66,7 +66,7 @@ class Client(Instructions):
 
 
 class LinkWire:
-    """A link as a wire (see `analyzer.transport.wire`); `now` (ns) is when it last listened."""
+    """A link as a wire (see `analyzer.client.wire`); `now` (ns) is when it last listened."""
 
     def __init__(self, link: Link) -> None:
         self.now = 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.cli.confirm import NotConfirmed, confirm_motion
+from bilprov.analyzer.cli.options import NotConfirmed, confirm_motion
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings

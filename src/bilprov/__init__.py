@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from bilprov.analyzer.api import judge as judge
     from bilprov.analyzer.api import read_capture as read_capture
     from bilprov.analyzer.api import sniff as sniff
-    from bilprov.analyzer.client.errors import NoAnswer as NoAnswer
-    from bilprov.analyzer.client.errors import Refused as Refused
-    from bilprov.analyzer.client.errors import RobotError as RobotError
+    from bilprov.analyzer.client.driver import NoAnswer as NoAnswer
+    from bilprov.analyzer.client.driver import Refused as Refused
+    from bilprov.analyzer.client.driver import RobotError as RobotError
     from bilprov.analyzer.client.robot import Robot as Robot
     from bilprov.analyzer.grammar_file import load_protocol as load_protocol
     from bilprov.analyzer.transport.errors import LinkError as LinkError
@@ -52,11 +52,11 @@ __all__ = [
 API = {
     "LinkError": ("bilprov.analyzer.transport.errors", "LinkError"),
     "Look": ("bilprov.captures.schemas", "Look"),
-    "NoAnswer": ("bilprov.analyzer.client.errors", "NoAnswer"),
+    "NoAnswer": ("bilprov.analyzer.client.driver", "NoAnswer"),
     "Options": ("bilprov.conformance.api", "Options"),
-    "Refused": ("bilprov.analyzer.client.errors", "Refused"),
+    "Refused": ("bilprov.analyzer.client.driver", "Refused"),
     "Robot": ("bilprov.analyzer.client.robot", "Robot"),
-    "RobotError": ("bilprov.analyzer.client.errors", "RobotError"),
+    "RobotError": ("bilprov.analyzer.client.driver", "RobotError"),
     "conform": ("bilprov.conformance.api", "conform"),
     "decode": ("bilprov.analyzer.api", "decode"),
     "encode": ("bilprov.analyzer.api", "encode"),

@@ -16,8 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.taps.ends import ListeningEnd
-from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults
-from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import join
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port

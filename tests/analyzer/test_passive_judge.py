@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.decode.session import BOTH, Session
-from bilprov.analyzer.monitor.findings import Findings
-from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, PassiveJudge
+from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, PassiveJudge
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look

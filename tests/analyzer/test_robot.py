@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.errors import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port

@@ -11,11 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.taps import kinds
-from bilprov.analyzer.taps.bridge import Bridge
-from bilprov.analyzer.taps.kinds import TAPS, Tap, opened_tap
-from bilprov.analyzer.taps.passive import Taps, require_two_lines
-from bilprov.analyzer.taps.source import counted
+from bilprov.analyzer.taps import sources
+from bilprov.analyzer.taps.sources import (
+    TAPS,
+    Bridge,
+    Tap,
+    Taps,
+    counted,
+    opened_tap,
+    require_two_lines,
+)
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import line_settings
@@ -352,7 +357,7 @@ def test_a_new_kind_of_tap_is_one_row(
     protocol: Protocol, monkeypatch: pytest.MonkeyPatch, device_line: PtyPair
 ) -> None:
     row = Tap("mirror", "PORT", "Hears itself.", lambda names, line: Bridge(open_port(*names)))
-    monkeypatch.setattr(kinds, "TAPS", (*TAPS, row))
+    monkeypatch.setattr(sources, "TAPS", (*TAPS, row))
     line = line_settings(protocol)
     nothing = dict.fromkeys(("", "bridge", "mirror"), (None,))
 

@@ -16,9 +16,8 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
 from bilprov.captures.reader import open_capture
-from bilprov.captures.storage.limits import ATTACHMENT_BYTES
-from bilprov.captures.storage.seal import SEAL_NAME
-from bilprov.captures.writer import CaptureWriter
+from bilprov.captures.storage.records import ATTACHMENT_BYTES
+from bilprov.captures.writer import SEAL_NAME, CaptureWriter
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol

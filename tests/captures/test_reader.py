@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk, Line, Log, State, Time
-from bilprov.captures.storage import limits
+from bilprov.captures.storage import records
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
@@ -343,7 +343,7 @@ def bomb(packed: bytes, declared: int, crc: int = 1) -> bytes:
     return struct.pack("<BQ", 6, len(body)) + body
 
 
-@pytest.mark.parametrize("declared", [100, limits.CHUNK_BYTES, limits.CHUNK_BYTES + 1, 1 << 60])
+@pytest.mark.parametrize("declared", [100, records.CHUNK_BYTES, records.CHUNK_BYTES + 1, 1 << 60])
 def test_a_zstd_bomb_is_left_out_without_being_unpacked(
     small: Path, tmp_path: Path, declared: int
 ) -> None:
@@ -382,15 +382,15 @@ def test_limits_of_a_foreign_file_hold(tmp_path: Path) -> None:
         for n in range(100):
             writer.register_channel(f"/more/{n}", "json", 0)
         writer.add_message(host, 1, b"a", 0)
-        writer.add_message(host, 2, bytes(limits.MESSAGE_BYTES + 1), 0)
-        writer.add_message(host, 3, bytes(limits.MESSAGE_BYTES), 0)
+        writer.add_message(host, 2, bytes(records.MESSAGE_BYTES + 1), 0)
+        writer.add_message(host, 3, bytes(records.MESSAGE_BYTES), 0)
 
     for chunked in (True, False):
         path = foreign(tmp_path / "f.mcap", fill, use_chunking=chunked, chunk_size=1 << 20)
         capture = open_capture(path)
         assert [type(event) for event in capture] == [Chunk, Line, Chunk]
         assert len(capture.damage) == 2
-        assert len(capture.contents.channels) == limits.CHANNELS
+        assert len(capture.contents.channels) == records.CHANNELS
 
 
 def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
@@ -400,7 +400,7 @@ def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: 
             writer.add_message(host, n, bytes(60_000), 0)
         writer.add_message(host, 300, b"after", 0)
 
-    path = foreign(tmp_path / "f.mcap", fill, chunk_size=limits.CHUNK_BYTES + 1000)
+    path = foreign(tmp_path / "f.mcap", fill, chunk_size=records.CHUNK_BYTES + 1000)
     capture = open_capture(path)
     kept = [event for event in capture if isinstance(event, Chunk)]
     assert len(capture.damage) == 1

@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.bits import BitGroup
 from bilprov.spec.codec import judge
-from bilprov.spec.explain import explain, explain_responses
+from bilprov.spec.explain import BitGroup, explain, explain_responses
 from bilprov.spec.protocol import load
 from bilprov.spec.readings import READINGS
 

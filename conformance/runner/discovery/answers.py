@@ -76,9 +76,7 @@ def _setting(protocol: Protocol) -> Step:
     low, high = protocol.limits.get("speed", (0, 0))
     frame = setting(protocol, "speed", (low + high) // 2)
     spec = protocol.by_id[protocol.headers[frame[0]][0]] if frame else protocol.stop
-    data = frame[1:]
-    values = {f.name: f.parse(data[f.offset :][: f.size]) for f in spec.fields}
-    return valid_frame(protocol, spec, values)
+    return valid_frame(protocol, spec, spec.decode(frame[1:]))
 
 
 def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:

@@ -91,7 +91,7 @@ class RunRecorder(Closing, RunListener):
 
     def _mark(self, value: CaseMark | Look) -> None:
         self._now = max(self._now, value.t)
-        self._try(lambda: self._file.mark(value, value.t))
+        self._try(lambda: self._file.write(value, value.t))
 
     def _decoded(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -150,7 +150,7 @@ class RunRecorder(Closing, RunListener):
                 value = Asked(reply.now, name)
             case _:
                 value = Asked(reply, name)
-        self._try(lambda: self._file.mark(value, value.t))
+        self._try(lambda: self._file.write(value, value.t))
 
     def reported(self, report: Report) -> None:
         """The run is over."""

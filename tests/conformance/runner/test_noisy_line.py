@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from benchmarks.noise import LINES, Trial, noisy_run
-from bilprov.analyzer.taps.noise import Noise
+from bilprov.analyzer.taps.impairment import Noise
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.noisy_device import NoisyDevice
 from bilprov.conformance.dut.simulator import Simulator

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from bilprov.captures.player import paced
+from bilprov.analyzer.replay.playback import paced
 from bilprov.captures.schemas import Chunk
 
 SECOND = 1_000_000_000

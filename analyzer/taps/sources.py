@@ -1,0 +1,250 @@
+"""Sources of chunks and line events with times: passive taps, which never write, and a bridge.
+
+A source polls its ports in one loop; all times `t` are in ns (monotonic) since it was made.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from typing import NamedTuple, TypeAlias
+
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.forward import Forward
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.closing import Closing
+from bilprov.captures.schemas import Chunk, Direction, Line
+
+Events: TypeAlias = list[Chunk | Line]
+
+_COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
+_RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
+
+
+def counted(
+    t: int, tap: Direction, before: Mapping[str, int], after: Mapping[str, int]
+) -> Iterator[Line]:
+    """Yield a Line event for each kind of error that a driver has counted since `before`."""
+    for kind, total in after.items():
+        more = total - before.get(kind, 0)
+        if more > 0:
+            yield Line(t, kind, tap, f"{more} counted by the driver")
+
+
+class Source(Closing):
+    """A source of events: a clock, and one port per direction with its error counts.
+
+    `names` are the names of the ports by role, `heard` the directions that are listened to, and
+    `served` the name under which the host program opens the source, "" if there is none.
+    `one_clock` is true if one clock stamps both directions; `attached` is true if traffic may have
+    passed before listening began.
+    """
+
+    heard: frozenset[Direction] = frozenset({"host", "device"})
+    one_clock = False
+    attached = True
+    served = ""
+
+    def __init__(self, ports: Mapping[Direction, Port]) -> None:
+        self.names = {str(tap): port.name for tap, port in ports.items()}
+        self._ports = dict(ports)  # the ports that are not lost, host before device
+        self._all = tuple(ports.values())
+        self._counts = {tap: port.error_counts() for tap, port in ports.items()}
+        self.start_wall = time.time_ns()
+        self._start = self._counted_at = time.monotonic_ns()
+
+    @property
+    def ended(self) -> bool:
+        """Whether all ports are lost."""
+        return not self._ports
+
+    def now(self) -> int:
+        """Return the time since the start in ns."""
+        return time.monotonic_ns() - self._start
+
+    def poll(self, timeout_s: float | None, also: Sequence[int] = ()) -> Events:
+        """Return the new events in order, after waiting at most `timeout_s` s for the first.
+
+        `also` are descriptors (such as a Stopper's) that end the wait too. When both sides have
+        bytes the host comes first, since an instruction is older than its answer.
+        """
+        events: Events = []
+        if not self.ended:
+            self._gather(events, timeout_s, also)
+            self._count(events)
+        return events
+
+    @abstractmethod
+    def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        """Append the chunks that have come, and the loss of a port, after the wait."""
+
+    def close(self) -> None:
+        """Close the ports; further calls do nothing."""
+        self._ports.clear()
+        for port in self._all:
+            port.close()
+
+    def _read(self, tap: Direction, events: Events) -> bytes:
+        """Append the next chunk of one side, or its `unplugged`; return the chunk's bytes."""
+        try:
+            data = self._ports[tap].read()
+        except LinkError as error:
+            del self._ports[tap]
+            events.append(Line(self.now(), "unplugged", tap, str(error)))
+            return b""
+        if data:
+            events.append(Chunk(self.now(), tap, data))
+        return data
+
+    def _count(self, events: Events) -> None:
+        """Append events for new driver errors, at most every 0.1 s; few drivers count errors."""
+        if time.monotonic_ns() - self._counted_at < _COUNT_EVERY:
+            return
+        self._counted_at = time.monotonic_ns()
+        for tap, port in self._ports.items():
+            before = self._counts[tap]
+            after = None if before is None else port.error_counts()
+            if before is not None and after is not None:
+                events += counted(self.now(), tap, before, after)
+                self._counts[tap] = after
+
+
+def require_two_lines(host: str, device: str) -> None:
+    """Raise ValueError if both names mean the same line (also through a symbolic link).
+
+    Call this before opening: opening a path twice would only report that it is in use.
+    """
+    if same_line(host, device):
+        raise ValueError(
+            f"host and device are both tapped at {device}; a tap hears one direction, so give two"
+        )
+
+
+class Taps(Source):
+    """Two passive taps, or one (with `device` None, for the host alone); they never write.
+
+    If one is lost, the other is still listened to; `ended` is true once both are lost. `close`
+    closes the ports. Raises ValueError if both are the same line.
+    """
+
+    def __init__(self, host: Port, device: Port | None) -> None:
+        if device is not None:
+            require_two_lines(host.name, device.name)
+        super().__init__({"host": host} if device is None else {"host": host, "device": device})
+        self.heard = frozenset(self._ports)
+
+    def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        ready, _ = wait_readable(list(self._ports.values()), timeout_s, also)
+        for tap in [tap for tap, port in self._ports.items() if port in ready]:
+            self._read(tap, events)
+
+
+def open_taps(settings: LineSettings, host: str, device: str | None = None) -> Taps:
+    """Open the tap on `host`, and the one on `device` unless it is None.
+
+    Raises ValueError if both are the same line, LinkError for a port that cannot be opened.
+    """
+    if device is not None:
+        require_two_lines(host, device)
+    with ExitStack() as opened:
+        first = opened.enter_context(open_port(host, settings))
+        taps = Taps(first, None if device is None else open_port(device, settings))
+        opened.pop_all()
+    return taps
+
+
+class Bridge(Source):
+    """A pty for the host program, connected to the device's port; every byte is passed on.
+
+    The host program opens `served`; its settings there (baud rate, DTR) do not reach the device.
+    It may open the pty at any time. A side that does not read never delays the other side or the
+    recording: bytes it does not take for a second are dropped, though they are still recorded. A
+    Line event `gap` reports this on the tap whose bytes were dropped. `ended` is true once the
+    device is lost. `close` also closes the port.
+    """
+
+    one_clock = True
+    attached = False  # no traffic has passed yet through a pty that was just made
+
+    def __init__(self, port: Port) -> None:
+        super().__init__({"device": port})
+        self._pty = open_pty()
+        self.served = self._pty.name
+        self.names = {"bridge": port.name, "pty": self.served}
+        self._port = port
+        self._to_device = Forward(port.write_some, "the device does not read")
+        self._to_host = Forward(self._pty.write_some, "the host program does not read")
+
+    def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        if self._to_device.owed or self._to_host.owed:
+            timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
+        ready, _ = wait_readable([self._port], timeout_s, [self._pty.master, *also])
+        said = self._pty.read()
+        if said:
+            events.append(Chunk(self.now(), "host", said))
+        self._hand_on(self._to_device, said, "host", events)
+        answered = self._read("device", events) if ready else b""
+        self._hand_on(self._to_host, answered, "device", events)
+
+    def close(self) -> None:
+        """Close the pty and the port; further calls do nothing."""
+        self._pty.close()
+        super().close()
+
+    def _hand_on(self, forward: Forward, data: bytes, tap: Direction, events: Events) -> None:
+        dropped = forward.push(data, self.now())
+        if dropped:
+            events.append(Line(self.now(), "gap", tap, dropped))
+
+
+class Tap(NamedTuple):
+    """A kind of tap: the option that asks for it, the option's metavar and help, and its opener.
+
+    The kind whose `option` is empty takes the command's arguments. `opened` gets the names of the
+    ports, one for an option. It raises ValueError for wrong use, LinkError for a port that cannot
+    be opened.
+    """
+
+    option: str
+    metavar: str
+    help: str
+    opened: Callable[[Sequence[str], LineSettings], Source]
+
+    @property
+    def usage(self) -> str:
+        """How the tap is asked for on the command line."""
+        return f"--{self.option} {self.metavar}" if self.option else self.metavar
+
+
+TAPS = (
+    Tap("", "HOST [DEVICE]", "", lambda names, settings: open_taps(settings, *names)),
+    Tap(
+        "bridge",
+        "PORT",
+        "Instead of taps: sit between. Prints a pty's name.",
+        lambda names, settings: Bridge(open_port(names[0], settings)),
+    ),
+)
+
+
+def opened_tap(given: Mapping[str, Sequence[str | None]], settings: LineSettings) -> Source:
+    """Open the tap that was asked for; `given` are the names of ports by option, None for none.
+
+    Raises ValueError, in one sentence, if not exactly one kind was asked for, and what opening it
+    raises.
+    """
+    ports = {
+        option: [name for name in names if name is not None] for option, names in given.items()
+    }
+    asked = [tap for tap in TAPS if ports[tap.option]]
+    usages = " or ".join(tap.usage for tap in TAPS)
+    if not asked:
+        raise ValueError(f"what is to be sniffed? Give {usages}")
+    if len(asked) > 1:
+        raise ValueError(f"give either {usages}, not both")
+    return asked[0].opened(ports[asked[0].option], settings)
