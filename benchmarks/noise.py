@@ -25,12 +25,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.link import Device
-from bilprov.conformance.dut.noisy_device import NoisyDevice
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict

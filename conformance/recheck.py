@@ -21,7 +21,7 @@ from bilprov.captures.evidence import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark
 from bilprov.captures.text import printable
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.environment import Environment
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult, worst

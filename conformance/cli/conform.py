@@ -44,7 +44,7 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
 )
 from bilprov.conformance.cli.progress import Progress
-from bilprov.conformance.dut.power import by_command
+from bilprov.conformance.dut.port_link import by_command
 from bilprov.conformance.dut.probes import PROBES, asks_person
 from bilprov.conformance.dut.target import (
     PORT,
@@ -55,7 +55,7 @@ from bilprov.conformance.dut.target import (
     target_named,
 )
 from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.profile_file import profile_text
+from bilprov.conformance.oracle.profile import profile_text
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.report.summary import show
 from bilprov.conformance.runner.listeners.listener import RunListener

@@ -18,7 +18,7 @@ from bilprov.conformance.cases.levels import DEEP
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.mutation.catalogue import find_fault, find_variant
 from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.profile_file import profile_from
+from bilprov.conformance.oracle.profile import profile_from
 from bilprov.conformance.report.expected_file import ExpectedFile
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol

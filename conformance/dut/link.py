@@ -1,9 +1,14 @@
-"""Interfaces of device, link and listener, and `drive`, which runs a procedure over a link."""
+"""Interfaces of device, link and listener, and `drive`, which runs a procedure over a link.
+
+Also the environment: what, besides grammar and options, is needed to repeat a run.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
+
+import msgspec
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.operations import Ended, Operation, Procedure, Reply
@@ -13,6 +18,32 @@ T = TypeVar("T")
 
 HELD_ANSWERS = 1 << 16
 """Answer bytes kept between two operations: a device that floods must not fill the memory."""
+
+
+class Observability(msgspec.Struct, frozen=True, rename={"available": "open", "costly": "sparse"}):
+    """What a probe can see: nothing (`available` false), everything, or a few looks (`costly`).
+
+    `why` says why something is not observable. Recordings keep the fields under older names.
+    """
+
+    available: bool
+    costly: bool = False
+    why: str = "no probe; see --probe"
+
+
+class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"}):
+    """Where and how a run takes place.
+
+    `virtual` is true for a device object in virtual time, false for a port. `observability` says
+    what can be observed, `power` whether the robot can be switched off and on. `device` and `link`
+    describe the device and the link in the report only.
+    """
+
+    virtual: bool
+    observability: Observability
+    power: bool
+    device: str
+    link: dict[str, Any]
 
 
 class Device(Protocol):

@@ -16,11 +16,9 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.dut.checked_device import CheckedDevice
-from bilprov.conformance.dut.environment import Environment, Observability
 from bilprov.conformance.dut.fault import CONFORMING, Fault
-from bilprov.conformance.dut.link import Device, Link, LinkListener
-from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.power import Power
+from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
+from bilprov.conformance.dut.port_link import PortLink, Power
 from bilprov.conformance.dut.probes import PROBES, Probe, open_probe
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink

@@ -1,12 +1,33 @@
-"""The profile of a device under test: its measured times, and its choices at open points."""
+"""The profile of a device under test: its measured times, and its choices at open points.
+
+As a TOML file it can be given to a run: it replaces that run's measurements, and the device must
+keep to it.
+"""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
+from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.spec.motion import Motion
+from bilprov.spec.open_points import POINTS
+from bilprov.spec.protocol import Protocol
+
+_TIMES = {
+    "truncation_timeout_ms": "truncation_timeout",
+    "stop_latency_ms": "stop_latency",
+    "watchdog_ms": "watchdog",
+}
+_FLAGS = {
+    "truncated_frames_answered": "truncation_answered",
+    "flushes": "flushes",
+    "whole_frame": "whole_frame",
+}
 
 
 @dataclass
@@ -43,3 +64,70 @@ class Profile:
             if t >= sent:  # else it came by itself
                 self.latencies.append(t - sent)
                 self.slowest = max(self.slowest, t - sent)
+
+
+def profile_text(grammar: Mapping[str, str], profile: Mapping[str, Any]) -> str:
+    """The file's text, from a report's `grammar` and `profile`."""
+    lines = [
+        "# A device's profile; give it to conform with --profile.",
+        f'grammar = "{grammar["name"]} {grammar["version"]}"',
+        f'sha256 = "{grammar["sha256"]}"',
+    ]
+    lines += [f"{name} = {profile[name]}" for name in _TIMES if profile.get(name)]
+    lines += [
+        f"{name} = {str(profile[name]).lower()}" for name in _FLAGS if profile.get(name) is not None
+    ]
+    if profile.get("led_id") is not None:
+        lines.append(f"led_id = {profile['led_id']}")
+    lines += ["", "[readings]"]
+    lines += [f'"{point}" = "{word}"' for point, word in profile["readings"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Profile:
+    """The profile that a text holds. Raises ValueError, in one sentence, for one that does not fit.
+
+    `allowed` are the options of the run: a choice that needs one is refused without it.
+    """
+    try:
+        told = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"it is no TOML ({error}); give a file that conform wrote") from error
+    if told.get("sha256") != protocol.sha256:
+        raise ValueError("it was made with another grammar; leave it out and make a new one")
+    profile = Profile(choices=Choices(allowed=allowed))
+    readings = told.get("readings", {})
+    if not isinstance(readings, dict):
+        raise ValueError("its readings are no table; give a file that conform wrote")
+    for point, word in readings.items():
+        choice = POINTS[point].choice(word) if point in POINTS else None
+        if choice is None:
+            raise ValueError(f"{point} = {word!r} is no choice that this version knows")
+        if choice.option and choice.option.partition("=")[0] not in allowed:
+            raise ValueError(f"{point} = {word!r} has to be allowed: see --allow")
+        profile.choices.record(point, word, "--profile")
+    for key, name in _TIMES.items():
+        if key in told:
+            setattr(profile, name, _time(told, key))
+    for key, name in _FLAGS.items():
+        if key in told:
+            setattr(profile, name, _flag(told, key))
+    led = told.get("led_id")
+    if led is not None and led not in protocol.unused_ids:
+        raise ValueError(f"led_id = {led!r} is no unused ID")
+    profile.choices.led_id = led
+    return profile
+
+
+def _time(told: Mapping[str, Any], key: str) -> int:
+    value = told[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 60_000:
+        raise ValueError(f"{key} = {value!r} is no time; allowed are 0 to 60000 ms")
+    return int(value * MS)
+
+
+def _flag(told: Mapping[str, Any], key: str) -> bool:
+    value = told[key]
+    if not isinstance(value, bool):
+        raise ValueError(f"{key} = {value!r} is neither true nor false")
+    return value

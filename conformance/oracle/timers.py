@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.environment import Environment
+from bilprov.conformance.dut.link import Environment
 from bilprov.spec.protocol import Protocol
 
 # How much later than an answer a stop may be seen on a real line although it was in time: link and

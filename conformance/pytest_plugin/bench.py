@@ -21,8 +21,8 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
-from bilprov.conformance.dut.environment import Environment
 from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.probes import ProbeError, asks_person
 from bilprov.conformance.dut.target import Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult

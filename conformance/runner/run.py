@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.environment import Observability
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model

@@ -15,7 +15,7 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
 from bilprov.conformance.api import Options
-from bilprov.conformance.dut.environment import Observability
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant

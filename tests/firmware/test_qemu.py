@@ -19,7 +19,7 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.qemu import QemuBoard, running
 from bilprov.conformance.dut.boards.qmp import Monitor
-from bilprov.conformance.dut.power import PowerError
+from bilprov.conformance.dut.port_link import PowerError
 from bilprov.conformance.dut.probes import ProbeError
 from bilprov.spec.protocol import Protocol
 from tests.support.firmware import QEMU, built, emulator_of

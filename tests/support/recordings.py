@@ -16,8 +16,7 @@ from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.environment import Environment, Observability
-from bilprov.conformance.dut.link import Link, LinkListener
+from bilprov.conformance.dut.link import Environment, Link, LinkListener, Observability
 from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target

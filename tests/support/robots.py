@@ -20,8 +20,7 @@ from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.environment import Observability
-from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.link import Observability, drive
 from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink

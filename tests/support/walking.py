@@ -7,9 +7,8 @@ from typing import Any
 
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
-from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
-from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.link import Observability, drive
 from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers

@@ -24,7 +24,7 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.elf import ARM, AVR, architecture
 from bilprov.conformance.dut.boards.qmp import Monitor
-from bilprov.conformance.dut.power import PowerError
+from bilprov.conformance.dut.port_link import PowerError
 from bilprov.conformance.dut.probes import Probe, ProbeError
 from bilprov.spec.motion import Motion
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.environment import Environment
-from bilprov.conformance.dut.link import Link, LinkListener
+from bilprov.conformance.dut.link import Environment, Link, LinkListener
 from bilprov.conformance.dut.operations import Ended, Operation, Reply
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report

@@ -21,7 +21,7 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
-from bilprov.conformance.dut.environment import Environment
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.operations import (
     OPERATION_NAMES,
     Ended,

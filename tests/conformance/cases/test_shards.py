@@ -11,7 +11,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.conformance.api import Options, conform, estimated_seconds, run_suite, select_cases
 from bilprov.conformance.cases.opening import opening_cases
 from bilprov.conformance.cases.selection import matching, shard_named, share
-from bilprov.conformance.dut.environment import Environment
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.oracle.profile_file import profile_from, profile_text
+from bilprov.conformance.oracle.profile import profile_from, profile_text
 from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
 

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.dut.environment import Observability
 from bilprov.conformance.dut.fault import Fault, answers
-from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.link import Observability, drive
 from bilprov.conformance.dut.operations import (
     Ended,
     Listen,

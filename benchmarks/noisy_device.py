@@ -13,8 +13,6 @@ from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Device
 
-__all__ = ["Noise", "NoisyDevice"]
-
 
 class NoisyDevice:
     """A device behind a noisy line; `hurt` counts the chunks that the noise changed.
