@@ -20,7 +20,7 @@ from bilprov.conformance.cases.levels import (
 )
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, reaches, share
-from bilprov.conformance.dut.link import Device, LinkListener, drive, interruption
+from bilprov.conformance.dut.link import Device, drive, interruption
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
 from bilprov.conformance.oracle.choices import Choices, parse_allowed
@@ -30,7 +30,7 @@ from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.executor import Runner, SkipPolicy
-from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener, as_listener
+from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
@@ -135,7 +135,6 @@ def conform(
     grammar: Grammar | None = None,
     options: Options | None = None,
     listener: RunListener | None = None,
-    tap: LinkListener | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
     name: str = SIM,
     probe: str = SIM,
@@ -147,20 +146,18 @@ def conform(
 
     `device` is anything with the four methods of `conformance.dut.link.Device` (times in ns), the
     kit's own simulator if None; one without `look` is judged by its answers alone. `listener` is
-    told of the run, `tap` of what passes over the link. `name`, `probe` and `fault` only name the
-    device, its probe and its fault in the report. `spare` decides before each case, from its id and
-    the results so far, whether to skip it. Without `logged` no case keeps its wire log. Raises
+    told of the run and of what passes over the link. `name`, `probe` and `fault` only name the
+    device, its probe and its fault in the report; `spare` and `logged` are `run_suite`'s. Raises
     ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
     that does not keep to its four methods.
     """
     grammar = grammar or load_protocol()
     device = device or Simulator(grammar)
     target = device_target(grammar, device, name=name, probe=probe, fault=fault)
-    heard = [listener] if tap is listener else [listener, tap]
     return run_suite(
         replace(target, interrupted=interrupted),
         options or Options(),
-        [as_listener(one) for one in heard if one is not None],
+        [listener] if listener else [],
         skip=spare,
         logged=logged,
     )

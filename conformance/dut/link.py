@@ -62,11 +62,11 @@ class Device(Protocol):
         """What the wheels and the LED do at `now`."""
 
 
-class LinkListener(Protocol):
-    """Is told everything that passes over a link, for a recording; times are in ns."""
+class LinkListener:
+    """Is told everything that passes over a link; times are in ns. Does nothing here."""
 
     def sent(self, data: bytes, t: int) -> None:
-        """Bytes that went to the device."""
+        """Bytes that go to the device."""
 
     def received(self, data: bytes, t: int) -> None:
         """Bytes that came from it."""

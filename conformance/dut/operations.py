@@ -75,29 +75,25 @@ Procedure = Generator[Operation, Any, T]
 
 def send(data: bytes) -> Procedure[int]:
     """Send bytes; returns the time (ns) when the last one was sent."""
-    sent = yield Send(data)
-    assert isinstance(sent, int)
+    sent: int = yield Send(data)
     return sent
 
 
 def listen(count: int | None, patience: int) -> Procedure[Received]:
     """Listen for `count` answers, for at most `patience` ns; returns what was received."""
-    heard = yield Listen(count, patience)
-    assert isinstance(heard, Received)
+    heard: Received = yield Listen(count, patience)
     return heard
 
 
 def power_cycle() -> Procedure[int]:
     """Switch the robot off and on; returns the time (ns) when it is on again."""
-    now = yield PowerCycle()
-    assert isinstance(now, int)
+    now: int = yield PowerCycle()
     return now
 
 
 def observe() -> Procedure[Observation]:
     """Look at the robot through the probe; returns the observation."""
-    seen = yield Observe()
-    assert isinstance(seen, Observation)
+    seen: Observation = yield Observe()
     return seen
 
 

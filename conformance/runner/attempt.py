@@ -26,7 +26,7 @@ class Attempt:
     """
 
     result: CaseResult
-    mismatch: Mismatch | None
+    mismatch: Mismatch | None = None
     stopped: Ended | GaveUp | None = None
 
     @property

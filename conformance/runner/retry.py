@@ -7,7 +7,7 @@ tried more often. Reproduced failures of a sequence are minimised.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from math import comb
 
 import msgspec
@@ -18,10 +18,8 @@ from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
-from bilprov.conformance.runner.result import result_of
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
-from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -34,14 +32,6 @@ _FLAKY = 8
 _TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """The final result of a case; `stopped` is why the run is to be ended, None if it goes on."""
-
-    result: CaseResult
-    stopped: Ended | GaveUp | None = None
-
-
 class _Stopped(Exception):
     """A retry was stopped; carries that attempt."""
 
@@ -50,23 +40,26 @@ class _Stopped(Exception):
         self.last = last
 
 
-def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Judged]:
-    """Attempt a case, and a failure again; returns the final result. Leaves the line homed."""
+def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
+    """Attempt a case, and a failure again; returns the attempt with the case's final result.
+
+    Leaves the line homed.
+    """
     allowed = run.profile.choices.allowed
     if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
         axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
-        return Judged(result_of(case, {"answer": axis}))
+        return Attempt(result_of(case, {"answer": axis}))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
-        return Judged(first.result, first.stopped)
+        return first
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
-        return Judged(_named(case, first))
+        return Attempt(_named(case, first))
     known = first.result
     try:
         same_place, tries = yield from _again(run, case, first)
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
-            return Judged(_flaky(first.result, tries))
+            return Attempt(_flaky(first.result, tries))
         run.counters.reproduced += 1
         known = _named(case, first)
         if isinstance(case, SequenceCase) and first.mismatch:
@@ -77,8 +70,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Judged]:
         # An interruption leaves the failure that is known; where the device made the rest
         # pointless, the last attempt shows why.
         last = stopped.last
-        return Judged(known if isinstance(last.stopped, Ended) else last.result, last.stopped)
-    return Judged(known)
+        return replace(last, result=known) if isinstance(last.stopped, Ended) else last
+    return Attempt(known)
 
 
 def _retry(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:

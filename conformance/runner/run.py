@@ -16,10 +16,10 @@ from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.runner.result import result_of
+from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.waiting import Waiting
+from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
 
@@ -73,6 +73,28 @@ class Counters:
         return self._checks
 
 
+def result_of(
+    case: Case | SequenceCase,
+    axes: dict[str, Axis],
+    heard: Iterable[tuple[int, int]] = (),
+    sent: int = 0,
+) -> CaseResult:
+    """The result of a case with these axes; `heard` are its answers as (time in ns, code).
+
+    `sent` is the time (ns) when its stimulus had been sent.
+    """
+    return CaseResult(
+        id=case.id,
+        clause=case.clause,
+        requirement=case.requirement,
+        verdict=worst(axis.verdict for axis in axes.values()),
+        axes=axes,
+        reading=next((a.reading for a in axes.values() if a.reading), case.reading),
+        sent=tuple(spaced(frame) for frame in case.sent if frame),
+        received=tuple(AnswerByte(f"{code:02x}", t - sent) for t, code in heard),
+    )
+
+
 class Run:
     """State of one run. `begin` and `report` are called when a case begins and when it is final.
 
@@ -94,7 +116,7 @@ class Run:
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(config.protocol, self.publish)
+        self.strays = StrayAnswers(config.protocol, self.conclude)
         self.begin = begin
         self._report = report
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from bilprov.conformance.cases.case import runner_case
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words
-from bilprov.conformance.runner.result import result_of
 from bilprov.spec.protocol import Protocol
 
 Answers = tuple[tuple[int, int], ...]
@@ -19,15 +18,15 @@ _STRAYS = 3  # stray answers: so many are no noise but a failure of the device
 
 
 class StrayAnswers:
-    """Collects stray and missing answers, and publishes a result for them.
+    """Collects stray and missing answers, and has `Run.conclude` publish a case for them.
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
     answers are the device's failure, and so is a device that stops answering.
     """
 
-    def __init__(self, protocol: Protocol, publish: Callable[[CaseResult], None]) -> None:
+    def __init__(self, protocol: Protocol, conclude: Callable[..., None]) -> None:
         self._protocol = protocol
-        self._publish = publish
+        self._conclude = conclude
         self._strays: list[tuple[Answers, str]] = []
         self._stray = False
         self._lost = 0
@@ -65,7 +64,7 @@ class StrayAnswers:
         clause, requirement = self._protocol.clauses.responses, "answers between the cases too"
         case = runner_case(self._protocol, "line/lost", clause, requirement, b"")
         axis = Axis(verdict, "each instruction answered once", "no answer", reason)
-        self._publish(result_of(case, {"answer": axis}))
+        self._conclude(case, {"answer": axis})
 
     def _end_strays(self, verdict: Verdict) -> None:
         if self._stray:
@@ -80,4 +79,4 @@ class StrayAnswers:
         axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
         clause, requirement = self._protocol.clauses.responses, "answers only when it is asked"
         case = runner_case(self._protocol, "line/unsolicited", clause, requirement, b"")
-        self._publish(result_of(case, {"answer": axis}, came, came[0][0]))
+        self._conclude(case, {"answer": axis}, came, came[0][0])

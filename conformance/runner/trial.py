@@ -10,8 +10,7 @@ from bilprov.conformance.dut.operations import Ended, Received
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.oracle.wording import answer_words
-from bilprov.conformance.runner.result import result_of
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.open_points import POINTS
 

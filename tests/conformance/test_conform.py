@@ -766,33 +766,25 @@ def test_a_report_does_not_depend_on_the_order_of_a_set() -> None:
     assert hashed[0] == hashed[1]
 
 
-def test_objects_that_are_no_run_listeners_are_told_what_they_have_methods_for() -> None:
-    class Cases:
-        """Notes the results of cases."""
+def test_a_listener_is_told_of_the_cases_and_of_what_passes_over_the_link() -> None:
+    class Notes(RunListener):
+        """Notes the results of cases, and the bytes that are sent."""
 
         def __init__(self) -> None:
-            self.notes: list[str] = []
-
-        def begin(self, ident: str) -> None: ...
+            self.results: list[str] = []
+            self.bytes: list[bytes] = []
 
         def end(self, result: CaseResult) -> None:
-            self.notes.append(result.id)
-
-    class Line:
-        """Notes the bytes that are sent."""
-
-        def __init__(self) -> None:
-            self.notes: list[bytes] = []
+            self.results.append(result.id)
 
         def sent(self, data: bytes, t: int) -> None:
-            self.notes.append(data)
+            self.bytes.append(data)
 
-    cases, line = Cases(), Line()
-    options = Options(only=("valid/LED/5",))
-    report = conform(options=options, listener=cases, tap=line)  # type: ignore[arg-type]
+    notes = Notes()
+    report = conform(options=Options(only=("valid/LED/5",)), listener=notes)
 
-    assert cases.notes == [result.id for result in report.results]
-    assert b"\x81\x05" in line.notes
+    assert notes.results == [result.id for result in report.results]
+    assert b"\x81\x05" in notes.bytes
 
 
 def test_the_last_resort_is_for_runs_that_have_begun(protocol: Protocol) -> None:

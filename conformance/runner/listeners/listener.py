@@ -12,7 +12,7 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
 
-class RunListener:
+class RunListener(LinkListener):
     """A listener to a run: each method is told one kind of event, and does nothing here.
 
     Times are in ns on the link's clock. `broken` says why a listener cannot go on, None while it
@@ -23,15 +23,6 @@ class RunListener:
 
     def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
         """The run begins; nothing has been sent yet."""
-
-    def sent(self, data: bytes, t: int) -> None:
-        """Bytes that go to the device."""
-
-    def received(self, data: bytes, t: int) -> None:
-        """Bytes that came from it."""
-
-    def looked(self, look: Look) -> None:
-        """A reading of the probe."""
 
     def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
         """An operation was done or failed; None stands for an interruption of the run."""
@@ -46,18 +37,7 @@ class RunListener:
         """The run is over; this is its report."""
 
 
-def as_listener(plain: object) -> RunListener:
-    """A listener that hands each event on to an object that has a method for it."""
-    if isinstance(plain, RunListener):
-        return plain
-    listener = RunListener()
-    for name in vars(RunListener):
-        if not name.startswith("_") and hasattr(plain, name):
-            setattr(listener, name, getattr(plain, name))
-    return listener
-
-
-class ObservedLink:
+class ObservedLink(LinkListener):
     """A link that tells the listeners each operation, and the bytes and looks that pass."""
 
     def __init__(

@@ -14,7 +14,7 @@ log); it packs to 0.3 MB.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
 
@@ -87,7 +87,7 @@ class WireLog(RunListener):
         log = self._logs.get(result.id, [])
         if isinstance(log, _Log):
             log = self._logs[result.id] = log.entries()  # what comes later belongs to no case
-        kept = _joined(log) if result.verdict is Verdict.PASS else log
+        kept = list(_joined(log)) if result.verdict is Verdict.PASS else log
         return msgspec.structs.replace(result, log=_events(kept))
 
     def _bytes(self, kind: WireKind, data: bytes, t: int) -> None:
@@ -99,22 +99,15 @@ class WireLog(RunListener):
             self._open.add((t, "clipped", words))
 
 
-def _joined(log: Iterable[Entry]) -> list[Entry]:
+def _joined(log: Iterable[Entry]) -> Iterator[Entry]:
     """The log with answers that follow each other joined to one entry, at the first one's time."""
-    entries: list[Entry] = []
-    answers: list[bytes] = []
-    for entry in log:
-        _, kind, what = entry
-        if kind != "received" or not isinstance(what, bytes):
-            answers = []
-        elif answers:
-            answers.append(what)
-            entries[-1] = (entries[-1][0], kind, b"".join(answers))
-            continue
+    for kind, entries in groupby(log, key=itemgetter(1)):
+        if kind == "received":
+            joined = list(entries)
+            data = b"".join(what for _, _, what in joined if isinstance(what, bytes))
+            yield joined[0][0], kind, data
         else:
-            answers = [what]
-        entries.append(entry)
-    return entries
+            yield from entries
 
 
 def _events(log: Sequence[Entry]) -> tuple[WireEvent, ...]:

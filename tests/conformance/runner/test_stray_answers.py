@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.spec.protocol import Protocol
 
@@ -17,11 +18,11 @@ class Told:
     def __init__(self, protocol: Protocol) -> None:
         self.results: list[tuple[str, Verdict]] = []
         self.reasons: list[str] = []
-        self.state = StrayAnswers(protocol, self._publish)
+        self.state = StrayAnswers(protocol, self._conclude)
 
-    def _publish(self, result: CaseResult) -> None:
-        self.results.append((result.id, result.verdict))
-        self.reasons.append(result.axes["answer"].reason)
+    def _conclude(self, case: Case, axes: dict[str, Axis], *_: object) -> None:
+        self.results.append((case.id, axes["answer"].verdict))
+        self.reasons.append(axes["answer"].reason)
 
 
 @pytest.fixture
