@@ -3,12 +3,33 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as Bar
 
 from bilprov.captures.closing import Closing
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.listeners.listener import RunListener
+
+
+def bar(*columns: ProgressColumn, shown: bool = True) -> Bar:
+    """A progress bar on standard error, with a description first; shown on a terminal only."""
+    console = Console(stderr=True)
+    return Bar(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        *columns,
+        console=console,
+        transient=True,
+        disable=not (shown and console.is_terminal),
+    )
 
 
 class Progress(Closing, RunListener):
@@ -18,17 +39,7 @@ class Progress(Closing, RunListener):
     """
 
     def __init__(self, total: int, *, shown: bool = True) -> None:
-        console = Console(stderr=True)
-        self._bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[failed]}"),
-            console=console,
-            transient=True,
-            disable=not (shown and console.is_terminal),
-        )
+        self._bar = bar(TextColumn("{task.fields[failed]}"), shown=shown)
         self._task = self._bar.add_task("", total=total, failed="")
         self._total, self._done, self._failed = total, 0, 0
         self._bar.start()

@@ -7,7 +7,6 @@ import os
 import msgspec
 import rich_click as click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -21,6 +20,7 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
+from bilprov.conformance.cli.progress import bar
 from bilprov.conformance.mutation.score import Score, chosen_faults, score
 
 _SHOWN = 4  # faults named behind a case group
@@ -68,11 +68,11 @@ def command(
         raise click.UsageError(f"no fault matches {' or '.join(only)}; see simulate --list-faults")
     require_writable(outputs)
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
-    with _bar() as bar:
-        task = bar.add_task("", total=len(faults) * max(1, len(at)))
+    with bar() as shown:
+        task = shown.add_task("", total=len(faults) * max(1, len(at)))
 
         def told(name: str) -> None:
-            bar.update(task, advance=1, description=name[:40].ljust(40))
+            shown.update(task, advance=1, description=name[:40].ljust(40))
 
         found = score(
             protocol, faults, at=at, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=told
@@ -87,19 +87,6 @@ def _as_json(found: Score, path: str) -> str:
     text = msgspec.json.encode(found)
     indented = msgspec.json.format(text, indent=1)
     return (text + b"\n" if path == STANDARD_OUTPUT else indented).decode()
-
-
-def _bar() -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
 
 
 def _show(found: Score, console: Console) -> None:

@@ -11,7 +11,7 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.steps import code_of
-from bilprov.conformance.dut.operations import Procedure, listen, send
+from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -46,15 +46,8 @@ def first_choices(run: Run) -> Procedure[None]:
     if not (yield from _drives_on(run, full)):
         return
     for frame, code, moment in rows:
-        ready = yield from set_up(run, full)
-        if ready.missing:
-            return
-        seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-        if differences(run.model, ready.expected, seen.look):
-            return
-        yield from send(bytes([frame]))
-        heard = yield from run.waiting.answers(1)
-        if heard.codes != (code,):
+        heard = yield from _sent_in(run, full, frame)
+        if heard is None or heard.codes != (code,):
             return
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         if seen.look.moving and moment is Moment.FAULT:
@@ -79,19 +72,26 @@ def _drives_on(run: Run, full: State) -> Procedure[bool]:
     mover = moving_to(run.protocol, full.motion)
     if mover is None:
         return False
-    ready = yield from set_up(run, full)
-    if ready.missing:
+    heard = yield from _sent_in(run, full, run.protocol.header_bytes[mover.id, 0])
+    if heard is None:
         return False
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-    if differences(run.model, ready.expected, seen.look):
-        return False
-    yield from send(bytes([run.protocol.header_bytes[mover.id, 0]]))
-    heard = yield from run.waiting.answers(1)
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
     _settle(run.profile.choices, moment_of(mover.effect), full, seen.look)
     return True
+
+
+def _sent_in(run: Run, full: State, frame: int) -> Procedure[Received | None]:
+    """The answers to a frame of one byte that is sent in this state, None where it is not seen."""
+    ready = yield from set_up(run, full)
+    if ready.missing:
+        return None
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    if differences(run.model, ready.expected, seen.look):
+        return None
+    yield from send(bytes([frame]))
+    return (yield from run.waiting.answers(1))
 
 
 def _missed(run: Run, frame: bytes, look: Look) -> None:

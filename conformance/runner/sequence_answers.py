@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen
+from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words
 from bilprov.conformance.runner.run import Run
@@ -69,7 +70,11 @@ def judge_burst(
     due = len(taken) - silent
     left = max(0, due - len(before))
     if last.truncated:
-        heard = yield from _left_alone(run, left, sent)
+        # Nothing is sent during its time-out.
+        pause = run.waiting.silence
+        answers = run.waiting.all_answers(left, pause + run.waiting.usual)
+        heard = yield from answers if left else listen(None, pause)
+        heard = yield from run.waiting.left_alone(heard, sent)
     else:
         heard = yield from run.waiting.all_answers(left, run.waiting.patience)
         if len(heard.answers) < left:
@@ -94,23 +99,10 @@ def judge_burst(
     return _soon(trial, taken, heard, sent)
 
 
-def _left_alone(run: Run, due: int, sent: int) -> Procedure[Received]:
-    """Receive `due` answers to a truncated frame, sending nothing during its time-out."""
-    pause = run.waiting.timeout + run.waiting.timeout // 4 + run.timers.settle
-    patience = pause + run.waiting.usual if due else pause
-    heard = yield from run.waiting.all_answers(due, patience) if due else listen(None, patience)
-    run.waiting.timeouts += run.waiting.timeout if heard.answers else 0
-    if heard.now < sent + run.waiting.timeout // 2:
-        # Answered at its header: bytes sent now would still be taken for its data.
-        more = yield from listen(None, sent + pause - heard.now)
-        heard = Received(heard.answers + more.answers, more.now)
-    return heard
-
-
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
     run = trial.run
     codes = () if code is None else (code,)
-    match = next((a for a in step.accepted if a.codes == codes), None)
+    match = matching(step.accepted, codes)
     if match is None:
         expected = answer_words(run.protocol, step.accepted[0].codes)
         if code is None:

@@ -109,17 +109,11 @@ def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]
 
 def _after_silence(run: Run, due: int, sent: int) -> Procedure[Received]:
     """Receive the answers to a truncated frame, sending nothing during its whole time-out."""
-    timeout = run.waiting.timeout
-    pause = timeout + timeout // 4 + run.timers.settle
+    waiting = run.waiting
     if run.profile.truncation_answered is False:
-        return (yield from listen(None, pause))
-    heard = yield from run.waiting.answers(due, pause + run.waiting.usual)
-    run.waiting.timeouts += run.waiting.timeout if heard.answers else 0
-    if heard.now - sent < timeout // 2:
-        # Answered at its header: bytes sent now would still be taken for its data.
-        more = yield from listen(None, sent + pause - heard.now)
-        heard = Received(heard.answers + more.answers, more.now)
-    return heard
+        return (yield from listen(None, waiting.silence))
+    heard = yield from waiting.answers(due, waiting.silence + waiting.usual)
+    return (yield from waiting.left_alone(heard, sent))
 
 
 def _judge_heard(run: Run, case: Case, heard: Received, sent: int, filled: bool) -> Axis:

@@ -64,6 +64,23 @@ class Waiting:
         return self._profile.truncation_timeout or self._usual_timeout
 
     @property
+    def silence(self) -> int:
+        """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out."""
+        return self.timeout + self.timeout // 4 + self._timers.settle
+
+    def left_alone(self, heard: Received, sent: int) -> Procedure[Received]:
+        """Wait for the rest of the silence after a truncated frame that had gone at `sent` (ns).
+
+        Returns what was `heard`, and what came after it.
+        """
+        self.timeouts += self.timeout if heard.answers else 0
+        if heard.now - sent < self.timeout // 2:
+            # Answered at its header: bytes sent now would still be taken for its data.
+            more = yield from listen(None, sent + self.silence - heard.now)
+            heard = Received(heard.answers + more.answers, more.now)
+        return heard
+
+    @property
     def patience(self) -> int:
         """How long (ns) to wait for a due answer: the longest time allowed.
 

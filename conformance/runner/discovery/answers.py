@@ -16,6 +16,7 @@ from bilprov.conformance.cases.steps import (
     wrong_length_frame,
 )
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
+from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.run import Run
@@ -123,18 +124,14 @@ def _name(point: str) -> str:
 def _chosen(one: Step) -> Experiment:
     """An experiment: which of the answers that are open for this frame does the device give?"""
 
-    def patience(run: Run) -> int:
-        timeout = run.waiting.timeout
-        wait = timeout + timeout // 4 + run.timers.settle + run.waiting.usual
-        return wait if one.truncated else 0
-
     def make(run: Run) -> Procedure[Finding]:
         step = adapt_to_device(run.protocol, run.profile.choices, one)
-        heard = yield from _exchange(run, step.frame, 1, patience(run))
+        patience = run.waiting.silence + run.waiting.usual if one.truncated else 0
+        heard = yield from _exchange(run, step.frame, 1, patience)
         run.waiting.timeouts += run.waiting.timeout if step.truncated and heard.answers else 0
         expected = answer_words(run.protocol, step.accepted[0].codes)
         actual = answer_words(run.protocol, heard.codes)
-        match = next((a for a in step.accepted if a.codes == heard.codes), None)
+        match = matching(step.accepted, heard.codes)
         if match is None:
             words = ((step.point, ""),)
             return Finding(words, expected, actual, f"answered {actual}", heard.answers)
