@@ -33,7 +33,7 @@ from bilprov.conformance.runner.executor import Runner, SkipPolicy
 from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
-from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol as Grammar
 
 
@@ -206,10 +206,13 @@ def run_suite(
         profile.truncation_timeout = int(options.truncation_timeout * MS)
     environment = target.environment
     run = Run(
-        RunConfig(grammar, _timers(target, options), environment.observability, environment.power),
+        grammar,
+        _timers(target, options),
+        environment.observability,
+        environment.power,
         profile,
-        begin=begin,
-        report=end,
+        begin,
+        end,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)

@@ -57,10 +57,10 @@ def discover(run: Run) -> Procedure[None]:
         if "pipelining" in run.profile.choices.allowed and experiment.points[0] in FLUSH_POINTS:
             continue
         run.begin(case.id)
-        if experiment.sees and not run.config.observable:
+        if experiment.sees and not run.observable:
             run.conclude(
                 case,
-                {"state": run.config.not_observable("one choice of what the document leaves open")},
+                {"state": run.not_observable("one choice of what the document leaves open")},
             )
             continue
         if experiment.sees and run.profile.moves is not None and not run.profile.moves:
