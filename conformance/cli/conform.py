@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import platform
+import socket
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from functools import partial
+from importlib.metadata import version
 from typing import Any, TypeVar
 
+import msgspec
 import rich_click as click
 from rich.console import Console
 
@@ -26,7 +32,6 @@ from bilprov.conformance.api import (
 )
 from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.selection import matching, shard_named
-from bilprov.conformance.cli.begin import Begin
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
@@ -250,7 +255,7 @@ def _tested(
 
     Gives the report, and why the recording ended before the run did, None if it did not.
     """
-    begin = Begin()
+    start = time.monotonic()
     with ExitStack() as stack:
         stopper = stack.enter_context(closing(Stopper()))
         target = stack.enter_context(opened(stopper))
@@ -260,7 +265,7 @@ def _tested(
             what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=robot.yes)
             note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
-            begin = Begin()  # the time until the user confirmed does not count
+            start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
         listeners: list[RunListener] = []
         if record is not None:
@@ -272,7 +277,20 @@ def _tested(
         if target.remark():
             note(target.remark())
     broken = next((listener.broken for listener in listeners if listener.broken), None)
-    return begin.told(report), broken
+    return _dated(report, start), broken
+
+
+def _dated(report: Report, start: float) -> Report:
+    """The report of a run that ends now, with begin, duration, host and versions added."""
+    took = time.monotonic() - start
+    versions = {"Python": platform.python_version(), "platform": platform.platform()}
+    return msgspec.structs.replace(
+        report,
+        begun=(datetime.now(UTC) - timedelta(seconds=took)).isoformat(timespec="seconds"),
+        took_s=round(took, 3),
+        host=socket.gethostname(),
+        versions=versions | {name: version(name) for name in ("pyserial", "construct")},
+    )
 
 
 def _profile(reports: Sequence[Report], protocol: Protocol) -> str:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from queue import SimpleQueue
 
 from bilprov.analyzer.transport.line_settings import LineSettings
@@ -63,11 +64,17 @@ class SuiteThread(RunListener):
         }
         self._cases = cases
         self._settings = settings
+        self._stopper = Stopper()
         self.own_probe = self._name.own_probe
         self._probe = probe or None
-        self._fault = fault
+        self._open_target = partial(
+            open_target,
+            *(protocol, self._name, self._stopper),
+            settings=settings,
+            probe=self._probe,
+            fault=fault,
+        )
         self._stack = ExitStack()
-        self._stopper = Stopper()
         self._port: Target | None = None
         self._thread: threading.Thread | None = None
         # Ctrl-C may come at any moment: SimpleQueue.get can be interrupted, a condition cannot.
@@ -98,23 +105,13 @@ class SuiteThread(RunListener):
         if self._name.virtual:
             with self._opened():  # raises if the firmware cannot be run
                 return
-        self._port = self._stack.enter_context(self._opened())
+        self._port = self._stack.enter_context(self._open_target())
         if self._port.moves:
             confirm()
 
-    @contextmanager
-    def _opened(self) -> Iterator[Target]:
+    def _opened(self) -> AbstractContextManager[Target]:
         """The robot at the port; a target in virtual time is opened anew, just after power-on."""
-        if self._port is not None:
-            yield self._port
-            return
-        with open_target(
-            *(self.protocol, self._name, self._stopper),
-            settings=self._settings,
-            probe=self._probe,
-            fault=self._fault,
-        ) as target:
-            yield target
+        return self._open_target() if self._port is None else nullcontext(self._port)
 
     # -- the run ----------------------------------------------------------------------------------
 

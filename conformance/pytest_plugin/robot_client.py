@@ -6,6 +6,8 @@ simulator in virtual time.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 from bilprov.analyzer.client.driver import RobotError
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.client.wire import Heard as Answers
@@ -18,12 +20,12 @@ from bilprov.conformance.dut.operations import (
     Observe,
     Operation,
     Received,
-    Reply,
     Send,
 )
 from bilprov.spec.protocol import Protocol
 
 _SETTLE = 2 * MS
+R = TypeVar("R", int, Received, Observation)
 
 
 class Client(Instructions):
@@ -74,25 +76,22 @@ class LinkWire:
 
     def send(self, data: bytes) -> int:
         """Send bytes; returns the time (ns) when the last one had gone. Raises RobotError."""
-        sent = self._do(Send(data))
-        assert isinstance(sent, int)
-        return sent
+        return self._do(Send(data), int)
 
     def listen(self, count: int | None, patience: int) -> Answers:
         """The answers until there are `count` or `patience` ns are over. Raises RobotError."""
-        heard = self._do(Listen(count, patience))
-        assert isinstance(heard, Received)
+        heard = self._do(Listen(count, patience), Received)
         self.now = heard.now
         return heard.answers
 
     def look(self) -> Look:
         """What the probe sees now. Raises RobotError."""
-        seen = self._do(Observe())
-        assert isinstance(seen, Observation)
-        return seen.look
+        return self._do(Observe(), Observation).look
 
-    def _do(self, operation: Operation) -> Reply:
+    def _do(self, operation: Operation, kind: type[R]) -> R:
         try:
-            return self._link.do(operation)
+            reply = self._link.do(operation)
         except Ended as ended:
             raise RobotError(str(ended)) from ended
+        assert isinstance(reply, kind)
+        return reply

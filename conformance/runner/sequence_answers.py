@@ -8,7 +8,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.judge import matching
-from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial
@@ -102,9 +102,9 @@ def judge_burst(
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
     run = trial.run
     codes = () if code is None else (code,)
+    expected = answer_words(run.protocol, step.accepted[0].codes)
     match = matching(step.accepted, codes)
     if match is None:
-        expected = answer_words(run.protocol, step.accepted[0].codes)
         if code is None:
             return _wrong(run, step, expected, codes, "no answer came")
         unused = "" if code in run.protocol.codes else ", a code that no device sends"
@@ -114,18 +114,12 @@ def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
         word = match.word or POINTS[step.point].default
         contradicts = run.profile.choices.record(step.point, word, trial.case.id)
         if contradicts:
-            expected = answer_words(run.protocol, step.accepted[0].codes)
             reading = POINTS[step.point].reading
             return _wrong(run, step, expected, codes, contradicts, reading)
-    _rests(trial, match)
-    return None
-
-
-def _rests(trial: Trial, match: Accepted) -> None:
     if match.verdict > trial.axes["answer"].verdict:
         reason = f"another reading of {match.reading}"
-        axis = Axis(match.verdict, "", "", reason, match.reading)
-        trial.axes["answer"] = axis
+        trial.axes["answer"] = Axis(match.verdict, "", "", reason, match.reading)
+    return None
 
 
 def _soon(trial: Trial, taken: list[Step], heard: Received, sent: int) -> Mismatch | None:

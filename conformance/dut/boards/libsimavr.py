@@ -103,7 +103,7 @@ class Avr:
         self._avr.frequency = frequency
         self._avr.sleep = _AWAKE
         library.avr_loadcode(self._handle, code, len(code), 0)
-        self._flags(0)
+        library.avr_ioctl(self._handle, _named("uas0"), byref(c_uint32(0)))  # no flags
         self._notify = _Notify(lambda _irq, value, _param: on_answer(value & 0xFF))
         library.avr_irq_register_notify(self._serial(_OUTPUT), self._notify, None)
         self._input = self._serial(_INPUT)
@@ -142,9 +142,6 @@ class Avr:
 
     def _serial(self, number: int) -> int:
         return int(self._library.avr_io_getirq(self._handle, _named("uar0"), number))
-
-    def _flags(self, flags: int) -> None:
-        self._library.avr_ioctl(self._handle, _named("uas0"), byref(c_uint32(flags)))
 
 
 def _named(name: str) -> int:

@@ -58,16 +58,13 @@ def discover(run: Run) -> Procedure[None]:
             continue
         run.begin(case.id)
         if experiment.sees and not run.observable:
-            run.conclude(
-                case,
-                {"state": run.not_observable("one choice of what the document leaves open")},
-            )
-            continue
-        if experiment.sees and run.profile.moves is not None and not run.profile.moves:
+            axis = run.not_observable("one choice of what the document leaves open")
+            run.conclude(case, {"state": axis})
+        elif experiment.sees and run.profile.moves == set():
             reason = "never seen moving in any kind of motion: is the motor power on?"
             run.conclude(case, {"state": Axis(Verdict.INCONCLUSIVE, "moving", "stopped", reason)})
-            continue
-        yield from _settle(run, experiment, case)
+        else:
+            yield from _settle(run, experiment, case)
     yield from first_frames_lost(run)
 
 
