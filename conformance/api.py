@@ -33,7 +33,7 @@ from bilprov.conformance.runner.executor import Runner, SkipPolicy
 from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar
 
 
@@ -206,13 +206,10 @@ def run_suite(
         profile.truncation_timeout = int(options.truncation_timeout * MS)
     environment = target.environment
     run = Run(
-        grammar,
-        _timers(target, options),
-        environment.observability,
-        environment.power,
+        RunConfig(grammar, _timers(target, options), environment.observability, environment.power),
         profile,
-        begin,
-        end,
+        begin=begin,
+        report=end,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)

@@ -31,13 +31,13 @@ def stays_stopped(
     many = case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough
     brief = many and run.counters.next_check() % 4
     window = run.timers.settle if brief else run.timers.silence
-    costly = run.observability.costly
+    costly = run.config.observability.costly
     rounds = max(1, run.timers.hold // window) if case.thorough and not costly else 1
     for _ in range(rounds):
         more = yield from listen(None, window)
         if more.answers:
             trial.axes["answer"] = judged(*trial.hear(more))
-        if looks and run.observable:
+        if looks and run.config.observable:
             seen = yield from observe()
             if seen.look.moving and trial.axes["stop"].verdict < Verdict.FAIL:
                 words = look_words(seen.look)
@@ -83,7 +83,7 @@ def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     yield from _step(trial, case.then, judged.name)
     assert judged.instruction is not None
     trial.expected = run.model.after(trial.expected, FrameEffect(judged.instruction.effect))
-    if looks and run.observable:
+    if looks and run.config.observable:
         yield from _moves_again(trial, case.then)
 
 

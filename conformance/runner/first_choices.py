@@ -33,12 +33,12 @@ def first_choices(run: Run) -> Procedure[None]:
     """
     protocol = run.protocol
     mover = next((s for s in protocol.instructions if moves(s) and not s.length), None)
-    if mover is None or not run.observable:
+    if mover is None or not run.config.observable:
         return
     full = full_state(protocol, mover)
     fault = protocol.header_bytes.get((protocol.unused_ids[0], 0)) if protocol.unused_ids else None
     stop = protocol.header_bytes[protocol.stop.id, 0]
-    if fault is not None and run.power and "pipelining" not in run.profile.choices.allowed:
+    if fault is not None and run.config.power and "pipelining" not in run.profile.choices.allowed:
         yield from _sent_ahead(run, bytes([fault, stop, stop]))
     rows = [(stop, code_of(protocol, Outcome.VALID), Moment.STOP)]
     if fault is not None:

@@ -140,7 +140,7 @@ def leave(run: Run) -> Procedure[Ended | None]:
         for _ in range(3):
             yield from send(pad(run))
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
-            if not run.observable:
+            if not run.config.observable:
                 return None
             seen = yield from watch(run, moving=False, patience=run.timers.deadline)
             if not seen.look.moving:
@@ -216,7 +216,7 @@ def watch(
 
 def see_motions(run: Run) -> Procedure[None]:
     """Find out in which kinds of motion the robot is seen moving; no stop can be judged without."""
-    if not run.observable:
+    if not run.config.observable:
         return
     moves: set[Motion] = set()
     _, fast = run.protocol.limits.get("speed", (0, 0))

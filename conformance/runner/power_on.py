@@ -133,7 +133,7 @@ def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]
     """
 
     def fails() -> Procedure[bool]:
-        if fresh and run.power:
+        if fresh and run.config.power:
             yield from power_cycle()
         heard, sent = yield from _exchange(run, case, 0)
         return _judged(run, case, heard, sent).verdict is Verdict.FAIL
@@ -177,7 +177,7 @@ def first_frames_lost(run: Run) -> Procedure[None]:
     clause, requirement = run.protocol.clauses.responses, "the first instructions are answered too"
     case = runner_case(run.protocol, "power-on/lost", clause, requirement, b"", "R-power-on")
     verdict, reason = Verdict.INCONCLUSIVE, "one of the first instructions was lost, later none was"
-    if run.power:
+    if run.config.power:
         yield from power_cycle()
         for number, link in enumerate(link_check(run.protocol)):
             yield from _exchange(run, link, 0 if number else run.timers.boot)
@@ -200,7 +200,7 @@ def _second_power_on(run: Run) -> Procedure[None]:
     case = motion_first(run.protocol)
     if case is None:
         return
-    if not run.power:
+    if not run.config.power:
         reason = "the robot cannot be switched off and on; see --power"
         run.conclude(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
         return
@@ -285,8 +285,8 @@ def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -
 
     `may_move` if a motion was set: then the robot moves only if it has a speed from power-on.
     """
-    if not run.observable:
-        return run.not_observable(_STOPPED)
+    if not run.config.observable:
+        return run.config.not_observable(_STOPPED)
     seen = yield from observe()
     start = seen.asked
     # After the first byte only what it set is compared: the rest is as the robot was found.

@@ -1,4 +1,4 @@
-"""State of one run: its settings, the device's profile, waiting policy, counters, results.
+"""State of one run: configuration, the device's profile, waiting policy, counters, results.
 
 A case that is under way has a state of its own (`runner.trial`).
 """
@@ -6,7 +6,7 @@ A case that is under way has a state of its own (`runner.trial`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
@@ -22,6 +22,34 @@ from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class RunConfig:
+    """What is settled before a run begins.
+
+    `power` says whether the robot can be switched off and on.
+    """
+
+    protocol: Protocol
+    timers: Timers
+    observability: Observability
+    power: bool = False
+
+    @property
+    def observable(self) -> bool:
+        """Whether looks are available and cheap."""
+        return self.observability.available and not self.observability.costly
+
+    def looks_at(self, case: Case) -> bool:
+        """Whether this case is observed: only thorough ones where looks are costly."""
+        return self.observability.available and (case.thorough or not self.observability.costly)
+
+    def not_observable(self, expected: str) -> Axis:
+        """The axis of something that cannot be observed: inconclusive, never a pass."""
+        why = "not seen moving before" if self.observable else self.observability.why
+        reason = f"{NOT_OBSERVABLE} ({why})"
+        return Axis(Verdict.INCONCLUSIVE, expected, "", reason)
 
 
 @dataclass
@@ -67,49 +95,45 @@ def result_of(
     )
 
 
-@dataclass(eq=False)
 class Run:
-    """State of one run.
+    """State of one run. `begin` and `report` are called when a case begins and when it is final.
 
-    `power` says whether the robot can be switched off and on. `begin` and `report` are called when
-    a case begins and when it is final. `profile` holds what was measured of the device, `strays`
-    the answers that belong to no case, `results` every final result in order.
+    `profile` holds what was measured of the device, `strays` the answers that belong to no case,
+    `results` every final result in order.
     """
 
-    protocol: Protocol
-    timers: Timers
-    observability: Observability
-    power: bool = False
-    profile: Profile = field(default_factory=Profile)
-    begin: Callable[[str], None] = lambda ident: None
-    report: Callable[[CaseResult], None] = lambda result: None
-
-    def __post_init__(self) -> None:
-        timeout = self.protocol.timing.truncation_timeout
-        self.waiting = Waiting(self.timers, self.profile, timeout)
+    def __init__(
+        self,
+        config: RunConfig,
+        profile: Profile | None = None,
+        *,
+        begin: Callable[[str], None] = lambda ident: None,
+        report: Callable[[CaseResult], None] = lambda result: None,
+    ) -> None:
+        self.config = config
+        self.profile = profile or Profile()
+        timeout = config.protocol.timing.truncation_timeout
+        self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(self.protocol, self.conclude)
+        self.strays = StrayAnswers(config.protocol, self.conclude)
+        self.begin = begin
+        self._report = report
 
     @property
-    def observable(self) -> bool:
-        """Whether looks are available and cheap."""
-        return self.observability.available and not self.observability.costly
+    def protocol(self) -> Protocol:
+        """The protocol that the device is tested against."""
+        return self.config.protocol
 
-    def looks_at(self, case: Case) -> bool:
-        """Whether this case is observed: only thorough ones where looks are costly."""
-        return self.observability.available and (case.thorough or not self.observability.costly)
-
-    def not_observable(self, expected: str) -> Axis:
-        """The axis of something that cannot be observed: inconclusive, never a pass."""
-        why = "not seen moving before" if self.observable else self.observability.why
-        reason = f"{NOT_OBSERVABLE} ({why})"
-        return Axis(Verdict.INCONCLUSIVE, expected, "", reason)
+    @property
+    def timers(self) -> Timers:
+        """How long the run waits."""
+        return self.config.timers
 
     @property
     def model(self) -> Model:
         """The model of the expected state, with the choices that the device has shown."""
-        return Model(self.protocol, self.profile.choices)
+        return Model(self.config.protocol, self.profile.choices)
 
     @property
     def keeps_all(self) -> bool:
@@ -131,7 +155,7 @@ class Run:
     def publish(self, result: CaseResult) -> None:
         """Record a final result and report it."""
         self.results.append(result)
-        self.report(result)
+        self._report(result)
 
     def conclude(
         self,

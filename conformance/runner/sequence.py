@@ -29,20 +29,23 @@ from bilprov.conformance.runner.trial import Trial
 
 def run_sequence(trial: Trial, case: SequenceCase) -> Procedure[Mismatch | None]:
     """Execute a sequence on a homed line; return its first mismatch, None if there is none."""
-    return (yield from _SequenceRun(trial).go(case))
+    return (yield from _SequenceRun(trial, case).go())
 
 
 class _SequenceRun:
-    def __init__(self, trial: Trial) -> None:
+    def __init__(self, trial: Trial, case: SequenceCase) -> None:
         self._trial = trial
         self._run = trial.run
-        self._looked = self._coarse = 0
-        self._blind = not trial.run.observable or trial.run.profile.moves == set()
+        self._case = case
+        self._axes = {"answer": Axis(Verdict.PASS, "each instruction answered once", "as expected")}
+        self._looked = 0
+        self._coarse = 0
+        self._blind = False
 
-    def go(self, case: SequenceCase) -> Procedure[Mismatch | None]:
-        run, trial = self._run, self._trial
-        axis = Axis(Verdict.PASS, "each instruction answered once", "as expected")
-        trial.begin(case, {"answer": axis}, Received((), 0), 0)
+    def go(self) -> Procedure[Mismatch | None]:
+        run, trial, case = self._run, self._trial, self._case
+        trial.begin(case, self._axes, Received((), 0), 0)
+        self._blind = not run.config.observable or run.profile.moves == set()
         trial.expected = run.model.homed(run.model.found())
         found: Mismatch | None = None
         setup = (Burst((step,), looks=False) for step in case.setup)
@@ -55,7 +58,7 @@ class _SequenceRun:
                 trial.axes[found.name] = found.axis
                 break
         if not found and self._blind:
-            trial.axes["state"] = run.not_observable("as the model says after each burst")
+            trial.axes["state"] = run.config.not_observable("as the model says after each burst")
         elif not found and self._looked and "state" not in trial.axes:
             actual = f"{self._looked} looks as expected"
             trial.axes["state"] = Axis(Verdict.PASS, "as the model says", actual)

@@ -34,7 +34,7 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
     """Execute a case on a homed line: preamble, stimulus, and the checks after it."""
     run = trial.run
     case = case.adapted(adapt_to_device(run.protocol, run.profile.choices, case))
-    looks = run.looks_at(case)
+    looks = run.config.looks_at(case)
     ready, stray = yield from _precondition(run, case, looks)
     if stray.answers:
         words = answer_words(run.protocol, stray.codes)
@@ -62,8 +62,8 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
     answered = heard.answers[-1][0] if whole else heard.now
     if not looks:
         if case.stop:
-            trial.axes["stop"] = run.not_observable("stopped")
-        trial.axes["state"] = run.not_observable(state_words(trial.expected.state))
+            trial.axes["stop"] = run.config.not_observable("stopped")
+        trial.axes["state"] = run.config.not_observable(state_words(trial.expected.state))
     elif case.stop:
         yield from _stop(trial, case, answered)
     else:

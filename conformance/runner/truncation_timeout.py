@@ -103,7 +103,7 @@ def _measure(run: Run, case: Case) -> Procedure[_Measured]:
 
 def _once(trial: Trial, case: Case) -> Procedure[int | None]:
     run = trial.run
-    watched = run.observable and bool(run.profile.moves)
+    watched = run.config.observable and bool(run.profile.moves)
     if watched and run.profile.moves:
         _, fast = run.protocol.limits.get("speed", (0, 0))
         yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
@@ -140,7 +140,7 @@ def _once(trial: Trial, case: Case) -> Procedure[int | None]:
         reason = "never timed out and kept driving"
         axes["stop"] = Axis(Verdict.FAIL, "stopped", "moving", reason, case.reading)
     else:
-        axes["stop"] = run.not_observable("stopped")
+        axes["stop"] = run.config.not_observable("stopped")
     stop = axes.get("stop")
     if stop and stop.verdict is Verdict.FAIL and axes["answer"].verdict is not Verdict.FAIL:
         case = replace(case, clause=run.protocol.clauses.safety)

@@ -27,7 +27,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.signals import ignoring
@@ -90,7 +90,7 @@ def run_over(
 
     Without `discover` the device is taken to read the document as the kit does.
     """
-    run = Run(protocol, timers or Timers(), observability)
+    run = Run(RunConfig(protocol, timers or Timers(), observability))
     runner = Runner(run, cases, fail_fast=fail_fast, discover=discover)
     drive(runner.execute(), link, interrupted)
     return runner

@@ -14,7 +14,7 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.trial import Trial
@@ -80,8 +80,8 @@ def run_once(
 ) -> Walked:
     """Home, walk, and home again, which makes the result final."""
     line = link(device)
-    profile = profile or Profile(truncation_timeout=50 * MS)
-    run = Run(protocol, timers or Timers(), observability, profile=profile)
+    config = RunConfig(protocol, timers or Timers(), observability)
+    run = Run(config, profile or Profile(truncation_timeout=50 * MS))
 
     def script() -> Procedure[Walked]:
         yield from home(run)

@@ -57,8 +57,8 @@ def discover(run: Run) -> Procedure[None]:
         if "pipelining" in run.profile.choices.allowed and experiment.points[0] in FLUSH_POINTS:
             continue
         run.begin(case.id)
-        if experiment.sees and not run.observable:
-            axis = run.not_observable("one choice of what the document leaves open")
+        if experiment.sees and not run.config.observable:
+            axis = run.config.not_observable("one choice of what the document leaves open")
             run.conclude(case, {"state": axis})
         elif experiment.sees and run.profile.moves == set():
             reason = "never seen moving in any kind of motion: is the motor power on?"

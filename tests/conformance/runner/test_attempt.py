@@ -16,7 +16,7 @@ from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.homing import home
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
@@ -28,7 +28,7 @@ STEPS = 120  # operations of one attempt at a short case, at most
 
 @pytest.fixture
 def run(protocol: Protocol) -> Run:
-    return Run(protocol, Timers(), ALL_SEEING, profile=Profile(truncation_timeout=50 * MS))
+    return Run(RunConfig(protocol, Timers(), ALL_SEEING), Profile(truncation_timeout=50 * MS))
 
 
 def tried(run: Run, device: Any, case: Any, stop_at: int | None = None) -> Attempt:
@@ -67,7 +67,7 @@ def test_an_attempt_that_is_interrupted_at_any_moment_is_no_pass(
     case = hand_made(protocol, "20", "10") if sequence else case_of(protocol, "unused-id/9/0")
     whole = 0
     for stop_at in range(STEPS):
-        run = Run(protocol, Timers(), ALL_SEEING, profile=Profile(truncation_timeout=50 * MS))
+        run = Run(RunConfig(protocol, Timers(), ALL_SEEING), Profile(truncation_timeout=50 * MS))
 
         found = tried(run, Simulator(protocol), case, stop_at)
 
@@ -115,7 +115,7 @@ def test_a_device_that_stops_answering_gives_up_with_a_failure(
 def test_a_measurement_that_is_interrupted_after_its_answer_is_no_pass(protocol: Protocol) -> None:
     verdicts = []
     for stop_at in range(STEPS):
-        run = Run(protocol, Timers(), ALL_SEEING)
+        run = Run(RunConfig(protocol, Timers(), ALL_SEEING))
         link = CountingLink(Simulator(protocol))
 
         def script(run: Run = run) -> Procedure[bool]:

@@ -25,7 +25,7 @@ from bilprov.conformance.runner.discovery import discover as discovery
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
@@ -105,8 +105,8 @@ def probed(
 ) -> Run:
     """A run that only looks at the device's own choices."""
     choices = Choices(allowed=parse_allowed(protocol, allow))
-    profile = Profile(choices=choices)
-    run = Run(protocol, Timers(idle=2500 * MS), observability, profile=profile)
+    config = RunConfig(protocol, Timers(idle=2500 * MS), observability)
+    run = Run(config, Profile(choices=choices))
     drive(Runner(run, []).execute(), link(Simulator(protocol, fault)), lambda: False)
     return run
 

@@ -32,7 +32,7 @@ from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import watch
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import CountingLink, at_rest, cases_of, run_over
@@ -179,7 +179,7 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
             raise Ended("the port is gone", error=True, line_works=False)
 
     begun: list[str] = []
-    run = Run(protocol, Timers(), Observability(True), begin=begun.append)
+    run = Run(RunConfig(protocol, Timers(), Observability(True)), begin=begun.append)
     runner = Runner(run, cases, discover=discover)
     link = CountingLink(Simulator(protocol), broken)
 
@@ -206,7 +206,7 @@ def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
     protocol: Protocol, moving: bool, in_vain: bool
 ) -> None:
     limits = Timers(waiting_budget=99 * MS)
-    run = Run(protocol, limits, Observability(True))
+    run = Run(RunConfig(protocol, limits, Observability(True)))
     link = CountingLink(Simulator(protocol))
 
     seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
