@@ -71,7 +71,8 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
         return replace(_as_unused(protocol, only, step), frame=step.frame[:1], truncated=False)
     bad = step.faulty and not step.truncated and spec is not None and length == spec.length
     if bad and spec is not None and choices.differs("R-led-upper-bits"):
-        values = {f.name: f.parse(data[f.offset :][: f.size]) & f.high for f in spec.fields}
+        found = spec.decode(data)
+        values = {f.name: found[f.name] & f.high for f in spec.fields}
         ok = (code_of(protocol, Outcome.VALID),)
         accepted = (Accepted(ok, Verdict.NON_STRICT, "R-led-upper-bits", "ignored"),)
         return replace(step, accepted=accepted, frame_effect=FrameEffect(spec.effect, values))

@@ -245,9 +245,8 @@ def _bad_values(protocol: Protocol, turn: int) -> Iterator[tuple[str, int]]:
     for spec in protocol.instructions:
         values = list(bad_data(spec))
         if values:
-            part = spec.fields[0]
             data = values[len(values) * (turn + 1) // 6]
-            yield spec.name, part.parse(data[part.offset : part.offset + part.size])
+            yield spec.name, spec.decode(data)[spec.fields[0].name]
 
 
 def _bad_value(name: str, value: int, mask: int = -1) -> Condition:
