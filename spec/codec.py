@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+import msgspec
 
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
 
 
-@dataclass(frozen=True, slots=True)
-class Judgement:
+class Judgement(msgspec.Struct, frozen=True, gc=False):
     """The judgement of one frame: the response of a conforming device, and the reason.
 
     `frame` is the bytes as they came, `length` what the header announces, `instruction` is None

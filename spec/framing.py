@@ -7,14 +7,12 @@ truncated, or garbage (bytes that are known to belong to no frame).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Kind = Literal["instruction", "truncated", "garbage"]
 
 
-@dataclass(frozen=True, slots=True)
-class Framed:
+class Framed(NamedTuple):
     """One record: its kind, the times of its first and last byte (ns), and its bytes.
 
     `known` is when it was known to be over: `end` for a complete frame, the deadline for one that
@@ -69,14 +67,32 @@ class Framer:
     def feed(self, data: bytes, now: int) -> list[Framed]:
         """Take bytes that came at `now` (ns); return the records that are over by then."""
         records = self.advance(now)
-        for byte in data:
+        at = 0
+        while at < len(data):
             if not self._held:
                 self._start = now
-            self._held.append(byte)
+            part = data[at : at + (self.missing or 1 + self._lengths[data[at]])]
+            self._held += part
             self._end = now
+            at += len(part)
             if not self.missing:
                 records.append(self._take("instruction", now))
         return records
+
+    def resume(self, data: bytes, start: int, end: int) -> None:
+        """Go on from a frame that is not complete: its bytes, and their first and last time (ns).
+
+        Raises ValueError for bytes that are not the beginning of one frame.
+        """
+        if data and len(data) > self._lengths[data[0]]:
+            raise ValueError(f"{len(data)} bytes are no frame that is still open")
+        self._held[:] = data
+        self._start, self._end = start, end
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The times (ns) of the first and the last byte of the frame that is not complete yet."""
+        return self._start, self._end
 
     def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
         """End the current frame: bytes were lost, or the stream ends; the next byte is a header."""

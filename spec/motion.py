@@ -28,6 +28,11 @@ WHEELS = {
 }
 
 
+def is_moving(motion: str, speed: int) -> bool:
+    """Return whether the wheels turn: a direction with speed 0 does not move (R-speed-zero)."""
+    return speed > 0 and motion != Motion.STOPPED
+
+
 @dataclass(frozen=True, slots=True)
 class State:
     """Motion state of the robot: kind of motion, speed, steering (right positive) and LED."""
@@ -39,8 +44,8 @@ class State:
 
     @property
     def moving(self) -> bool:
-        """Whether the wheels turn: a direction with speed 0 does not move (R-speed-zero)."""
-        return self.motion is not Motion.STOPPED and self.speed > 0
+        """Whether the wheels turn."""
+        return is_moving(self.motion, self.speed)
 
     @property
     def visible_motion(self) -> Motion:

@@ -164,7 +164,7 @@ class _Window:
 
     def holds(self, record: Record) -> bool:
         """Whether a record is inside the window; for a frame its first byte counts."""
-        return self.has(record.value.t)
+        return self.has(record.t)
 
 
 def _show(
@@ -246,7 +246,7 @@ def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Ou
     found = list(differences(protocol, recorded, now))
     for difference in found:
         about = difference.instruction
-        t = 0 if about is None else recorded.frames[about].value.t
+        t = 0 if about is None else recorded.frames[about].t
         fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
         output.show(FaultRecord(fault, written_state(protocol.power_on)))
     note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bilprov.analyzer.decode.pairing import Held, Pair, Waiting
+from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
-from bilprov.spec.codec import Judgement, spaced
+from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol
 
@@ -54,25 +54,11 @@ _NEAR_LOSS = Cause("unsolicited", Severity.INFO, "may answer an instruction arou
 _UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
 
 
-def of_frame(judgement: Judgement, known: int, sequence: int) -> tuple[Anomaly, ...]:
-    """The anomaly of a host frame that is not valid, found at `known` (ns); none if it is valid."""
-    if judgement.valid:
-        return ()
-    kind = "truncated" if judgement.truncated else "faulty instruction"
-    return (Anomaly(known, kind, Severity.WARNING, judgement.reason, sequence),)
-
-
-def of_garbage(known: int, reason: str) -> tuple[Anomaly, ...]:
-    """The anomaly of host bytes that belong to no frame, found at `known` (ns)."""
-    return (Anomaly(known, "garbage", Severity.WARNING, reason),)
-
-
-def of_answer(protocol: Protocol, pair: Pair, skew: int) -> AnswerCheck:
+def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> AnswerCheck:
     """Check an answer against the instruction that it answers.
 
     `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer.
     """
-    held, waiting = pair.held, pair.waiting
     expected = waiting.judgement.response
     agrees = held.byte == expected.code
     found = []

@@ -1,18 +1,19 @@
 """Decodes bytes and line events into records while it is known where frames begin.
 
 It uses no port and no clock: the records depend on the events and their times alone. Before each
-event, call `until` with the event's time, so that everything due earlier comes first.
+event, call `until` with the event's time, so that everything due earlier comes first. Each method
+appends the records to the list that it gets, since a list costs less per record than a generator.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache, partial
+from itertools import groupby
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.pairing import Held, Pair, Pairing, Waiting
+from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
+from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting
 from bilprov.analyzer.decode.records import (
-    Anomaly,
     DeviceRecord,
     FaultRecord,
     HostRecord,
@@ -20,11 +21,12 @@ from bilprov.analyzer.decode.records import (
     Record,
     written_state,
 )
-from bilprov.captures.schemas import MS, Instruction, Line, Response
-from bilprov.spec.codec import Judgement, judge, spaced
+from bilprov.captures.schemas import MS, Line, State
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framed, Framer
+from bilprov.spec.framing import Framed, Framer, Kind
+from bilprov.spec.motion import is_moving
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.steps import Step, Steps
 
 QUIET = 20 * MS
 """Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
@@ -32,7 +34,7 @@ QUIET = 20 * MS
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
 
-_Deadline = tuple[int, Callable[[int], Iterable[Record]]]
+_Due = Callable[[int, list[Record]], None]
 
 
 class Decoder:
@@ -48,14 +50,13 @@ class Decoder:
         self._framer = Framer(protocol.lengths, timeout)
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
-        self._judged: Callable[[bytes], Judgement] = lru_cache(maxsize=8192)(
-            partial(judge, protocol)
-        )
-        self._motion = protocol.power_on
-        self._state = written_state(self._motion)
+        self._steps = Steps(protocol)
+        self._state = written_state(protocol.power_on)
         self._sequence = 0
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
+        # Whether nothing falls due in the moment in which a frame or its answer has come.
+        self._unhurried = min(timeout, self._pairing.longest) > 0
 
     @property
     def deadline(self) -> int | None:
@@ -63,29 +64,56 @@ class Decoder:
         due = self._due()
         return due[0] if due else None
 
-    def until(self, now: int) -> Iterator[Record]:
-        """Yield the records that fall due up to `now` (ns), in the order in which they are due."""
-        while (due := self._due()) and due[0] <= now:
-            yield from due[1](due[0])
+    def until(self, now: int, out: list[Record]) -> None:
+        """Append the records that fall due up to `now` (ns), in the order in which they are due."""
+        while (due := self._due()) is not None and due[0] <= now:
+            due[1](due[0], out)
 
-    def host(self, data: bytes, now: int) -> Iterator[Record]:
+    def host(self, data: bytes, now: int, out: list[Record]) -> None:
         """Decode host bytes; each frame is handled as if it had arrived by itself."""
         self._out_of_step = None
-        at = 0
-        while at < len(data):
-            size = self._framer.missing or 1 + self._protocol.lengths[data[at]]
-            for framed in self._framer.feed(data[at : at + size], now):
-                yield from self._framed(framed)
-            yield from self.until(now)
-            at += size
+        lengths, held, unhurried = self._protocol.lengths, self._pairing.held, self._unhurried
+        at, size = 0, len(data)
+        while at < size:
+            missing = self._framer.missing
+            end = at + (missing or 1 + lengths[data[at]])
+            if missing or end > size:
+                for framed in self._framer.feed(data[at:end], now):
+                    self._framed(framed, out)
+            else:
+                self._frame("instruction", data[at:end], now, now, now, out)
+            if held or not unhurried:
+                self.until(now, out)
+            at = end
 
-    def device(self, data: bytes, now: int) -> Iterator[Record]:
+    def device(self, data: bytes, now: int, out: list[Record]) -> None:
         """Decode device bytes; each is handled as if it had arrived by itself."""
+        waiting, late, state = self._pairing.waiting, self._pairing.late, self._state
         for byte in data:
-            yield from self._answer(byte, now)
-            yield from self.until(now)
+            if waiting:
+                first = waiting[0]
+                latency = now - first.end
+                judgement = first.judgement
+                if byte == judgement.response.code and 0 <= latency <= late:
+                    del waiting[0]
+                    out.append(
+                        DeviceRecord(
+                            now,
+                            byte,
+                            judgement.response,
+                            judgement,
+                            first.sequence,
+                            latency,
+                            True,
+                            state,
+                        )
+                    )
+                    continue
+            self._answer(byte, now, out)
+            self.until(now, out)
+            state = self._state
 
-    def line(self, event: Line) -> Iterator[Record]:
+    def line(self, event: Line, out: list[Record]) -> None:
         """Handle a line event; after a loss, framing and pairing start anew."""
         lost = event.event in LOSSES
         if lost:
@@ -93,46 +121,98 @@ class Decoder:
             self._lost_at = event.t
             if event.tap != "device":
                 for framed in self._framer.drop(event.t):
-                    yield self.garbage(framed, anomalies.LOST)
+                    self.garbage(framed, anomalies.LOST, out)
             for held in self._pairing.forget():
-                yield self._unsolicited(held)
-        yield LineRecord(event, lost, self._state, anomalies.of_line(event, lost))
+                self._unsolicited(held, out)
+        out.append(LineRecord(event, lost, self._state, anomalies.of_line(event, lost)))
 
-    def garbage(self, framed: Framed, reason: str) -> Record:
-        """The record of host bytes that belong to no frame; `reason` says why."""
-        faults = anomalies.of_garbage(framed.known, reason)
-        return self._host_record(framed, None, None, reason, faults)
+    def garbage(self, framed: Framed, reason: str, out: list[Record]) -> None:
+        """Append the record of host bytes that belong to no frame; `reason` says why."""
+        _, start, end, known, data = framed
+        out.append(HostRecord(start, end, known, "garbage", data, None, None, self._state, reason))
 
-    def finish(self, now: int) -> Iterator[Record]:
+    def finish(self, now: int, out: list[Record]) -> None:
         """End the recording at `now` (ns): cut the open frame short and release held answers."""
         for framed in self._framer.drop(now, "truncated"):
-            yield from self._framed(framed)
+            self._framed(framed, out)
         while self._pairing.held:
-            yield self._unsolicited(self._pairing.release())
+            self._unsolicited(self._pairing.held.popleft(), out)
 
-    def _due(self) -> _Deadline | None:
+    @property
+    def regular(self) -> bool:
+        """Whether only whole frames, and answers that come while they are expected, follow.
+
+        Nothing is held, out of step or cut short then, unless a later event makes it so.
+        """
+        waiting, longest = self._pairing.waiting, self._pairing.longest
+        return (
+            self._unhurried
+            and not self._pairing.held
+            and self._out_of_step is None
+            and not any(w.judgement.truncated or w.expires != w.end + longest for w in waiting)
+        )
+
+    def save(self, state: DecoderState) -> DecoderState:
+        """Return `state` with the decoder's part of it filled in."""
+        start, end = self._framer.span if self._framer.missing else (0, 0)
+        return DecoderState(
+            time=state.time,
+            timeout=state.timeout,
+            skew=state.skew,
+            heard=state.heard,
+            unsynced_since=state.unsynced_since,
+            spoken=state.spoken,
+            sequence=self._sequence,
+            state=self._state,
+            frame=self._framer.held,
+            frame_start=start,
+            frame_end=end,
+            waiting=tuple(_grouped(self._pairing.waiting)),
+            held=tuple((held.t, held.byte) for held in self._pairing.held),
+            out_of_step=self._out_of_step,
+            lost_at=self._lost_at,
+        )
+
+    def resume(self, state: DecoderState) -> None:
+        """Go on from a state that `DecoderState.require_sense` has accepted."""
+        self._framer.resume(state.frame, state.frame_start, state.frame_end)
+        self._sequence = state.sequence
+        self._state = state.state
+        frames = [
+            (group, frame) for group in state.waiting for frame in group.split(self._protocol)
+        ]
+        first = state.sequence - len(frames)
+        self._pairing.waiting.clear()
+        self._pairing.waiting.extend(
+            Waiting(first + place, group.end, group.expires, self._steps[frame].judgement)
+            for place, (group, frame) in enumerate(frames)
+        )
+        self._pairing.held.clear()
+        self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
+        self._out_of_step = state.out_of_step
+        self._lost_at = state.lost_at
+
+    def _due(self) -> tuple[int, _Due] | None:
         """The next due time and its handler; at equal times the end of the frame comes first."""
+        due: tuple[int, _Due] | None = None
         frame_end = self._framer.deadline
-        patience = self._pairing.patience(frame_end)
-        expiry = self._pairing.expiry
-        if frame_end is None and patience is None and expiry is None:
-            return None
-        due: list[_Deadline] = []
         if frame_end is not None:
-            due.append((frame_end, self._cut_short))
-        if self._out_of_step is not None:
-            due.append((self._out_of_step, self._give_up_frame))
-        if patience is not None:
-            due.append((patience, self._give_up_answer))
-        if expiry is not None:
-            due.append((expiry, self._give_up_waiting))
-        return min(due, key=lambda item: item[0])
+            due = frame_end, self._cut_short
+        if self._out_of_step is not None and (due is None or self._out_of_step < due[0]):
+            due = self._out_of_step, self._give_up_frame
+        patience = self._pairing.patience(frame_end)
+        if patience is not None and (due is None or patience < due[0]):
+            due = patience, self._give_up_answer
+        waiting = self._pairing.waiting
+        if waiting and (due is None or waiting[0].expires < due[0]):
+            due = waiting[0].expires, self._give_up_waiting
+        return due
 
-    def _cut_short(self, now: int) -> Iterator[Record]:
+    def _cut_short(self, now: int, out: list[Record]) -> None:
         for framed in self._framer.advance(now):
-            yield from self._framed(framed)
+            self._framed(framed, out)
 
-    def _give_up_frame(self, now: int) -> Iterator[Record]:
+    def _give_up_frame(self, now: int, out: list[Record]) -> None:
         """Give up a frame in which the device answered and which the host did not continue.
 
         The bytes are garbage, because framing was out of step. But if the answer is the one that a
@@ -141,50 +221,64 @@ class Decoder:
         """
         self._out_of_step = None
         held = self._pairing.held
-        expected = self._judged(self._framer.held).response.code
-        if held is not None and held.byte == expected:
+        expected = self._steps[self._framer.held].judgement.response.code
+        if held and held[0].byte == expected:
             for framed in self._framer.drop(now, "truncated"):
-                yield from self._framed(framed)
+                self._framed(framed, out)
             return
         for framed in self._framer.drop(now):
-            yield self.garbage(framed, anomalies.MID_FRAME)
-        while self._pairing.held:
-            yield self._unpaired(self._pairing.release(), anomalies.OUT_OF_STEP)
+            self.garbage(framed, anomalies.MID_FRAME, out)
+        while held:
+            self._unpaired(held.popleft(), anomalies.OUT_OF_STEP, out)
 
-    def _give_up_answer(self, now: int) -> Iterator[Record]:
-        yield self._unsolicited(self._pairing.release())
+    def _give_up_answer(self, now: int, out: list[Record]) -> None:
+        self._unsolicited(self._pairing.held.popleft(), out)
 
-    def _give_up_waiting(self, now: int) -> Iterator[Record]:
-        yield FaultRecord(anomalies.unanswered(self._pairing.expire(), now), self._state)
+    def _give_up_waiting(self, now: int, out: list[Record]) -> None:
+        waiting = self._pairing.waiting.popleft()
+        out.append(FaultRecord(anomalies.unanswered(waiting, now), self._state))
 
-    def _framed(self, framed: Framed) -> Iterator[Record]:
+    def _framed(self, framed: Framed, out: list[Record]) -> None:
+        kind, start, end, known, data = framed
+        self._frame(kind, data, start, end, known, out)
+
+    def _frame(
+        self, kind: Kind, data: bytes, start: int, end: int, known: int, out: list[Record]
+    ) -> None:
         """Judge a frame that has ended, whole or cut short, and pair it with a held answer."""
         self._out_of_step = None
-        judgement = self._judged(framed.data)
+        step = self._steps[data]
+        judgement = step.judgement
         sequence = self._sequence
-        self._sequence += 1
-        effect = self._protocol.on_fault
-        if judgement.valid and judgement.instruction:
-            effect = judgement.instruction.effect
-        self._motion = effect.apply(self._motion, dict(judgement.fields))
-        self._state = written_state(self._motion)
-        faults = anomalies.of_frame(judgement, framed.known, sequence)
-        yield self._host_record(framed, judgement, sequence, judgement.reason, faults)
+        self._sequence = sequence + 1
+        state = self._state = _after(self._state, step)
+        out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
         if self._paired:
-            for pair in self._pairing.instruction(sequence, framed.end, judgement):
-                yield from self._paired_up(pair)
+            pairing = self._pairing
+            waiting = pairing.wait(sequence, end, judgement)
+            if pairing.held:
+                self._pair(pairing.held.popleft(), waiting, out)
+            else:
+                pairing.waiting.append(waiting)
 
-    def _answer(self, byte: int, now: int) -> Iterator[Record]:
+    def _answer(self, byte: int, now: int, out: list[Record]) -> None:
+        held = Held(now, byte)
         if not self._paired:
-            yield self._unpaired(Held(now, byte), anomalies.ALONE)
+            self._unpaired(held, anomalies.ALONE, out)
             return
-        if self._pairing.idle and self._framer.missing and self._out_of_step is None:
-            answer = self._protocol.codes.get(byte)
-            ok = answer is not None and answer.outcome is Outcome.VALID
-            if ok or self._may_be_valid(self._framer.held[0]):
-                self._out_of_step = now + QUIET
-        for pair in self._pairing.answer(byte, now):
-            yield from self._paired_up(pair)
+        pairing = self._pairing
+        if not pairing.waiting:
+            if self._framer.missing and self._out_of_step is None:
+                answer = self._protocol.codes.get(byte)
+                ok = answer is not None and answer.outcome is Outcome.VALID
+                if ok or self._may_be_valid(self._framer.held[0]):
+                    self._out_of_step = now + QUIET
+            pairing.held.append(held)
+            return
+        if pairing.passes_over(held):
+            passed = pairing.waiting.popleft()
+            out.append(FaultRecord(anomalies.unanswered(passed, now), self._state))
+        self._pair(held, pairing.waiting.popleft(), out)
 
     def _may_be_valid(self, header: int) -> bool:
         """Whether a frame with this header may be valid, so that no answer is due before its end.
@@ -195,59 +289,66 @@ class Decoder:
         known = self._protocol.by_id.get(identity)
         return known is not None and known.length == length
 
-    def _paired_up(self, pair: Pair) -> Iterator[Record]:
-        for passed in pair.passed:
-            yield FaultRecord(anomalies.unanswered(passed, pair.held.t), self._state)
-        verdict = anomalies.of_answer(self._protocol, pair, self._skew)
-        yield self._device_record(pair.held, pair.waiting, verdict)
+    def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
+        verdict = anomalies.of_answer(self._protocol, held, waiting, self._skew)
+        out.append(
+            DeviceRecord(
+                held.t,
+                held.byte,
+                self._protocol.codes.get(held.byte),
+                waiting.judgement,
+                waiting.sequence,
+                held.t - waiting.end,
+                verdict.agrees,
+                self._state,
+                verdict.faults,
+            )
+        )
 
-    def _unsolicited(self, held: Held) -> Record:
+    def _unsolicited(self, held: Held, out: list[Record]) -> None:
         near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
-        return self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss))
+        self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss), out)
 
-    def _unpaired(self, held: Held, why: anomalies.Cause) -> Record:
-        verdict = anomalies.of_unpaired(self._protocol, held, why)
-        return self._device_record(held, None, verdict)
+    def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
+        out.append(unpaired_record(self._protocol, held, why, self._state))
 
-    def _host_record(
-        self,
-        framed: Framed,
-        judgement: Judgement | None,
-        sequence: int | None,
-        reason: str,
-        faults: tuple[Anomaly, ...],
-    ) -> HostRecord:
-        """The record of a frame, whole or cut short, or of garbage, which has no judgement."""
-        spec = judgement.instruction if judgement else None
-        value = Instruction(
-            t=framed.start,
-            end=framed.end,
-            kind=framed.kind,
-            hex=spaced(framed.data),
-            sequence=sequence,
-            id=judgement.id if judgement else None,
-            name=spec.name if spec else None,
-            length=judgement.length if judgement else None,
-            fields=dict(judgement.fields) if judgement else {},
-            judgement=judgement.response.name if judgement else None,
-            reason=reason,
-        )
-        return HostRecord(value, framed.data, judgement, self._state, faults)
 
-    def _device_record(
-        self, held: Held, waiting: Waiting | None, verdict: anomalies.AnswerCheck
-    ) -> DeviceRecord:
-        """The record of a device byte that answers `waiting` (None: it answers no instruction)."""
-        answer = self._protocol.codes.get(held.byte)
-        value = Response(
-            t=held.t,
-            hex=f"{held.byte:02x}",
-            byte=held.byte,
-            name=answer.name if answer else None,
-            instruction=waiting.sequence if waiting else None,
-            latency=held.t - waiting.end if waiting else None,
-            agrees=verdict.agrees,
-            reason="; ".join(fault.reason for fault in verdict.faults),
-        )
-        answered = waiting.judgement if waiting else None
-        return DeviceRecord(value, answer, answered, self._state, verdict.faults)
+def unpaired_record(
+    protocol: Protocol, held: Held, why: anomalies.Cause, state: State
+) -> DeviceRecord:
+    """The record of a device byte that answers no instruction; `why` is the cause."""
+    verdict = anomalies.of_unpaired(protocol, held, why)
+    answer = protocol.codes.get(held.byte)
+    return DeviceRecord(
+        held.t, held.byte, answer, None, None, None, verdict.agrees, state, verdict.faults
+    )
+
+
+def _after(state: State, step: Step) -> State:
+    """The state after a frame; the same object where the frame changes nothing."""
+    motion = step.motion or state.motion
+    speed = state.speed if step.speed is None else step.speed
+    steering = state.steering if step.steering is None else step.steering
+    led = state.led if step.led is None else step.led
+    if (
+        motion == state.motion
+        and speed == state.speed
+        and steering == state.steering
+        and led == state.led
+    ):
+        return state
+    return State(motion, speed, steering, led, is_moving(motion, speed))
+
+
+def _grouped(waiting: Iterable[Waiting]) -> Iterator[WaitingFrames]:
+    """Put neighbours with equal times together; a frame cut short ends its group."""
+    number = 0
+
+    def group_of(one: Waiting) -> tuple[int, int, int]:
+        nonlocal number
+        group = one.end, one.expires, number
+        number += one.judgement.truncated
+        return group
+
+    for (end, expires, _), members in groupby(waiting, group_of):
+        yield WaitingFrames(end, expires, b"".join(one.judgement.frame for one in members))

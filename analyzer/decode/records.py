@@ -13,6 +13,7 @@ import msgspec
 
 from bilprov.captures.schemas import Instruction, Line, Response, State
 from bilprov.spec.codec import Judgement
+from bilprov.spec.framing import Kind
 from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import ResponseSpec
 
@@ -25,7 +26,7 @@ class Severity(IntEnum):
     ERROR = 4
 
 
-class Anomaly(msgspec.Struct, frozen=True):
+class Anomaly(msgspec.Struct, frozen=True, gc=False):
     """An anomaly in the traffic: its time `t` (ns), kind, severity, and reason in words.
 
     `instruction` is the sequence of the instruction that it is about, None where there is none.
@@ -38,41 +39,117 @@ class Anomaly(msgspec.Struct, frozen=True):
     instruction: int | None = None
 
 
-class HostRecord(msgspec.Struct, frozen=True):
+class HostRecord(msgspec.Struct, frozen=True, gc=False):
     """Host bytes (a whole frame, a truncated one, or garbage) and the state predicted after them.
 
-    `judgement` is None for garbage. `faults` are the anomalies of this frame by itself.
+    `t` and `end` are the times of the first and the last byte, `known` when it was known that no
+    more follow. `judgement` and `sequence` (which counts whole and truncated frames from 0) are
+    None for garbage, whose cause is in `note`.
     """
 
-    value: Instruction
+    t: int
+    end: int
+    known: int
+    kind: Kind
     data: bytes
     judgement: Judgement | None
+    sequence: int | None
     state: State
-    faults: tuple[Anomaly, ...] = ()
+    note: str = ""
 
     @property
     def words(self) -> str:
         """The frame in words, like `Speed speed=80`."""
         return self.judgement.describe() if self.judgement else "garbage"
 
+    @property
+    def hex(self) -> str:
+        """The bytes in hex, like `81 05`."""
+        return self.data.hex(" ")
 
-class DeviceRecord(msgspec.Struct, frozen=True):
+    @property
+    def reason(self) -> str:
+        """Why the bytes are faulty, in words; empty for a valid frame."""
+        return self.judgement.reason if self.judgement else self.note
+
+    @property
+    def faults(self) -> tuple[Anomaly, ...]:
+        """The anomaly of these bytes by themselves, none for a valid frame."""
+        judgement = self.judgement
+        if judgement is None:
+            return (Anomaly(self.known, "garbage", Severity.WARNING, self.note),)
+        if judgement.valid:
+            return ()
+        kind = "truncated" if judgement.truncated else "faulty instruction"
+        return (Anomaly(self.known, kind, Severity.WARNING, judgement.reason, self.sequence),)
+
+    @property
+    def value(self) -> Instruction:
+        """The record as a capture holds it."""
+        judgement = self.judgement
+        spec = judgement.instruction if judgement else None
+        return Instruction(
+            t=self.t,
+            end=self.end,
+            kind=self.kind,
+            hex=self.hex,
+            sequence=self.sequence,
+            id=judgement.id if judgement else None,
+            name=spec.name if spec else None,
+            length=judgement.length if judgement else None,
+            fields=dict(judgement.fields) if judgement else {},
+            judgement=judgement.response.name if judgement else None,
+            reason=self.reason,
+        )
+
+
+class DeviceRecord(msgspec.Struct, frozen=True, gc=False):
     """One device byte, with the instruction it answers.
 
-    `answer` is the grammar's entry for the byte, None for an unused code; `answered` is the
-    judgement of the instruction it answers, None where there is none.
+    `answer` is the grammar's entry for the byte, None for an unused code. `instruction` is the
+    sequence and `answered` the judgement of the instruction it answers, `latency` the time (ns)
+    since that one's last byte; None where there is none. `agrees` tells whether it is the expected
+    response, None where nothing is expected.
     """
 
-    value: Response
+    t: int
+    byte: int
     answer: ResponseSpec | None
     answered: Judgement | None
+    instruction: int | None
+    latency: int | None
+    agrees: bool | None
     state: State
     faults: tuple[Anomaly, ...] = ()
 
     @property
     def words(self) -> str:
         """The response's name, or that the code is unused."""
-        return self.value.name or f"unused {self.value.byte}"
+        return self.answer.name if self.answer else f"unused {self.byte}"
+
+    @property
+    def hex(self) -> str:
+        """The byte in hex, like `05`."""
+        return f"{self.byte:02x}"
+
+    @property
+    def reason(self) -> str:
+        """What is odd about the byte, in words; empty if nothing is."""
+        return "; ".join(fault.reason for fault in self.faults) if self.faults else ""
+
+    @property
+    def value(self) -> Response:
+        """The record as a capture holds it."""
+        return Response(
+            t=self.t,
+            hex=self.hex,
+            byte=self.byte,
+            name=self.answer.name if self.answer else None,
+            instruction=self.instruction,
+            latency=self.latency,
+            agrees=self.agrees,
+            reason=self.reason,
+        )
 
 
 class LineRecord(msgspec.Struct, frozen=True):
@@ -83,6 +160,11 @@ class LineRecord(msgspec.Struct, frozen=True):
     state: State
     faults: tuple[Anomaly, ...] = ()
 
+    @property
+    def t(self) -> int:
+        """When it happened (ns)."""
+        return self.value.t
+
 
 class FaultRecord(msgspec.Struct, frozen=True):
     """An anomaly without bytes of its own, such as a missing answer."""
@@ -91,8 +173,13 @@ class FaultRecord(msgspec.Struct, frozen=True):
     state: State
 
     @property
+    def t(self) -> int:
+        """When the anomaly was found (ns)."""
+        return self.fault.t
+
+    @property
     def value(self) -> Anomaly:
-        """The anomaly, which is what has the time here."""
+        """The anomaly, which is what a capture holds of the record."""
         return self.fault
 
     @property

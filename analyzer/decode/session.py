@@ -7,13 +7,12 @@ decoded, everything due up to its time comes out, in the order in which it was d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import msgspec
 
 from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.decoder import LOSSES, Decoder
-from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.records import Record, written_state
 from bilprov.analyzer.decode.resync import Resync
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.framing import Framed
@@ -53,6 +52,7 @@ class Session:
         self._protocol = protocol
         self._timeout = timeout
         self._skew = skew
+        self._heard = tuple(sorted(heard))
         self._decoder = Decoder(protocol, timeout=timeout, paired=heard >= BOTH, skew=skew)
         # Since when (ns) frame boundaries are unknown and the host is silent; otherwise None.
         self._unsynced_since: int | None = 0 if attached else None
@@ -65,6 +65,11 @@ class Session:
         """The time (ns) at which `advance` is next needed without an event, None if it is not."""
         return self._resync.deadline if self._resync else self._decoder.deadline
 
+    @property
+    def regular(self) -> bool:
+        """Whether it is known where frames begin, and nothing odd is under way."""
+        return self._resync is None and self._unsynced_since is None and self._decoder.regular
+
     def feed(self, event: Chunk | Line) -> list[Record]:
         """Take an event and return the records it completes.
 
@@ -72,13 +77,17 @@ class Session:
         """
         if event.t < self._time:
             event = msgspec.structs.replace(event, t=self._time)
-        out = list(self._until(event.t))
+        out: list[Record] = []
+        self._until(event.t, out)
         self._time = event.t
-        return out + list(self._event(event))
+        self._event(event, out)
+        return out
 
     def advance(self, now: int) -> list[Record]:
         """Return the records that fall due up to `now` (ns); no earlier event may follow."""
-        return list(self._until(now))
+        out: list[Record] = []
+        self._until(now, out)
+        return out
 
     def finish(self, t: int | None = None) -> list[Record]:
         """End the recording, at `t` (ns) or with its last event, and return the last records.
@@ -87,37 +96,68 @@ class Session:
         that still waits is not reported, since it is not known whether an answer would have come.
         """
         now = self._time if t is None else t
-        out = self.advance(now) + list(self._give_up_hunt()) + self.advance(now)
-        return out + list(self._decoder.finish(self._time))
+        out: list[Record] = []
+        self._until(now, out)
+        self._give_up_hunt(out)
+        self._until(now, out)
+        self._decoder.finish(self._time, out)
+        return out
 
-    def _until(self, now: int) -> Iterator[Record]:
-        """Yield what falls due up to `now`; silence of the host ends resynchronisation."""
+    def saved(self) -> DecoderState | None:
+        """All that is needed to go on from here; None while frame boundaries are looked for."""
+        if self._resync:
+            return None
+        return self._decoder.save(
+            DecoderState(
+                time=self._time,
+                timeout=self._timeout,
+                skew=self._skew,
+                heard=self._heard,
+                sequence=0,
+                state=written_state(self._protocol.power_on),
+                unsynced_since=self._unsynced_since,
+                spoken=self._spoken,
+            )
+        )
+
+    def resume(self, state: DecoderState) -> None:
+        """Go on from a saved state. Raises ValueError if it is of a session with other settings."""
+        if (state.timeout, state.skew, state.heard) != (self._timeout, self._skew, self._heard):
+            raise ValueError("the state was saved with other settings")
+        state.require_sense(self._protocol)
+        self._resync = None
+        self._time = state.time
+        self._unsynced_since, self._spoken = state.unsynced_since, state.spoken
+        self._decoder.resume(state)
+
+    def _until(self, now: int, out: list[Record]) -> None:
+        """Append what falls due up to `now`; silence of the host ends resynchronisation."""
         if self._resync:
             if now < self._resync.deadline:
                 return
             self._resync.silence()
-            yield from self._end_hunt(self._resync)
-        yield from self._decoder.until(now)
+            self._end_hunt(self._resync, out)
+        self._decoder.until(now, out)
 
-    def _event(self, event: Chunk | Line) -> Iterator[Record]:
+    def _event(self, event: Chunk | Line, out: list[Record]) -> None:
         """Decode or buffer an event, after all that fell due before it."""
-        if isinstance(event, Line) and event.event in LOSSES:
-            yield from self._give_up_hunt()
-            yield from self._decoder.until(event.t)
-            yield from self._decoder.line(event)
+        if isinstance(event, Chunk) and event.direction == "host":
+            self._host(event.data, event.t, out)
+        elif isinstance(event, Line) and event.event in LOSSES:
+            self._give_up_hunt(out)
+            self._decoder.until(event.t, out)
+            self._decoder.line(event, out)
             if event.tap != "device":
                 self._unsynced_since, self._spoken = event.t, False
-        elif isinstance(event, Chunk) and event.direction == "host":
-            yield from self._host(event.data, event.t)
         elif self._resync:
             self._resync.other(event)
             if self._resync.over:
-                yield from self._end_hunt(self._resync)
+                self._end_hunt(self._resync, out)
         else:
             self._spoken = True
-            yield from self._decoded(event)
+            self._decoded(event, out)
 
-    def _host(self, data: bytes, now: int) -> Iterator[Record]:
+    def _host(self, data: bytes, now: int, out: list[Record]) -> None:
         """Pass host bytes to resynchronisation one by one, and once it has ended to the decoder."""
         if self._unsynced_since is not None:
             self._resync = self._new_resync(self._unsynced_since, now)
@@ -127,9 +167,9 @@ class Session:
             self._resync.host(data[at], now)
             at += 1
             if self._resync.over:
-                yield from self._end_hunt(self._resync)
+                self._end_hunt(self._resync, out)
         if at < len(data):
-            yield from self._decoder.host(data[at:], now)
+            self._decoder.host(data[at:], now, out)
 
     def _new_resync(self, since: int, now: int) -> Resync | None:
         """A Resync from the next byte on; None where silence shows that this byte is a header."""
@@ -143,28 +183,28 @@ class Session:
             answered=self._spoken,
         )
 
-    def _give_up_hunt(self) -> Iterator[Record]:
+    def _give_up_hunt(self, out: list[Record]) -> None:
         """End resynchronisation, if it is running, without more evidence."""
         if self._resync:
             self._resync.give_up()
-            yield from self._end_hunt(self._resync)
+            self._end_hunt(self._resync, out)
 
-    def _end_hunt(self, hunt: Resync) -> Iterator[Record]:
+    def _end_hunt(self, hunt: Resync, out: list[Record]) -> None:
         """Decode the buffered events, each at its own time."""
         self._resync = None
         for event in hunt.settled():
             if isinstance(event, Framed):
-                yield from self._decoder.until(event.known)
-                yield self._decoder.garbage(event, anomalies.UNCLEAR)
+                self._decoder.until(event.known, out)
+                self._decoder.garbage(event, anomalies.UNCLEAR, out)
             else:
-                yield from self._decoder.until(event.t)
-                yield from self._decoded(event)
+                self._decoder.until(event.t, out)
+                self._decoded(event, out)
 
-    def _decoded(self, event: Chunk | Line) -> Iterator[Record]:
+    def _decoded(self, event: Chunk | Line, out: list[Record]) -> None:
         """Decode an event where frame boundaries are known."""
         if isinstance(event, Line):
-            yield from self._decoder.line(event)
+            self._decoder.line(event, out)
         elif event.direction == "host":
-            yield from self._decoder.host(event.data, event.t)
+            self._decoder.host(event.data, event.t, out)
         else:
-            yield from self._decoder.device(event.data, event.t)
+            self._decoder.device(event.data, event.t, out)

@@ -167,7 +167,7 @@ class PassiveJudge:
         return self._findings
 
     def _host(self, record: HostRecord) -> None:
-        value, judgement = record.value, record.judgement
+        value, judgement = record, record.judgement
         self._decoded = max(self._decoded, value.end)
         if judgement is None or value.sequence is None:
             self._findings.not_judged[_GARBAGE] += len(record.data)
@@ -195,7 +195,7 @@ class PassiveJudge:
             self._findings.not_judged[_DEAF] += 1
 
     def _device(self, record: DeviceRecord) -> None:
-        value, number = record.value, record.value.instruction
+        value, number = record, record.instruction
         if number is None:
             self._unpaired(record)
             return
@@ -224,7 +224,7 @@ class PassiveJudge:
         errors = [fault for fault in record.faults if fault.severity is Severity.ERROR]
         # A banner before the first instruction, an answer around a loss: see R-unsolicited.
         uncertain = any(fault.severity is Severity.INFO for fault in record.faults)
-        if uncertain or not errors or record.value.t < self._in_step_from:
+        if uncertain or not errors or record.t < self._in_step_from:
             self._findings.not_judged[_UNSEEN if self._paired else _DEAF] += 1
             return
         clause = self._protocol.clauses.responses
@@ -248,7 +248,7 @@ class PassiveJudge:
     def _line(self, record: LineRecord) -> None:
         if record.lost:
             self._give_up(_LOST)
-            self._heard = record.value.t
+            self._heard = record.t
             self._out_of_step()
             self._stopped_by = None
 

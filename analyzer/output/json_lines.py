@@ -42,7 +42,7 @@ from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
 
 
-class JsonLine(msgspec.Struct, frozen=True, kw_only=True):
+class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """One JSON line; the module's docstring explains the keys."""
 
     t: float
@@ -83,37 +83,37 @@ def _kinds(record: Record) -> tuple[str, ...]:
 
 
 def _host_line(record: HostRecord) -> JsonLine:
-    value = record.value
+    judgement = record.judgement
+    spec = judgement.instruction if judgement else None
     return JsonLine(
-        t=value.t / 1e9,
+        t=record.t / 1e9,
         direction="host",
-        kind=value.kind,
-        hex=value.hex,
-        name=value.name,
-        fields=value.fields,
-        judgement=value.judgement,
-        reason=value.reason,
+        kind=record.kind,
+        hex=record.hex,
+        name=spec.name if spec else None,
+        fields=dict(judgement.fields) if judgement else {},
+        judgement=judgement.response.name if judgement else None,
+        reason=record.reason,
         state=record.state,
-        sequence=value.sequence,
-        faults=_kinds(record) if record.faults else (),
+        sequence=record.sequence,
+        faults=_kinds(record),
     )
 
 
 def _device_line(record: DeviceRecord) -> JsonLine:
-    value = record.value
     return JsonLine(
-        t=value.t / 1e9,
+        t=record.t / 1e9,
         direction="device",
         kind="response",
-        hex=value.hex,
-        name=value.name,
+        hex=record.hex,
+        name=record.answer.name if record.answer else None,
         judgement=record.answered.response.name if record.answered else None,
-        reason=value.reason,
-        latency=None if value.latency is None else value.latency / 1e9,
+        reason=record.reason,
+        latency=None if record.latency is None else record.latency / 1e9,
         state=record.state,
-        answers=value.instruction,
-        agrees=value.agrees,
-        faults=_kinds(record) if record.faults else (),
+        answers=record.instruction,
+        agrees=record.agrees,
+        faults=_kinds(record),
     )
 
 

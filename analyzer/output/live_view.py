@@ -95,7 +95,7 @@ def _cells(record: Record) -> tuple[Text, ...]:
         hex_text = f"{hex_text[:8]} …"
     style = _style(record)
     return (
-        Text(f"{record.value.t / 1e9:.6f}", "dim"),
+        Text(f"{record.t / 1e9:.6f}", "dim"),
         Text(sign, "bold cyan" if sign == "→" else "bold"),
         Text(hex_text, style),
         Text.assemble((printable(words), style), (f"  {printable(reason)}", "dim")),
@@ -103,14 +103,14 @@ def _cells(record: Record) -> tuple[Text, ...]:
 
 
 def _device_words(record: DeviceRecord) -> str:
-    latency = record.value.latency
+    latency = record.latency
     return record.words + ("" if latency is None else f"  {latency / 1e6:.3f} ms")
 
 
 # The sign, the bytes in hex, the words and the reason of each kind of record.
 _SHOWN: dict[type[Record], Callable[[Any], tuple[str, str, str, str]]] = {
-    HostRecord: lambda r: ("→", r.value.hex, r.words, r.value.reason),
-    DeviceRecord: lambda r: ("←", r.value.hex, _device_words(r), r.value.reason),
+    HostRecord: lambda r: ("→", r.hex, r.words, r.reason),
+    DeviceRecord: lambda r: ("←", r.hex, _device_words(r), r.reason),
     LineRecord: lambda r: ("-", "", f"{r.value.event} {r.value.detail}", ""),
     FaultRecord: lambda r: ("!", "", r.fault.kind, r.fault.reason),
 }

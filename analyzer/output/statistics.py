@@ -95,10 +95,10 @@ class Statistics:
         self._state = record.state
         if isinstance(record, HostRecord):
             self.instructions += record.judgement is not None
-            self._frames.add(record.value.end, 1)
+            self._frames.add(record.end, 1)
         elif isinstance(record, DeviceRecord):
             self.responses += 1
-            latency = record.value.latency
+            latency = record.latency
             if latency is not None:
                 self._latencies.append(latency)
                 self._longest = max(self._longest, latency)

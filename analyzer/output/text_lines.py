@@ -50,11 +50,11 @@ class LineRenderer:
         """Render one line without its newline, safe for a terminal and for a pipe."""
         if isinstance(record, HostRecord):
             severity = severity_of(record)
-            text = self._host(record.value.hex, record.words, severity)
-            why = self._why(record.value.reason, severity)
-            return f"{_time(record.value.t)} {text}{self._state(record.state)}{why}"
+            text = self._host(record.hex, record.words, severity)
+            why = self._why(record.reason, severity)
+            return f"{_time(record.t)} {text}{self._state(record.state)}{why}"
         if isinstance(record, DeviceRecord):
-            return f"{_time(record.value.t)} {self._device_line(record)}"
+            return f"{_time(record.t)} {self._device_line(record)}"
         if isinstance(record, LineRecord) and not record.faults:
             return _line_event(record.value)
         return self._fault_line(record.faults[0])
@@ -64,7 +64,7 @@ class LineRenderer:
         return f"{self._to_device} {self._paint(body, severity)}"
 
     def _device_line(self, record: DeviceRecord) -> str:
-        value, severity = record.value, severity_of(record)
+        value, severity = record, severity_of(record)
         text = self._device(value.hex, record.words, severity)
         latency = "" if value.latency is None else f" {value.latency / 1e6:8.3f} ms"
         return f"{text}{latency}{self._why(value.reason, severity)}".rstrip()

@@ -21,10 +21,10 @@ class ReplayRun:
 
     def record(self, record: Record) -> None:
         """Add a record of the run."""
-        if isinstance(record, HostRecord) and record.value.sequence is not None:
-            self.frames[record.value.sequence] = record
+        if isinstance(record, HostRecord) and record.sequence is not None:
+            self.frames[record.sequence] = record
         elif isinstance(record, DeviceRecord):
-            sequence = record.value.instruction
+            sequence = record.instruction
             if sequence is None:
                 self.unpaired.append(record)
             else:
@@ -62,13 +62,13 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
         was, is_now = recorded.answers.get(sequence), now.answers.get(sequence)
         if was is None and sequence not in recorded.unanswered:
             continue
-        if (was.value.byte if was else None) != (is_now.value.byte if is_now else None):
+        if (was.byte if was else None) != (is_now.byte if is_now else None):
             yield Difference(
                 sequence,
                 f"{words}: recorded {_answer(protocol, was)}, now {_answer(protocol, is_now)}",
             )
     if now.unpaired and len(now.unpaired) != len(recorded.unpaired):
-        said = " ".join(record.value.hex for record in now.unpaired[:16])
+        said = " ".join(record.hex for record in now.unpaired[:16])
         yield Difference(
             None,
             f"bytes that answer no instruction: recorded {len(recorded.unpaired)}, "
@@ -77,10 +77,10 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
 
 
 def _described(frame: HostRecord) -> str:
-    return f"{frame.words} ({frame.value.hex})"
+    return f"{frame.words} ({frame.hex})"
 
 
 def _answer(protocol: Protocol, record: DeviceRecord | None) -> str:
     if record is None:
         return "no answer"
-    return f"{record.value.name or 'unused'} ({record.value.hex})"
+    return f"{record.answer.name if record.answer else 'unused'} ({record.hex})"

@@ -65,12 +65,12 @@ class Recorder(CaptureWriter):
     def record(self, record: Record) -> None:
         """Write a decoded record: the frame, the state when it changes, and the anomalies."""
         if isinstance(record, HostRecord):
-            self.write(record.value, record.value.t)
+            self.write(record.value, record.t)
             if record.state != self._state:
                 self._state = record.state
-                self.write(record.state, record.value.end)
+                self.write(record.state, record.end)
         elif isinstance(record, DeviceRecord):
-            self.write(record.value, record.value.t)
+            self.write(record.value, record.t)
         for fault in record.faults:
             self.write(self._log(fault), fault.t)
 

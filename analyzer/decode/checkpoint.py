@@ -1,0 +1,93 @@
+"""What a session must know to go on decoding from one moment, as a value and as JSON text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from bilprov.captures.schemas import Direction, State
+from bilprov.spec.motion import Motion, is_moving
+from bilprov.spec.protocol import Protocol
+
+
+class WaitingFrames(msgspec.Struct, frozen=True):
+    """Instructions that wait for an answer: whole frames, of which the last may be cut short.
+
+    All of them ended at `end` and count as unanswered from `expires` on (ns).
+    """
+
+    end: int
+    expires: int
+    frames: bytes
+
+    def split(self, protocol: Protocol) -> Iterator[bytes]:
+        """Yield the frames one by one."""
+        at = 0
+        while at < len(self.frames):
+            end = at + 1 + protocol.lengths[self.frames[at]]
+            yield self.frames[at:end]
+            at = end
+
+
+class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The state of a session after all events up to `time`. Times and durations are in ns.
+
+    `timeout`, `skew` and `heard` are the session's settings. `sequence` is the next instruction's
+    number and `state` what the instructions so far predict. `frame` holds the bytes of the frame
+    that is not complete, which came from `frame_start` to `frame_end`. `waiting` are the
+    instructions that wait for an answer, the last of them the newest of all, and `held` the answers
+    (time, byte) that wait for an instruction. `out_of_step` is when the open frame is given up,
+    `lost_at` when bytes were last lost. `unsynced_since` is since when frame boundaries are unknown
+    and the host is silent, and `spoken` tells whether the device has sent a byte since.
+    """
+
+    time: int
+    timeout: int
+    skew: int
+    heard: tuple[Direction, ...]
+    sequence: int
+    state: State
+    frame: bytes = b""
+    frame_start: int = 0
+    frame_end: int = 0
+    waiting: tuple[WaitingFrames, ...] = ()
+    held: tuple[tuple[int, int], ...] = ()
+    out_of_step: int | None = None
+    lost_at: int | None = None
+    unsynced_since: int | None = None
+    spoken: bool = False
+
+    def require_sense(self, protocol: Protocol) -> None:
+        """Raise ValueError unless a session of this protocol can be in this state."""
+        state = self.state
+        count = sum(1 for group in self.waiting for _ in group.split(protocol))
+        expiries = [group.expires for group in self.waiting]
+        sane = (
+            state.motion in tuple(Motion)
+            and state.moving == is_moving(state.motion, state.speed)
+            and 0 <= count <= self.sequence
+            and expiries == sorted(expiries)
+            and all(group.frames and group.end <= self.time for group in self.waiting)
+            and all(0 <= byte <= 255 for _, byte in self.held)
+            and not (self.held and self.waiting)
+            and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])
+            and (self.out_of_step is None or bool(self.frame))
+        )
+        if not sane:
+            raise ValueError("no session is ever in this state")
+
+
+def encoded(state: DecoderState) -> str:
+    """The state as JSON text."""
+    return msgspec.json.encode(state).decode()
+
+
+def decoded(text: str, protocol: Protocol) -> DecoderState | None:
+    """The state in a JSON text; None if it is none, or one that no session can be in."""
+    try:
+        state = msgspec.json.decode(text, type=DecoderState)
+        state.require_sense(protocol)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return state

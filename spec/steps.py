@@ -1,0 +1,90 @@
+"""Judges frames one by one, and remembers what it can: as `codec.judge` and `Effect.apply` say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from bilprov.spec.codec import Judgement, judge
+from bilprov.spec.motion import Effect
+from bilprov.spec.protocol import Protocol
+
+_REMEMBERED = 1 << 16  # frames
+
+
+class Step(msgspec.Struct, frozen=True, gc=False):
+    """One frame's judgement, and the new value of each state variable, None where it is kept."""
+
+    judgement: Judgement
+    motion: str | None = None
+    speed: int | None = None
+    steering: int | None = None
+    led: int | None = None
+
+
+class Steps(dict[bytes, Step]):
+    """The Step of each frame by its bytes (whole, or cut short): `steps[frame]`.
+
+    A frame whose data decide nothing is judged once for all data; of the others at most 65,536
+    are remembered. Raises ValueError, as `codec.judge` does, for bytes that are not one frame.
+    """
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__()
+        self._protocol = protocol
+        self._faulty: dict[tuple[int, int], Step] = {}
+
+    def __missing__(self, frame: bytes) -> Step:
+        protocol = self._protocol
+        if frame and not data_decide(protocol, frame):
+            return self._independent(frame)
+        judgement = judge(protocol, frame)
+        step = self._step(judgement)
+        if len(self) < _REMEMBERED:
+            self[frame] = step
+        return step
+
+    def _independent(self, frame: bytes) -> Step:
+        """The step of a frame that is faulty whatever its data are."""
+        key = frame[0], len(frame)
+        known = self._faulty.get(key)
+        if known is None:
+            known = self._faulty[key] = self._step(judge(self._protocol, frame))
+        was = known.judgement
+        same = Judgement(
+            frame,
+            was.id,
+            was.length,
+            was.instruction,
+            was.fields,
+            was.outcome,
+            was.response,
+            was.reason,
+            was.clause,
+            was.reading,
+        )
+        return Step(same, known.motion, known.speed, known.steering, known.led)
+
+    def _step(self, judgement: Judgement) -> Step:
+        effect = self._protocol.on_fault
+        if judgement.valid and judgement.instruction:
+            effect = judgement.instruction.effect
+        return Step(judgement, **_assigned(effect, dict(judgement.fields)))
+
+
+def data_decide(protocol: Protocol, frame: bytes) -> bool:
+    """Whether a frame's data decide its outcome: it has an instruction's header and length."""
+    identity, length = protocol.headers[frame[0]]
+    known = protocol.by_id.get(identity)
+    return known is not None and known.length == length == len(frame) - 1
+
+
+def _assigned(effect: Effect, fields: dict[str, int]) -> dict[str, Any]:
+    """The new value of each variable that the effect sets."""
+    return {
+        variable: fields[value[0]] * value[1]
+        if isinstance(value, tuple)
+        else getattr(value, "value", value)
+        for variable, value in effect.assignments
+    }

@@ -1,0 +1,241 @@
+"""Lookup tables made from a Protocol, by which whole arrays of frames are judged. Needs numpy.
+
+They say what `codec.judge` and `Effect.apply` say about single frames, by which they are filled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import VARIABLES, Effect, Motion
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.steps import Steps, data_decide
+
+OUTCOMES = tuple(Outcome)
+"""The outcomes in the order of the codes in a column of verdicts; 0 is a valid frame."""
+
+
+class StateColumns(NamedTuple):
+    """The state after each frame, one array per variable; `motion` holds places in `MOTIONS`."""
+
+    motion: NDArray[np.uint8]
+    speed: NDArray[np.signedinteger]
+    steering: NDArray[np.signedinteger]
+    led: NDArray[np.signedinteger]
+
+
+class FrameColumns(NamedTuple):
+    """The frames of a buffer, one row each.
+
+    `offset` is where the header is, `key` 256 times the header byte plus the byte behind it (which
+    is the next frame's where a frame has no data), `verdict` a place in `OUTCOMES`.
+    """
+
+    offset: NDArray[np.int64]
+    key: NDArray[np.int64]
+    verdict: NDArray[np.uint8]
+
+
+class FrameTables:
+    """Tables by header byte and first data byte, for arrays of whole frames.
+
+    Raises OverflowError for a grammar whose state variables do not fit into 64 bits.
+    """
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
+        self._verdict = np.zeros(1 << 16, np.uint8)
+        self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
+        # Instructions with more than one data byte: their data are judged field by field.
+        self._long: dict[int, InstructionSpec] = {}
+        limits = [0, *(end for ends in protocol.limits.values() for end in ends)]
+        limits += [v for e in self._effects() for _, v in e.assignments if isinstance(v, int)]
+        self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in limits))
+        if self._number.kind != "i":
+            raise OverflowError("a state variable does not fit into 64 bits")
+        self._sets = np.zeros(1 << 16, np.uint8)  # one bit for each variable
+        self._values = {variable: np.zeros(1 << 16, self._type(variable)) for variable in VARIABLES}
+        steps = Steps(protocol)
+        for header in range(256):
+            self._fill(header, steps)
+
+    def _effects(self) -> list[Effect]:
+        return [self._protocol.on_fault, *(spec.effect for spec in self._protocol.instructions)]
+
+    def _type(self, variable: str) -> np.dtype[Any]:
+        return np.dtype(np.uint8) if variable == "motion" else self._number
+
+    def _fill(self, header: int, steps: Steps) -> None:
+        """Fill the 256 rows of a header from the judgements of its frames."""
+        length = self._protocol.lengths[header]
+        decided = data_decide(self._protocol, bytes([header]) + bytes(length))
+        if decided and length > 1:
+            self._long[header] = self._protocol.by_id[self._protocol.headers[header][0]]
+            return
+        for first in range(256 if decided and length else 1):
+            data = bytes([first]).ljust(length, b"\0")[:length]
+            step = steps[bytes([header]) + data]
+            rows = (
+                header << 8 | first if decided and length else slice(header << 8, 1 + header << 8)
+            )
+            self._verdict[rows] = OUTCOMES.index(step.judgement.outcome)
+            for bit, variable in enumerate(VARIABLES):
+                value = getattr(step, variable)
+                if value is not None:
+                    self._sets[rows] |= 1 << bit
+                    self._values[variable][rows] = coded(value)
+
+    def blocks(
+        self, data: NDArray[np.uint8], start: int = 0
+    ) -> Iterator[tuple[NDArray[np.int64], int]]:
+        """Find the headers in `data`, whose byte `start` is one, block by block.
+
+        Yields the offsets of the frames that are complete, and that of the next header.
+
+        Where a frame begins depends on all frames before it. So for each place the place 2^k
+        frames on is looked up (k times an array operation); only each 2^k-th frame is then walked
+        to one by one, and those between are looked up again.
+        """
+        spare = int(self.sizes.max())
+        block = min(len(data) - start, _BLOCK)
+        places = np.arange(block + spare, dtype=np.int64)
+        jumps = [np.empty(block + spare, np.int64) for _ in range(_DOUBLINGS + 1)]
+        at = start
+        for base in range(start, len(data), _BLOCK):
+            size = min(len(data) - base, _BLOCK)
+            reach = size + spare
+            np.take(self.sizes, data[base : base + size], out=jumps[0][:size], mode="clip")
+            jumps[0][:size] += places[:size]
+            jumps[0][size:reach] = places[size:reach]  # behind the block each place is its own next
+            for near, far in pairwise(jumps):
+                np.take(near[:reach], near[:reach], out=far[:reach], mode="clip")
+            walked = _walk(jumps[-1].data, at - base, size)
+            at = base + walked.pop()
+            frames = np.array(walked, np.int64)
+            for jump in reversed(jumps[:-1]):
+                both = np.empty(2 * len(frames), np.int64)
+                both[::2] = frames
+                np.take(jump, frames, out=both[1::2], mode="clip")
+                frames = both
+            frames = frames[: np.searchsorted(frames, size)]
+            frames += base
+            if at > len(data):
+                at = int(frames[-1])
+                frames = frames[:-1]
+            yield frames, at
+
+    def frames(self, data: NDArray[np.uint8], offset: NDArray[np.int64]) -> FrameColumns:
+        """Judge the whole frames of `data` at these offsets."""
+        key = data.take(offset).astype(np.int64) << 8
+        key |= data.take(offset + 1, mode="clip")
+        verdict = self._verdict.take(key)
+        for code, spec in self._long.items():
+            rows = np.flatnonzero(key >> 8 == code)
+            good = np.ones(len(rows), np.bool_)
+            for part in spec.fields:
+                value = self.field(part, data, offset[rows])
+                good &= (value >= part.low) & (value <= part.high)
+            verdict[rows] = np.where(good, _VALID, _BAD_DATA)
+        return FrameColumns(offset, key, verdict)
+
+    def field(
+        self, part: FieldSpec, data: NDArray[np.uint8], offset: NDArray[np.int64]
+    ) -> NDArray[np.signedinteger]:
+        """The value of a field in each of the frames at `offset`, which all carry it."""
+        at = offset + 1 + part.offset
+        if part.size == 1:
+            table = self._byte_values.get(part.parse)
+            if table is None:
+                table = np.array([part.parse(bytes([byte])) for byte in range(256)], np.int64)
+                self._byte_values[part.parse] = table
+            return np.take(table, data.take(at))
+        raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
+        distinct, place = np.unique(raw, return_inverse=True)
+        values = [part.parse(one.tobytes()) for one in distinct]
+        return np.take(np.array(values, np.int64), place)
+
+    def states(
+        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[str | int]
+    ) -> StateColumns:
+        """The state after each frame; `before` are the values of `VARIABLES` before the first."""
+        long = list(self._long_effects(data, frames)) if self._long else []
+        sets = self._sets.take(frames.key)
+        return StateColumns(
+            *(
+                self._variable(variable, frames, sets & 1 << bit != 0, coded(value), long)
+                for bit, (variable, value) in enumerate(zip(VARIABLES, before, strict=True))
+            )
+        )
+
+    def _variable(
+        self,
+        variable: str,
+        frames: FrameColumns,
+        sets: NDArray[np.bool_],
+        before: int,
+        long: list[tuple[str, NDArray[np.int64], NDArray[np.signedinteger]]],
+    ) -> NDArray[Any]:
+        """A state variable after each frame: what the last frame that sets it has set it to."""
+        rows = np.flatnonzero(sets)
+        values = self._values[variable].take(frames.key.take(rows))
+        for name, more, set_to in long:
+            if name == variable:
+                rows = np.concatenate([rows, more])
+                values = np.concatenate([values, set_to.astype(values.dtype)])
+        if long:
+            order = np.argsort(rows, kind="stable")
+            rows, values = rows[order], values[order]
+        ends = np.concatenate([rows, [len(frames.key)]])
+        counts = np.diff(ends, prepend=0)
+        return np.repeat(np.concatenate([np.array([before], values.dtype), values]), counts)
+
+    def _long_effects(
+        self, data: NDArray[np.uint8], frames: FrameColumns
+    ) -> Iterator[tuple[str, NDArray[np.int64], NDArray[np.signedinteger]]]:
+        """What frames of more than one data byte set: a variable, the rows, the values."""
+        for code, spec in self._long.items():
+            rows = np.flatnonzero(frames.key >> 8 == code)
+            valid = frames.verdict[rows] == _VALID
+            for good, effect in ((True, spec.effect), (False, self._protocol.on_fault)):
+                where = rows[valid == good]
+                for variable, value in effect.assignments:
+                    if isinstance(value, tuple):
+                        part = next(part for part in spec.fields if part.name == value[0])
+                        set_to = self.field(part, data, frames.offset[where]) * value[1]
+                    else:
+                        set_to = np.full(len(where), coded(value))
+                    yield variable, where, set_to
+
+
+MOTIONS = tuple(Motion)
+_BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
+_DOUBLINGS = 5
+_VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+
+
+def coded(value: str | int) -> int:
+    """A state variable's value as a number: a motion is its place in `MOTIONS`."""
+    return MOTIONS.index(Motion(value)) if isinstance(value, str) else value
+
+
+@lru_cache(maxsize=8)
+def frame_tables(protocol: Protocol) -> FrameTables:
+    """The tables of a protocol, made when they are first asked for. Raises OverflowError."""
+    return FrameTables(protocol)
+
+
+def _walk(jumps: memoryview, at: int, end: int) -> list[int]:
+    """Follow `jumps` from `at` until `end` is reached; that last place is in the list too."""
+    walked = [at]
+    while at < end:
+        at = jumps[at]
+        walked.append(at)
+    return walked
