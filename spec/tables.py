@@ -52,6 +52,7 @@ class FrameTables:
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
+        self.codes = np.array([protocol.answers[outcome].code for outcome in OUTCOMES], np.uint8)
         self._verdict = np.zeros(1 << 16, np.uint8)
         self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
         # Instructions with more than one data byte: their data are judged field by field.
@@ -132,6 +133,13 @@ class FrameTables:
                 frames = frames[:-1]
             yield frames, at
 
+    def offsets(self, data: NDArray[np.uint8], start: int = 0) -> tuple[NDArray[np.int64], int]:
+        """The offsets of all complete frames, and that of the first header after them."""
+        blocks = list(self.blocks(data, start))
+        if not blocks:
+            return np.empty(0, np.int64), start
+        return np.concatenate([offset for offset, _ in blocks]), blocks[-1][1]
+
     def frames(self, data: NDArray[np.uint8], offset: NDArray[np.int64]) -> FrameColumns:
         """Judge the whole frames of `data` at these offsets."""
         key = data.take(offset).astype(np.int64) << 8
@@ -174,6 +182,22 @@ class FrameTables:
                 for bit, (variable, value) in enumerate(zip(VARIABLES, before, strict=True))
             )
         )
+
+    def last_state(
+        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[Any]
+    ) -> tuple[int, ...]:
+        """The state after all of the frames, as a row of StateColumns."""
+        if not self._long:  # then the last frame that sets a variable tells, for each of them
+            sets = self._sets.take(frames.key)
+            last = {
+                int(rows[-1])
+                for bit in range(len(VARIABLES))
+                if len(rows := np.flatnonzero(sets & 1 << bit))
+            }
+            frames = FrameColumns(*(column[sorted(last)] for column in frames))
+        if not len(frames.key):
+            return tuple(coded(value) for value in before)
+        return tuple(int(column[-1]) for column in self.states(data, frames, before))
 
     def _variable(
         self,

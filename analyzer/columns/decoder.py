@@ -1,0 +1,176 @@
+"""Decodes a stream of events: much regular traffic at once into columns, all else by a Session.
+
+The records are those of one Session from the first event to the last, in the same order: each part
+goes on from the state in which the part before it has ended. numpy is loaded when there is much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.records import HostRecord, Record
+from bilprov.analyzer.decode.session import BOTH, SKEW, Session
+from bilprov.captures.schemas import MS, Chunk, Direction, Line
+from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.columns.regular import Carry, RegularDecoder
+    from bilprov.analyzer.columns.stretch import Stretch
+
+LEAST = 512
+"""Bytes from which on events are decoded into columns; fewer are decoded faster by a Session."""
+
+# After an event that is not regular, so many go through the Session; more and more if none of
+# those that follow is regular, so that an irregular line costs little more than a Session alone.
+_FEWEST, _MOST = 1, 1024
+_SHORTEST = 64  # events tried at once after an irregular one
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """Records that a Session decoded one by one."""
+
+    listed: list[Record]
+
+    @property
+    def host_rows(self) -> int:
+        """How many host frames there are."""
+        return sum(1 for record in self.listed if type(record) is HostRecord)
+
+    def records(self) -> Iterator[Record]:
+        """Yield them in order."""
+        return iter(self.listed)
+
+
+Part: TypeAlias = "Stretch | Records"
+"""Some of the decoded traffic: `records()` yields the records, `host_rows` counts the frames."""
+
+
+class StreamDecoder:
+    """Decodes one recording from its first event to its last, in parts.
+
+    The settings are those of a Session, whose records the parts have.
+    """
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        *,
+        timeout: int | None = None,
+        heard: frozenset[Direction] = BOTH,
+        skew: int = SKEW,
+        attached: bool = False,
+    ) -> None:
+        if timeout is None:
+            timeout = round(protocol.timing.truncation_timeout * MS)
+        self._session = Session(
+            protocol, timeout=timeout, heard=heard, skew=skew, attached=attached
+        )
+        self._protocol = protocol
+        self._settings = timeout, skew, heard >= BOTH
+        self._regular: RegularDecoder | None = None
+        self._unfit = False  # whether this protocol's state does not fit into columns
+        self._carry: Carry | None = None  # what the last stretch left, while the Session rests
+        self._direct = _FEWEST
+        self._window = _MOST
+
+    @property
+    def deadline(self) -> int | None:
+        """The time (ns) at which `advance` is next needed without an event, None if it is not."""
+        if self._carry is not None and self._regular is not None:
+            return self._regular.deadline(self._carry)
+        return self._session.deadline
+
+    def feed(self, events: Sequence[Chunk | Line]) -> list[Part]:
+        """Take the next events and return what they complete."""
+        parts: list[Part] = []
+        if sum(len(event.data) for event in events if type(event) is Chunk) < LEAST:
+            self._feed_session(events, parts)
+            return parts
+        at = 0
+        while at < len(events):
+            direct = self._direct
+            if self._enter_columns():
+                window = events[at : at + self._window]
+                used = self._feed_columns(window, parts)
+                at += used
+                if used == len(window):
+                    self._direct, self._window = _FEWEST, self._window * 2
+                    continue
+                self._window = max(_SHORTEST, 2 * used)
+            self._direct = min(_MOST, 2 * direct)
+            self._feed_session(events[at : at + direct], parts)
+            at += direct
+        self._window = max(self._window, _MOST)
+        return parts
+
+    def advance(self, now: int) -> list[Part]:
+        """Return what falls due up to `now` (ns); no earlier event may follow."""
+        due = self.deadline
+        if due is None or now < due:
+            return []
+        records = self._leave_columns().advance(now)
+        return [Records(records)] if records else []
+
+    def finish(self, t: int | None = None) -> list[Part]:
+        """End the recording, at `t` (ns) or with its last event, and return what is left."""
+        records = self._leave_columns().finish(t)
+        return [Records(records)] if records else []
+
+    def saved(self) -> DecoderState | None:
+        """All that is needed to go on from here; None while frame boundaries are looked for."""
+        if self._carry is not None and self._regular is not None:
+            return self._regular.state(self._carry)
+        return self._session.saved()
+
+    def resume(self, state: DecoderState) -> None:
+        """Go on from a saved state. Raises ValueError if it is of a session with other settings."""
+        self._session.resume(state)
+        self._carry = None
+
+    def _feed_session(self, events: Sequence[Chunk | Line], parts: list[Part]) -> None:
+        session = self._leave_columns()
+        records = [record for event in events for record in session.feed(event)]
+        if records:
+            parts.append(Records(records))
+
+    def _feed_columns(self, events: Sequence[Chunk | Line], parts: list[Part]) -> int:
+        """Decode the first events into columns; returns how many are regular."""
+        assert self._regular is not None
+        assert self._carry is not None
+        stretch, used, self._carry = self._regular.decode(self._carry, events)
+        if used:
+            parts.append(stretch)
+        return used
+
+    def _enter_columns(self) -> bool:
+        """Hand over from the Session, if it can be; return whether the columns are in charge."""
+        if self._carry is not None:
+            return True
+        if self._unfit or not self._session.regular:
+            return False
+        state = self._session.saved()
+        if self._regular is None:
+            from bilprov.analyzer.columns.regular import RegularDecoder
+
+            timeout, skew, paired = self._settings
+            try:
+                self._regular = RegularDecoder(
+                    self._protocol, timeout=timeout, skew=skew, paired=paired
+                )
+            except OverflowError:
+                self._unfit = True
+                return False
+        assert state is not None
+        self._carry = self._regular.carry(state)
+        return True
+
+    def _leave_columns(self) -> Session:
+        """Hand over to the Session, if it is not in charge, and return it."""
+        if self._carry is not None and self._regular is not None:
+            self._session.resume(self._regular.state(self._carry))
+            self._carry = None
+        return self._session

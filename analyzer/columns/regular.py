@@ -1,0 +1,291 @@
+"""Decodes regular traffic into a Stretch, up to the first event that is not regular.
+
+Regular is what needs no decision: every frame is whole and without a pause that could cut it
+short, no bytes are lost, and each answer comes after its instruction and before that is given up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
+from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
+from bilprov.analyzer.decode.decoder import LOSSES, QUIET
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.steps import Steps
+from bilprov.spec.tables import FrameColumns, frame_tables
+
+
+class Carry(NamedTuple):
+    """What one stretch leaves to the next: the frames that wait for an answer, and the open frame.
+
+    `data` are the bytes of both, the open frame's from byte `begun` on. `end` are the times (ns) of
+    the waiting frames' last bytes. `rest` is the session's state without these frames.
+    """
+
+    data: NDArray[np.uint8]
+    frames: FrameColumns
+    end: NDArray[np.int64]
+    begun: int
+    rest: DecoderState
+
+
+class _Side:
+    """The chunks of one side: their places among the events, and their bytes.
+
+    `bytes` counts the bytes up to the end of each chunk, `t` (ns) is when each came.
+    """
+
+    def __init__(self, event: list[int], chunks: list[bytes], t: NDArray[np.int64]) -> None:
+        self.event = np.array(event, np.int64)
+        self.bytes = np.cumsum([len(chunk) for chunk in chunks], dtype=np.int64)
+        self.data = np.frombuffer(b"".join(chunks), np.uint8)
+        self.t = t[self.event]
+
+    def event_of(self, byte: int) -> int:
+        """The place of the event with this byte."""
+        return int(self.event[np.searchsorted(self.bytes, byte, "right")])
+
+
+class RegularDecoder:
+    """Decodes events into a Stretch, as far as they are regular; the settings are a Session's.
+
+    Raises OverflowError for a protocol whose state does not fit into columns.
+    """
+
+    def __init__(self, protocol: Protocol, *, timeout: int, skew: int, paired: bool) -> None:
+        self._tables = frame_tables(protocol)
+        self._longest = round(protocol.timing.answer_longest * MS)
+        # In a pause shorter than this nothing can happen to an open frame.
+        self._pause = min(timeout, QUIET)
+        late = round(protocol.timing.answer_deadline * MS)
+        self._decoding = Decoding(protocol, self._tables, Steps(protocol), paired, skew, late)
+
+    def carry(self, state: DecoderState) -> Carry:
+        """The state of a session that is regular (`Session.regular`) as a Carry."""
+        waiting = b"".join(group.frames for group in state.waiting)
+        data = np.frombuffer(waiting + state.frame, np.uint8)
+        offset, begun = self._tables.offsets(data[: len(waiting)])
+        upto = np.cumsum([len(group.frames) for group in state.waiting], dtype=np.int64)
+        count = np.diff(np.searchsorted(offset, upto), prepend=0)
+        end = np.repeat(np.array([group.end for group in state.waiting], np.int64), count)
+        frames = self._tables.frames(data, offset)
+        return Carry(data, frames, end, begun, replace(state, waiting=(), frame=b""))
+
+    def state(self, carry: Carry) -> DecoderState:
+        """A Carry as the state of a session."""
+        frame = carry.data[carry.begun :].tobytes()
+        return replace(carry.rest, waiting=tuple(self._groups(carry)), frame=frame)
+
+    def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
+        """Yield the waiting frames, those with equal times together."""
+        first = np.flatnonzero(np.diff(carry.end, prepend=-1))
+        bounds = [*carry.frames.offset[first].tolist(), carry.begun]
+        for end, (low, high) in zip(carry.end[first].tolist(), pairwise(bounds), strict=True):
+            yield WaitingFrames(end, end + self._longest, carry.data[low:high].tobytes())
+
+    def deadline(self, carry: Carry) -> int | None:
+        """When (ns) something falls due without an event, None if nothing does."""
+        due = [int(end) + self._longest for end in carry.end[:1]]
+        if carry.begun < len(carry.data):
+            due.append(carry.rest.frame_end + self._pause)
+        return min(due, default=None)
+
+    def decode(self, before: Carry, events: Sequence[Chunk | Line]) -> tuple[Stretch, int, Carry]:
+        """Decode the events, of which there must be some, as far as they are regular.
+
+        Returns the stretch, the number of events that it covers (it may be 0), and what it leaves
+        to the next.
+        """
+        rest, tables = before.rest, self._tables
+        t = np.maximum.accumulate(np.array([event.t for event in events], np.int64))
+        np.maximum(t, rest.time, out=t)
+        host, device, lines, cut = _sorted(events, t)
+
+        # Frames; `come` counts the host rows that are complete by the end of each host chunk.
+        data = np.concatenate([before.data, host.data])
+        bounds = len(before.data) + host.bytes
+        offset, begun = tables.offsets(data, before.begun)
+        until = np.append(offset[1:], begun)[: len(offset)]
+        carried, new = len(before.end), np.searchsorted(until, bounds, "right")
+        come = carried + new
+        frames = tables.frames(data, offset)
+        if carried:
+            frames = FrameColumns(*map(np.concatenate, zip(before.frames, frames, strict=True)))
+        end = np.concatenate([before.end, np.repeat(host.t, np.diff(new, prepend=0))])
+        ends = np.append(before.begun, until)[new]
+        cut = min(cut, self._first_pause(before, t, host, bounds, ends))
+
+        # Answers; row j of the device answers row j of the host.
+        answer_t = np.repeat(device.t, np.diff(device.bytes, prepend=0))
+        if self._decoding.paired:
+            cut = min(cut, _first_early(host, device, np.append(carried, come), len(t)))
+            cut = min(cut, self._first_overdue(t, end, answer_t))
+            cut = min(cut, self._first_shifted(frames, end, device, answer_t, len(t)))
+
+        # What comes in the first `cut` events.
+        chunks, answers = np.searchsorted(host.event, cut), np.searchsorted(device.event, cut)
+        rows = int(come[chunks - 1]) if chunks else carried
+        given = int(device.bytes[answers - 1]) if answers else 0
+        stretch = Stretch(
+            decoding=self._decoding,
+            data=data,
+            frames=FrameColumns(*(column[:rows] for column in frames)),
+            carried=carried,
+            sequence=rest.sequence - carried,
+            start=_starts(before, host, offset, bounds)[: rows - carried],
+            end=end[:rows],
+            byte=device.data[:given],
+            t=answer_t[:given],
+            before=rest.state,
+            lines=tuple(replace(events[at], t=int(t[at])) for at in lines if at < cut),
+            spans=tuple(_spans(cut, host, device, lines, [carried, *come.tolist()])),
+        )
+        if not cut:
+            return stretch, 0, before
+
+        # What is left: the frames without an answer, and the open frame.
+        said = int(bounds[chunks - 1]) if chunks else len(before.data)
+        begun = int(until[rows - carried - 1]) if rows > carried else before.begun
+        begun_in = int(np.searchsorted(bounds, begun, "right"))
+        kept = given if self._decoding.paired else rows
+        low = int(frames.offset[kept]) if kept < rows else begun
+        left = FrameColumns(*(column[kept:rows] for column in frames))
+        state = tables.last_state(data, stretch.new, values_of(rest.state))
+        carry = Carry(
+            data=data[low:said],
+            frames=left._replace(offset=left.offset - low),
+            end=end[kept:rows],
+            begun=begun - low,
+            rest=replace(
+                rest,
+                time=int(t[cut - 1]),
+                sequence=rest.sequence + rows - carried,
+                state=written(*state) if rows > carried else rest.state,
+                frame_start=rest.frame_start
+                if begun < len(before.data)
+                else int(host.t[begun_in])
+                if begun < said
+                else 0,
+                frame_end=(int(host.t[chunks - 1]) if chunks else rest.frame_end)
+                if begun < said
+                else 0,
+            ),
+        )
+        return stretch, cut, carry
+
+    def _first_pause(
+        self,
+        before: Carry,
+        t: NDArray[np.int64],
+        host: _Side,
+        bounds: NDArray[np.int64],
+        ends: NDArray[np.int64],
+    ) -> int:
+        """The first event after too long a pause in a frame; the number of events if none is.
+
+        `bounds` are the ends of the host's chunks and `ends` those of the last whole frames in
+        them, both in bytes of the stretch.
+        """
+        is_open = np.append(before.begun, ends) < np.append(len(before.data), bounds)
+        last = np.append(before.rest.frame_end, host.t)
+        pauses = np.flatnonzero(is_open & (np.append(host.t, t[-1]) - last >= self._pause))
+        if not len(pauses):
+            return len(t)
+        return int(np.searchsorted(t, last[pauses[0]] + self._pause))
+
+    def _first_overdue(
+        self, t: NDArray[np.int64], end: NDArray[np.int64], answer_t: NDArray[np.int64]
+    ) -> int:
+        """The first event after an instruction was given up; the number of events if none is."""
+        pairs = min(len(end), len(answer_t))
+        given_up = np.flatnonzero(answer_t[:pairs] - end[:pairs] >= self._longest)
+        row = int(given_up[0]) if len(given_up) else pairs
+        return int(np.searchsorted(t, end[row] + self._longest)) if row < len(end) else len(t)
+
+    def _first_shifted(
+        self,
+        frames: FrameColumns,
+        end: NDArray[np.int64],
+        device: _Side,
+        answer_t: NDArray[np.int64],
+        most: int,
+    ) -> int:
+        """The first event with a late answer that may belong to the next instruction; else `most`.
+
+        See `Pairing.passes_over`.
+        """
+        pairs = min(len(end), len(answer_t))
+        late = np.flatnonzero(answer_t[:pairs] - end[:pairs] > self._decoding.late)
+        wrong = late[device.data[late] != self._tables.codes[frames.verdict[late]]]
+        return device.event_of(int(wrong[0])) if len(wrong) else most
+
+
+def _sorted(
+    events: Sequence[Chunk | Line], t: NDArray[np.int64]
+) -> tuple[_Side, _Side, list[int], int]:
+    """The host's and the device's chunks, the places of line events, and that of the first loss."""
+    places: dict[str, list[int]] = {"host": [], "device": []}
+    chunks: dict[str, list[bytes]] = {"host": [], "device": []}
+    lines: list[int] = []
+    loss = len(events)
+    for place, event in enumerate(events):
+        if type(event) is Chunk:
+            places[event.direction].append(place)
+            chunks[event.direction].append(event.data)
+        else:
+            lines.append(place)
+            if event.event in LOSSES:
+                loss = min(loss, place)
+    host, device = (_Side(places[side], chunks[side], t) for side in ("host", "device"))
+    return host, device, lines, loss
+
+
+def _first_early(host: _Side, device: _Side, come: NDArray[np.int64], most: int) -> int:
+    """The first event with an answer that no instruction waits for, `most` if there is none.
+
+    `come` are the host rows that are complete after 0, 1, 2 ... of the host's chunks.
+    """
+    there = come[np.searchsorted(host.event, device.event)]
+    early = np.flatnonzero(device.bytes > there)
+    return int(device.event[early[0]]) if len(early) else most
+
+
+def _starts(
+    before: Carry, host: _Side, offset: NDArray[np.int64], bounds: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The time (ns) of the first byte of each new host row."""
+    begun_before = int(before.begun < len(before.data) and len(offset) > 0)
+    begun = np.searchsorted(offset, bounds)
+    first = np.full(begun_before, before.rest.frame_start, np.int64)
+    return np.concatenate([first, np.repeat(host.t, np.diff(begun, prepend=begun_before))])
+
+
+def _spans(
+    cut: int, host: _Side, device: _Side, lines: list[int], come: list[int]
+) -> Iterator[Span]:
+    """Yield the rows of each of the first `cut` events; `come` is as in `_first_early`."""
+    side = dict.fromkeys(host.event.tolist(), 0)
+    side |= dict.fromkeys(device.event.tolist(), 1)
+    chunks = answered = line = given = 0
+    upto = device.bytes.tolist()
+    for place in range(cut):
+        kind = side.get(place)
+        if kind == 0:
+            chunks += 1
+            if come[chunks] > come[chunks - 1]:
+                yield Span("host", come[chunks - 1], come[chunks], come[chunks])
+        elif kind == 1:
+            yield Span("device", given, upto[answered], come[chunks])
+            given = upto[answered]
+            answered += 1
+        else:
+            yield Span("line", line, line + 1, come[chunks])
+            line += 1
