@@ -42,6 +42,18 @@ class FrameColumns(NamedTuple):
     key: NDArray[np.int64]
     verdict: NDArray[np.uint8]
 
+    def rows(self, rows: slice | list[int]) -> FrameColumns:
+        """Some of the rows."""
+        return FrameColumns(self.offset[rows], self.key[rows], self.verdict[rows])
+
+    def and_then(self, other: FrameColumns) -> FrameColumns:
+        """These rows and those of `other`, of the same buffer."""
+        return FrameColumns(
+            np.concatenate([self.offset, other.offset]),
+            np.concatenate([self.key, other.key]),
+            np.concatenate([self.verdict, other.verdict]),
+        )
+
 
 class FrameTables:
     """Tables by header byte and first data byte, for arrays of whole frames.
@@ -194,7 +206,7 @@ class FrameTables:
                 for bit in range(len(VARIABLES))
                 if len(rows := np.flatnonzero(sets & 1 << bit))
             }
-            frames = FrameColumns(*(column[sorted(last)] for column in frames))
+            frames = frames.rows(sorted(last))
         if not len(frames.key):
             return tuple(coded(value) for value in before)
         return tuple(int(column[-1]) for column in self.states(data, frames, before))

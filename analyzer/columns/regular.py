@@ -118,7 +118,7 @@ class RegularDecoder:
         come = carried + new
         frames = tables.frames(data, offset)
         if carried:
-            frames = FrameColumns(*map(np.concatenate, zip(before.frames, frames, strict=True)))
+            frames = before.frames.and_then(frames)
         end = np.concatenate([before.end, np.repeat(host.t, np.diff(new, prepend=0))])
         ends = np.append(before.begun, until)[new]
         cut = min(cut, self._first_pause(before, t, host, bounds, ends))
@@ -137,7 +137,7 @@ class RegularDecoder:
         stretch = Stretch(
             decoding=self._decoding,
             data=data,
-            frames=FrameColumns(*(column[:rows] for column in frames)),
+            frames=frames.rows(slice(rows)),
             carried=carried,
             sequence=rest.sequence - carried,
             start=_starts(before, host, offset, bounds)[: rows - carried],
@@ -145,8 +145,8 @@ class RegularDecoder:
             byte=device.data[:given],
             t=answer_t[:given],
             before=rest.state,
-            lines=tuple(replace(events[at], t=int(t[at])) for at in lines if at < cut),
-            spans=tuple(_spans(cut, host, device, lines, [carried, *come.tolist()])),
+            lines=tuple(replace(line, t=int(t[at])) for at, line in lines if at < cut),
+            spans=tuple(_spans(cut, host, device, [carried, *come.tolist()])),
         )
         if not cut:
             return stretch, 0, before
@@ -157,7 +157,7 @@ class RegularDecoder:
         begun_in = int(np.searchsorted(bounds, begun, "right"))
         kept = given if self._decoding.paired else rows
         low = int(frames.offset[kept]) if kept < rows else begun
-        left = FrameColumns(*(column[kept:rows] for column in frames))
+        left = frames.rows(slice(kept, rows))
         state = tables.last_state(data, stretch.new, values_of(rest.state))
         carry = Carry(
             data=data[low:said],
@@ -230,18 +230,18 @@ class RegularDecoder:
 
 def _sorted(
     events: Sequence[Chunk | Line], t: NDArray[np.int64]
-) -> tuple[_Side, _Side, list[int], int]:
-    """The host's and the device's chunks, the places of line events, and that of the first loss."""
+) -> tuple[_Side, _Side, list[tuple[int, Line]], int]:
+    """The host's and the device's chunks, the line events, and the place of the first loss."""
     places: dict[str, list[int]] = {"host": [], "device": []}
     chunks: dict[str, list[bytes]] = {"host": [], "device": []}
-    lines: list[int] = []
+    lines: list[tuple[int, Line]] = []
     loss = len(events)
     for place, event in enumerate(events):
-        if type(event) is Chunk:
+        if isinstance(event, Chunk):
             places[event.direction].append(place)
             chunks[event.direction].append(event.data)
         else:
-            lines.append(place)
+            lines.append((place, event))
             if event.event in LOSSES:
                 loss = min(loss, place)
     host, device = (_Side(places[side], chunks[side], t) for side in ("host", "device"))
@@ -268,9 +268,7 @@ def _starts(
     return np.concatenate([first, np.repeat(host.t, np.diff(begun, prepend=begun_before))])
 
 
-def _spans(
-    cut: int, host: _Side, device: _Side, lines: list[int], come: list[int]
-) -> Iterator[Span]:
+def _spans(cut: int, host: _Side, device: _Side, come: list[int]) -> Iterator[Span]:
     """Yield the rows of each of the first `cut` events; `come` is as in `_first_early`."""
     side = dict.fromkeys(host.event.tolist(), 0)
     side |= dict.fromkeys(device.event.tolist(), 1)

@@ -88,7 +88,7 @@ class Stretch:
     @cached_property
     def new(self) -> FrameColumns:
         """The frames of the new host rows."""
-        return FrameColumns(*(column[self.carried :] for column in self.frames))
+        return self.frames.rows(slice(self.carried, None))
 
     @cached_property
     def states(self) -> StateColumns:
@@ -99,7 +99,7 @@ class Stretch:
     def agrees(self) -> NDArray[np.bool_]:
         """Whether each device row is the expected answer; for paired rows only."""
         expected = self.decoding.tables.codes.take(self.frames.verdict[: len(self.byte)])
-        return self.byte == expected
+        return np.equal(self.byte, expected)
 
     @cached_property
     def latency(self) -> NDArray[np.int64]:
