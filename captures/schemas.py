@@ -14,7 +14,7 @@ Direction = Literal["host", "device"]
 FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
 
 
-class Chunk(msgspec.Struct, frozen=True):
+class Chunk(msgspec.Struct, frozen=True, gc=False):
     """The bytes of one read from a port; all records are decoded from chunks."""
 
     t: int
@@ -22,7 +22,7 @@ class Chunk(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class Line(msgspec.Struct, frozen=True):
+class Line(msgspec.Struct, frozen=True, gc=False):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
@@ -36,7 +36,7 @@ class Line(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
-class State(msgspec.Struct, frozen=True):
+class State(msgspec.Struct, frozen=True, gc=False):
     """The motion state that the instructions so far predict (topic `/state`)."""
 
     motion: str
@@ -46,7 +46,7 @@ class State(msgspec.Struct, frozen=True):
     moving: bool
 
 
-class Instruction(msgspec.Struct, frozen=True):
+class Instruction(msgspec.Struct, frozen=True, gc=False):
     """Host bytes with their judgement (topic `/host/instructions`).
 
     `kind` is `instruction` for a whole frame, `truncated` for one that the time-out cut short,
@@ -68,7 +68,7 @@ class Instruction(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Response(msgspec.Struct, frozen=True):
+class Response(msgspec.Struct, frozen=True, gc=False):
     """One device byte, with the instruction it answers (topic `/device/responses`).
 
     `instruction` is that instruction's `sequence` or None where there is none; `latency` is in

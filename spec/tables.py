@@ -65,6 +65,7 @@ class FrameTables:
         self._protocol = protocol
         self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
         self.codes = np.array([protocol.answers[outcome].code for outcome in OUTCOMES], np.uint8)
+        self.used = np.isin(np.arange(256), list(protocol.codes))
         self._verdict = np.zeros(1 << 16, np.uint8)
         self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
         # Instructions with more than one data byte: their data are judged field by field.
@@ -163,7 +164,7 @@ class FrameTables:
             for part in spec.fields:
                 value = self.field(part, data, offset[rows])
                 good &= (value >= part.low) & (value <= part.high)
-            verdict[rows] = np.where(good, _VALID, _BAD_DATA)
+            verdict[rows] = np.where(good, VALID, _BAD_DATA)
         return FrameColumns(offset, key, verdict)
 
     def field(
@@ -239,7 +240,7 @@ class FrameTables:
         """What frames of more than one data byte set: a variable, the rows, the values."""
         for code, spec in self._long.items():
             rows = np.flatnonzero(frames.key >> 8 == code)
-            valid = frames.verdict[rows] == _VALID
+            valid = frames.verdict[rows] == VALID
             for good, effect in ((True, spec.effect), (False, self._protocol.on_fault)):
                 where = rows[valid == good]
                 for variable, value in effect.assignments:
@@ -254,7 +255,7 @@ class FrameTables:
 MOTIONS = tuple(Motion)
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
-_VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 
 def coded(value: str | int) -> int:

@@ -40,9 +40,22 @@ class Records:
         """How many host frames there are."""
         return sum(1 for record in self.listed if type(record) is HostRecord)
 
+    @property
+    def rows(self) -> int:
+        """How many records there are."""
+        return len(self.listed)
+
     def records(self) -> Iterator[Record]:
         """Yield them in order."""
         return iter(self.listed)
+
+    def newest(self, most: int) -> Sequence[Record]:
+        """The last records, at most so many."""
+        return self.listed[-most:]
+
+    def newest_faulty(self, most: int) -> Sequence[Record]:
+        """The last records with anomalies, at most so many."""
+        return [record for record in self.listed if record.faults][-most:]
 
 
 Part: TypeAlias = "Stretch | Records"

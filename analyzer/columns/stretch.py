@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import count
-from typing import Any, Literal, NamedTuple
+from functools import cached_property, lru_cache
+from itertools import islice, repeat
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,18 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.decoder import unpaired_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    serious_faults,
+)
 from bilprov.captures.schemas import Line, State
 from bilprov.spec.motion import VARIABLES, is_moving
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import Steps
-from bilprov.spec.tables import MOTIONS, FrameColumns, FrameTables, StateColumns
+from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns
 
 
 class Span(NamedTuple):
@@ -33,6 +40,25 @@ class Span(NamedTuple):
     start: int
     stop: int
     after: int
+
+
+class Answer(NamedTuple):
+    """One device row: its byte and time (ns), and the instruction it answers.
+
+    That is its number, its bytes and when they ended (ns). `fits` tells whether the answer is the
+    expected one and in time. Where nothing is paired the number is -1.
+    """
+
+    byte: int
+    t: int
+    sequence: int
+    frame: bytes
+    end: int
+    fits: bool
+
+
+Rows: TypeAlias = "slice | NDArray[np.int64]"
+"""Some rows, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +132,90 @@ class Stretch:
         """The time (ns) from the instruction's last byte to its answer; for paired rows only."""
         return self.t - self.end[: len(self.t)]
 
-    def frame(self, row: int) -> bytes:
-        """The bytes of a host row."""
-        at = int(self.frames.offset[row])
-        return self.data[at : at + int(self.size[row])].tobytes()
+    @cached_property
+    def fits(self) -> NDArray[np.bool_]:
+        """Whether each device row is the expected answer and in time; for paired rows only."""
+        return self.agrees & (self.latency <= self.decoding.late)
+
+    @cached_property
+    def earliest(self) -> int:
+        """The earliest time (ns) of a record; of a frame its first byte's."""
+        times = [line.t for line in self.lines[:1]]
+        times += [int(t) for t in (*self.start[:1], *self.t[:1])]
+        return min(times, default=0)
+
+    @cached_property
+    def latest(self) -> int:
+        """The latest time (ns) of a record; of a frame its first byte's."""
+        times = [line.t for line in self.lines[-1:]]
+        times += [int(t) for t in (*self.start[-1:], *self.t[-1:])]
+        return max(times, default=0)
+
+    @property
+    def rows(self) -> int:
+        """How many records there are."""
+        return len(self.start) + len(self.t) + len(self.lines)
+
+    @cached_property
+    def faulty(self) -> NDArray[np.bool_]:
+        """Whether each new host row is faulty."""
+        return np.not_equal(self.new.verdict, VALID)
+
+    @cached_property
+    def odd(self) -> NDArray[np.bool_]:
+        """Whether each device row has an anomaly."""
+        if self.decoding.paired:
+            return ~self.fits
+        return ~self.decoding.tables.used.take(self.byte)
+
+    @cached_property
+    def fault_counts(self) -> dict[str, int]:
+        """The number of anomalies by kind, without those of severity info.
+
+        The kinds of a frame depend on whether it is faulty, and those of an answer on its byte, the
+        expected one and whether it is late; so one row of each sort tells.
+        """
+        counts: Counter[str] = Counter()
+        sorts: list[tuple[Record, int]] = [(self.line(at, 0), 1) for at in range(len(self.lines))]
+        faulty = np.flatnonzero(self.faulty)
+        sorts += [(host, len(faulty)) for host in self._hosts(faulty[:1] + self.carried)]
+        odd = np.flatnonzero(self.odd)
+        sort = self.byte.take(odd).astype(np.int64)
+        if self.decoding.paired:
+            expected = self.decoding.tables.codes.take(self.frames.verdict.take(odd))
+            sort += expected.astype(np.int64) << 8
+            sort += (self.latency.take(odd) > self.decoding.late).astype(np.int64) << 16
+        _, first, number = np.unique(sort, return_index=True, return_counts=True)
+        for place, count in zip(odd[first], number.tolist(), strict=True):
+            (answer,) = self.answers(np.array([place]))
+            sorts.append((self.device_record(answer, self.before), count))
+        for record, count in sorts:
+            counts.update({fault.kind: count for fault in serious_faults(record)})
+        return dict(counts)
+
+    def frame_counts(self) -> Iterator[tuple[int, int]]:
+        """Yield the times (ns) at which frames were complete, and how many were."""
+        times, counts = np.unique(self.end[self.carried :], return_counts=True)
+        return zip(times.tolist(), counts.tolist(), strict=True)
+
+    def newest(self, most: int) -> list[Record]:
+        """The last records, at most so many."""
+        host, device = np.zeros(len(self.start), np.bool_), np.zeros(len(self.t), np.bool_)
+        host[-most:] = device[-most:] = True
+        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
+
+    def newest_faulty(self, most: int) -> list[Record]:
+        """The last records with anomalies, at most so many."""
+        host, device = (
+            np.isin(np.arange(len(mask)), np.flatnonzero(mask)[-most:])
+            for mask in (self.faulty, self.odd)
+        )
+        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
+
+    @property
+    def after(self) -> int:
+        """The number of host rows: those that wait, and the new ones."""
+        return len(self.end)
 
     def state(self, after: int) -> State:
         """The state once the first `after` host rows have taken effect."""
@@ -119,38 +225,87 @@ class Stretch:
 
     def records(self) -> Iterator[Record]:
         """Yield the records in order, as a Session decodes them."""
+        hosts = self._hosts(slice(self.carried, None))
+        answers = self.answers(slice(None))
         for side, start, stop, after in self.spans:
             if side == "host":
-                yield from self.host_records(start, stop)
+                yield from islice(hosts, stop - start)
             elif side == "device":
-                yield from self.device_records(start, stop, after)
+                yield from self._devices(islice(answers, stop - start), after)
             else:
-                for line in self.lines[start:stop]:
-                    found = anomalies.of_line(line, lost=False)
-                    yield LineRecord(line, False, self.state(after), found)
+                yield self.line(start, after)
 
-    def frame_bytes(self, start: int, stop: int) -> Iterator[bytes]:
-        """Yield the bytes of host rows, which must be one or more."""
-        offset, size = self.frames.offset[start:stop], self.size[start:stop]
-        low, high = int(offset[0]), int(offset[-1] + size[-1])
-        data = self.data[low:high].tobytes()
-        offset = offset - low
-        return (
-            data[at:end] for at, end in zip(offset.tolist(), (offset + size).tolist(), strict=True)
-        )
+    def chosen(
+        self, host: NDArray[np.bool_], device: NDArray[np.bool_], lines: Sequence[bool]
+    ) -> Iterator[Record]:
+        """Yield the records of the new host rows, device rows and line events where it says so."""
+        hosts = self._hosts(np.flatnonzero(host) + self.carried)
+        answers = self.answers(np.flatnonzero(device))
+        before = np.append(0, np.cumsum(host)).tolist()
+        given = np.append(0, np.cumsum(device)).tolist()
+        for side, start, stop, after in self.spans:
+            if side == "host":
+                start, stop = start - self.carried, stop - self.carried
+                yield from islice(hosts, before[stop] - before[start])
+            elif side == "device":
+                yield from self._devices(islice(answers, given[stop] - given[start]), after)
+            elif lines[start]:
+                yield self.line(start, after)
 
-    def host_records(self, start: int, stop: int) -> Iterator[HostRecord]:
-        """Yield the records of new host rows."""
-        steps, new = self.decoding.steps, slice(start - self.carried, stop - self.carried)
+    def frame_bytes(self, rows: Rows) -> Iterator[bytes]:
+        """Yield the bytes of host rows."""
+        offset = self.frames.offset[rows]
+        end = offset + self.size[rows]
+        if not len(offset):
+            return iter(())
+        low = int(offset[0])
+        data = self.data[low : int(end[-1])].tobytes()
+        places = zip((offset - low).tolist(), (end - low).tolist(), strict=True)
+        return (data[at:stop] for at, stop in places)
+
+    def answers(self, rows: Rows) -> Iterator[Answer]:
+        """Yield device rows one by one."""
+        byte, t = self.byte[rows].tolist(), self.t[rows].tolist()
+        if not self.decoding.paired:
+            return map(Answer, byte, t, repeat(-1), repeat(b""), repeat(0), repeat(False))
+        given = slice(len(self.t))
+        sequence = (np.arange(self.sequence, self.sequence + len(self.t)))[rows].tolist()
+        frames = self.frame_bytes(np.arange(len(self.t))[rows])
+        end, fits = self.end[given][rows].tolist(), self.fits[rows].tolist()
+        return map(Answer, byte, t, sequence, frames, end, fits)
+
+    def line(self, place: int, after: int) -> LineRecord:
+        """The record of a line event, after the first `after` host rows."""
+        line = self.lines[place]
+        return LineRecord(line, False, self.state(after), anomalies.of_line(line, lost=False))
+
+    def device_record(self, answer: Answer, state: State) -> DeviceRecord:
+        """The record of a device row."""
+        byte, t, sequence, frame, end, fits = answer
+        protocol = self.decoding.protocol
+        if not self.decoding.paired:
+            return unpaired_record(protocol, Held(t, byte), anomalies.ALONE, state)
+        judgement = self.decoding.steps[frame].judgement
+        if fits:
+            return DeviceRecord(
+                t, byte, judgement.response, judgement, sequence, t - end, True, state
+            )
+        return self._odd_answer(Waiting(sequence, end, end, judgement), Held(t, byte), state)
+
+    def _hosts(self, rows: Rows) -> Iterator[HostRecord]:
+        """Yield the records of new host rows (of all host rows, counted from 0)."""
+        steps = self.decoding.steps
+        all_rows = np.arange(self.after)[rows]
+        new = all_rows - self.carried
         last: list[int] = []
         state = self.before
         for sequence, frame, begun, ended, *values in zip(
-            count(self.sequence + start),
-            self.frame_bytes(start, stop),
+            (all_rows + self.sequence).tolist(),
+            self.frame_bytes(rows),
             self.start[new].tolist(),
-            self.end[start:stop].tolist(),
+            self.end[rows].tolist(),
             *(column[new].tolist() for column in self.states),
-            strict=False,
+            strict=True,
         ):
             if values != last:
                 last = values
@@ -158,31 +313,10 @@ class Stretch:
             judgement = steps[frame].judgement
             yield HostRecord(begun, ended, ended, "instruction", frame, judgement, sequence, state)
 
-    def device_records(self, start: int, stop: int, after: int) -> Iterator[DeviceRecord]:
+    def _devices(self, answers: Iterable[Answer], after: int) -> Iterator[DeviceRecord]:
         """Yield the records of device rows, after the first `after` host rows."""
-        state, protocol, late = self.state(after), self.decoding.protocol, self.decoding.late
-        if not self.decoding.paired:
-            for byte, t in zip(
-                self.byte[start:stop].tolist(), self.t[start:stop].tolist(), strict=True
-            ):
-                yield unpaired_record(protocol, Held(t, byte), anomalies.ALONE, state)
-            return
-        for sequence, frame, byte, t, end, fits in zip(
-            count(self.sequence + start),
-            self.frame_bytes(start, stop),
-            self.byte[start:stop].tolist(),
-            self.t[start:stop].tolist(),
-            self.end[start:stop].tolist(),
-            (self.agrees[start:stop] & (self.latency[start:stop] <= late)).tolist(),
-            strict=False,
-        ):
-            judgement = self.decoding.steps[frame].judgement
-            if fits:
-                yield DeviceRecord(
-                    t, byte, judgement.response, judgement, sequence, t - end, True, state
-                )
-            else:
-                yield self._odd_answer(Waiting(sequence, end, end, judgement), Held(t, byte), state)
+        state = self.state(after)
+        return (self.device_record(answer, state) for answer in answers)
 
     def _odd_answer(self, waiting: Waiting, held: Held, state: State) -> DeviceRecord:
         """The record of an answer that is not the expected one, or that is late."""
@@ -201,10 +335,14 @@ class Stretch:
         )
 
 
+_NAMES = tuple(motion.value for motion in MOTIONS)
+_moving = lru_cache(maxsize=4096)(is_moving)
+
+
 def written(motion: int, speed: int, steering: int, led: int) -> State:
     """The state of a row of StateColumns, as it is written."""
-    name = MOTIONS[motion].value
-    return State(name, speed, steering, led, is_moving(name, speed))
+    name = _NAMES[motion]
+    return State(name, speed, steering, led, _moving(name, speed))
 
 
 def values_of(state: State) -> tuple[Any, ...]:

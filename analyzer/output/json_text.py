@@ -1,0 +1,165 @@
+"""Renders records and stretches as JSON lines; the text of each distinct frame is made once.
+
+The text is that of `json_lines.encode(json_line(record))`, cut where lines of one frame differ:
+at the time, the state, the number of the instruction, and an answer's latency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from itertools import count, islice
+from typing import TYPE_CHECKING
+
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.output.json_lines import encode, json_line
+from bilprov.captures.schemas import State
+from bilprov.spec.codec import Judgement
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from bilprov.analyzer.columns.stretch import Answer, Stretch
+
+_REMEMBERED = 1 << 14  # texts of frames
+_NO_STATE = State("", 0, 0, 0, False)
+
+
+class JsonText:
+    """Renders records and stretches as JSON lines, each with its newline."""
+
+    def __init__(self) -> None:
+        # The text of a whole frame's line from the time to the state, and from the number on.
+        self._host: dict[bytes, tuple[str, str]] = {}
+        # The text of a fitting answer's line from the time to the latency, and from the number on.
+        self._device: dict[int, tuple[str, str]] = {}
+
+    def records(self, records: Iterable[Record]) -> str:
+        """The lines of the records; a record without a line gives none."""
+        return "".join(self._lines(records))
+
+    def stretch(self, stretch: Stretch) -> str:
+        """The lines of all records of a stretch."""
+        lines = self._stretch if stretch.decoding.paired else self._unpaired
+        return "".join(lines(stretch))
+
+    def _lines(self, records: Iterable[Record]) -> Iterator[str]:
+        state, shown = _NO_STATE, ""
+        for record in records:
+            if record.state is not state:
+                state = record.state
+                shown = encode(state).decode()
+            if type(record) is HostRecord and record.kind == "instruction" and record.judgement:
+                front, end = self._host_text(record.judgement)
+                yield f'{{"t":{_seconds(record.t)}{front}{shown},"sequence":{record.sequence}{end}'
+            elif type(record) is DeviceRecord and record.agrees and not record.faults:
+                front, end = self._device_text(record)
+                yield (
+                    f'{{"t":{_seconds(record.t)}{front}{_seconds(record.latency or 0)},"state":'
+                    f'{shown},"sequence":null,"answers":{record.instruction}{end}'
+                )
+            elif (line := json_line(record)) is not None:
+                yield encode(line).decode() + "\n"
+
+    def _unpaired(self, stretch: Stretch) -> Iterator[str]:
+        return self._lines(stretch.records())
+
+    def _stretch(self, stretch: Stretch) -> Iterator[str]:
+        hosts, devices = self._host_lines(stretch), _device_rows(stretch)
+        for side, start, stop, after in stretch.spans:
+            if side == "host":
+                yield from islice(hosts, stop - start)
+            elif side == "device":
+                yield from self._device_lines(stretch, islice(devices, stop - start), after)
+            else:
+                yield from self._lines([stretch.line(start, after)])
+
+    def _host_lines(self, stretch: Stretch) -> Iterator[str]:
+        """Yield the lines of the new host rows."""
+        texts, steps = self._host, stretch.decoding.steps
+        for t, frame, sequence, motion, speed, steering, led in zip(
+            _all_seconds(stretch.start),
+            stretch.frame_bytes(slice(stretch.carried, None)),
+            count(stretch.sequence + stretch.carried),
+            *(column.tolist() for column in stretch.states),
+            strict=False,
+        ):
+            front, end = texts.get(frame) or self._host_text(steps[frame].judgement)
+            moved, moving = _motion_text(motion, speed)
+            yield (
+                f'{{"t":{t}{front}{moved},"steering":{steering},"led":{led}{moving},'
+                f'"sequence":{sequence}{end}'
+            )
+
+    def _device_lines(
+        self, stretch: Stretch, rows: Iterable[tuple[Answer, str, str]], after: int
+    ) -> Iterator[str]:
+        """Yield the lines of device rows after the first `after` host rows."""
+        state, texts = stretch.state(after), self._device
+        shown = encode(state).decode()
+        for answer, t, latency in rows:
+            if not answer.fits:
+                yield from self._lines([stretch.device_record(answer, state)])
+                continue
+            front, end = texts.get(answer.byte) or self._device_text(
+                stretch.device_record(answer, state)
+            )
+            yield (
+                f'{{"t":{t}{front}{latency},"state":{shown},"sequence":null,'
+                f'"answers":{answer.sequence}{end}'
+            )
+
+    def _host_text(self, judgement: Judgement) -> tuple[str, str]:
+        text = self._host.get(judgement.frame)
+        if text is None:
+            record = HostRecord(0, 0, 0, "instruction", judgement.frame, judgement, 0, _NO_STATE)
+            front, end = _around_state(record)
+            text = front, end.removeprefix(',"sequence":0')
+            if len(self._host) < _REMEMBERED:
+                self._host[judgement.frame] = text
+        return text
+
+    def _device_text(self, record: DeviceRecord) -> tuple[str, str]:
+        text = self._device.get(record.byte)
+        if text is None:
+            answer, answered = record.answer, record.answered
+            same = DeviceRecord(0, record.byte, answer, answered, 0, 0, True, _NO_STATE)
+            front, end = _around_state(same)
+            text = (
+                front.removesuffix('0.0,"state":'),
+                end.removeprefix(',"sequence":null,"answers":0'),
+            )
+            self._device[record.byte] = text
+        return text
+
+
+def _around_state(record: Record) -> tuple[str, str]:
+    """The text of a record's line from behind the time to the state, and behind the state."""
+    line = json_line(record)
+    front, _, end = encode(line).decode().rpartition(encode(_NO_STATE).decode())
+    return front.removeprefix('{"t":0.0'), end + "\n"
+
+
+def _seconds(nanoseconds: int) -> str:
+    return encode(nanoseconds / 1e9).decode()
+
+
+def _all_seconds(nanoseconds: NDArray[np.int64]) -> list[str]:
+    return encode((nanoseconds / 1e9).tolist())[1:-1].decode().split(",")
+
+
+def _device_rows(stretch: Stretch) -> Iterator[tuple[Answer, str, str]]:
+    """Each device row, and the texts of its time and of its latency."""
+    times, latencies = _all_seconds(stretch.t), _all_seconds(stretch.latency)
+    return zip(stretch.answers(slice(None)), times, latencies, strict=False)
+
+
+@lru_cache(maxsize=4096)
+def _motion_text(motion: int, speed: int) -> tuple[str, str]:
+    """The text of a state up to the speed, and from behind the LED on."""
+    from bilprov.analyzer.columns.stretch import written
+
+    text = encode(written(motion, speed, 0, 0)).decode()
+    front, _, end = text.rpartition(',"steering":0,"led":0')
+    return front, end
