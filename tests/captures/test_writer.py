@@ -21,6 +21,7 @@ from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import (
     Asked,
     CaseMark,
+    Checkpoint,
     Chunk,
     Instruction,
     Line,
@@ -51,6 +52,7 @@ ONE_OF_EACH: list[topics.Written] = [
     Look(15, None),
     Asked(16, "look", 14),
     Asked(17, "interrupt", None, "interrupted", False, True),
+    Checkpoint.of(18, "0" * 64, '{"framer":"a\\u00e5"}'),
 ]
 
 
@@ -359,4 +361,22 @@ def test_topics_encodings_and_schema_names_are_the_contract() -> None:
         ("/conformance/cases", "json", "bilprov.CaseMark"),
         ("/conformance/looks", "json", "bilprov.Look"),
         ("/conformance/asks", "json", "bilprov.Asked"),
+        ("/checkpoint", "json", "bilprov.Checkpoint"),
     ]
+    assert [t.channel for t in topics.TOPICS] == list(range(1, 12))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"t": 6}, {"grammar": "h"}, {"decoder": "[1]"}, {"crc": 0}],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_checkpoint_with_any_part_changed_is_not_whole(change: dict[str, Any]) -> None:
+    whole = Checkpoint.of(5, "g", "[]")
+    assert whole.whole
+    assert not msgspec.structs.replace(whole, **change).whole
+
+
+@pytest.mark.parametrize("decoder", ["", "{", "[1,]", "[" * 100_000, "\ud800"])
+def test_a_checkpoint_whose_state_is_not_json_is_not_whole(decoder: str) -> None:
+    assert not Checkpoint.of(5, "g", decoder).whole
