@@ -54,6 +54,8 @@ class ChunkedFile:
     """
 
     def __init__(self, file: BufferedWriter, library: str) -> None:
+        self.size = 0
+        """The number of bytes written."""
         self._file = file
         self._hash = hashlib.sha256()
         self._schemas: list[Schema] = []
@@ -77,11 +79,6 @@ class ChunkedFile:
         It is written with the chunk that `end_chunk` writes.
         """
         self._write(MAGIC + _bytes(Header("", library)))
-
-    @property
-    def size(self) -> int:
-        """The number of bytes written."""
-        return self._file.tell()
 
     def table(self, schemas: list[Schema], channels: list[Channel]) -> None:
         """Write schemas and channels; they come again in the first chunk and in the summary.
@@ -240,6 +237,7 @@ class ChunkedFile:
     def _write(self, data: bytes) -> None:
         self._hash.update(data)
         self._file.write(data)
+        self.size += len(data)
 
 
 def _bytes(*written: McapRecord) -> bytes:

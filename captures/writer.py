@@ -133,7 +133,7 @@ class CaptureWriter(Closing):
                 f"the capture file {printable(self.path)} was deleted while recording: what was "
                 "captured is lost, record again"
             )
-        self._kept_bytes = self._file.tell()
+        self._kept_bytes = self._mcap.size
         self._kept_until = self._newest
         self._flush_at = NEVER
         self._chunk_messages = self._chunk_bytes = 0
@@ -177,7 +177,7 @@ class CaptureWriter(Closing):
             )
         self._mcap.table(schemas, channels)
         self._file.flush()
-        self._kept_bytes = self._file.tell()
+        self._kept_bytes = self._mcap.size
 
     def _add(self, channel: int, data: bytes, t: int) -> None:
         # A message costs about a microsecond: nothing here that is not needed for each.
