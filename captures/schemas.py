@@ -6,7 +6,8 @@ or `end`. In the file the same moment is `log_time` = wall clock at the start + 
 
 from __future__ import annotations
 
-from typing import Literal
+import zlib
+from typing import Literal, Self
 
 import msgspec
 
@@ -145,6 +146,40 @@ class Look(msgspec.Struct, frozen=True):
     led: int | None = None
     left: int | None = None
     right: int | None = None
+
+
+class Checkpoint(msgspec.Struct, frozen=True):
+    """What is needed to go on decoding after the messages before it (topic `/checkpoint`).
+
+    `decoder` is the state as the decoder wrote it (JSON), in which nobody else looks; `grammar` is
+    the sha256 of the grammar that it decoded by. `crc` is the CRC-32 of the UTF-8 text of `t`,
+    `grammar` and `decoder`, a newline between them.
+    """
+
+    t: int
+    grammar: str
+    decoder: str
+    crc: int
+
+    @classmethod
+    def of(cls, t: int, grammar: str, decoder: str) -> Self:
+        """A checkpoint at `t` (ns) with its checksum."""
+        return cls(t, grammar, decoder, _crc(t, grammar, decoder))
+
+    @property
+    def whole(self) -> bool:
+        """Whether the checksum is right and the decoder's state is JSON."""
+        if self.crc != _crc(self.t, self.grammar, self.decoder):
+            return False
+        try:
+            msgspec.json.decode(self.decoder)
+        except (msgspec.MsgspecError, ValueError, RecursionError):
+            return False
+        return True
+
+
+def _crc(t: int, grammar: str, decoder: str) -> int:
+    return zlib.crc32(f"{t}\n{grammar}\n{decoder}".encode("utf-8", "surrogatepass"))
 
 
 MS = 1_000_000  # ns

@@ -30,7 +30,14 @@ ROOMS = (
     ("spec.emit",),
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
-    ("captures.evidence", "captures.reader", "captures.writer"),
+    (
+        "captures.background",
+        "captures.chunked_file",
+        "captures.evidence",
+        "captures.indexed",
+        "captures.reader",
+        "captures.writer",
+    ),
     ("analyzer",),  # files, grammar_file, version
     ("analyzer.transport",),
     ("analyzer.taps",),

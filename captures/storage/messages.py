@@ -12,7 +12,7 @@ from io import BufferedReader
 from typing import Generic, NamedTuple, TypeVar
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.records import MESSAGE_BYTES
+from bilprov.captures.storage.records import MAGIC, MESSAGE_BYTES, Damaged
 from bilprov.captures.storage.recovery import SKIPPED, RecordFile
 
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
@@ -100,7 +100,7 @@ def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored
 
     Raises Damaged if the file has changed since the survey.
     """
-    in_file_order = _in_file_order(file, contents)
+    in_file_order = _in_file_order(_spans(file, contents), contents.counted)
     if contents.own:
         yield from in_file_order
         return
@@ -110,24 +110,69 @@ def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored
     yield from window.rest()
 
 
-def _in_file_order(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+class Place(NamedTuple):
+    """The place of a message: offset of its chunk, its end in the unpacked chunk, its sequence."""
+
+    chunk: int
+    end: int
+    sequence: int
+
+
+def messages_after(
+    file: BufferedReader, contents: Contents, place: Place | None
+) -> Iterator[Stored]:
+    """Yield the messages of an own file that was not surveyed, in file order, after that `place`.
+
+    None stands for the start. A damaged part of the file is left out, as a survey would do.
+    """
+    expected = 0 if place is None else place.sequence + 1
+    return _in_file_order(_spans_after(file, contents, place), counted=True, expected=expected)
+
+
+def _in_file_order(
+    spans: Iterator[tuple[bytes, int, int, str]], counted: bool, expected: int = 0
+) -> Iterator[Stored]:
     unpack = records.MESSAGE_HEAD.unpack_from
     head = records.MESSAGE_HEAD.size
-    expected = 0
     lost = ""
-    for content, start, end, where in _spans(file, contents):
+    for content, start, end, where in spans:
         if where:
             lost = where
         if end - start - head > MESSAGE_BYTES:
             lost = "a message that is too long is left out here"
             continue
         channel, sequence, log_time, _ = unpack(content, start)
-        if contents.counted:
+        if counted:
             missing = (sequence - expected) & 0xFFFF_FFFF
             expected = (sequence + 1) & 0xFFFF_FFFF
             lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
         yield Stored(log_time, sequence, channel, content[start + head : end], lost)
         lost = ""
+
+
+def _spans_after(
+    file: BufferedReader, contents: Contents, place: Place | None
+) -> Iterator[tuple[bytes, int, int, str]]:
+    source = RecordFile(file, contents.size)
+    source.own = True
+    offset = len(MAGIC) if place is None else place.chunk
+    passed = 0 if place is None else place.end
+    while offset < contents.size:
+        try:
+            found = source.record(offset)
+            whole = list(records.records_in(found.content)) if found.opcode == records.CHUNK else []
+        except Damaged:
+            resumed = source.next_chunk(offset + 1)
+            if resumed is None:
+                return
+            offset, passed = resumed, 0
+            continue
+        for opcode, start, end in whole:
+            if opcode == records.MESSAGE and start >= passed:
+                yield found.content, start, end, ""
+        if found.opcode == records.DATA_END:
+            return
+        offset, passed = found.end, 0
 
 
 def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, int, int, str]]:
