@@ -122,7 +122,7 @@ def test_no_arguments_show_the_help_as_wrong_use() -> None:
 BROKEN_COMMAND = """
 import sys, bilprov, types
 from bilprov import __main__ as front_door
-import rich_click as click
+import click
 module = types.ModuleType("broken")
 def body(*, error={error}):
     raise error

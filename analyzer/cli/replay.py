@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     compiled,

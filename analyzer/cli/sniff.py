@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     Command,

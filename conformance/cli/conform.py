@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 import msgspec
-import rich_click as click
+import click
 from rich.console import Console
 
 from bilprov.analyzer.cli.options import confirm_motion, line_options, note

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import msgspec
-import rich_click as click
+import click
 from rich.console import Console
 
 from bilprov.analyzer.cli.streams import promise_verdict

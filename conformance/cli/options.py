@@ -8,7 +8,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.transport.line_settings import LineSettings

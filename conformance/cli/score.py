@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import msgspec
-import rich_click as click
+import click
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text

@@ -14,7 +14,7 @@ from typing import Any, get_args
 from xml.etree.ElementTree import fromstring
 
 import pytest
-import rich_click as click
+import click
 from markdown_it import MarkdownIt
 from msgspec.structs import replace
 
