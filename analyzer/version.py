@@ -1,4 +1,4 @@
-"""The version of the kit, said here alone: pyproject.toml reads it, and no installation is asked."""
+"""The version of the kit, said here alone: pyproject.toml reads it, no installation is asked."""
 
 from __future__ import annotations
 

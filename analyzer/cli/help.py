@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from textwrap import fill
 
 import click
 
@@ -24,7 +22,9 @@ class Page(click.HelpFormatter):
     """
 
     def __init__(self, width: int | None = None, max_width: int | None = None) -> None:
-        super().__init__(width=width or min(shutil.get_terminal_size().columns, _WIDEST))
+        from shutil import get_terminal_size
+
+        super().__init__(width=width or min(get_terminal_size().columns, _WIDEST))
 
     def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
         """Write the usage line."""
@@ -60,7 +60,9 @@ class Page(click.HelpFormatter):
             self._write(text, margin + term.ljust(column + col_spacing))
 
     def _write(self, text: str, lead: str, *, bold: bool = False) -> None:
-        """Write `lead`, with its names in colour or bold, and the text wrapped to the right of it."""
+        """Write `lead`, its names in colour or bold, and the text wrapped to the right of it."""
+        from textwrap import fill
+
         indent = " " * len(lead)
         wrapped = fill(
             text,

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, get_args
 from xml.etree.ElementTree import fromstring
 
-import pytest
 import click
+import pytest
 from markdown_it import MarkdownIt
 from msgspec.structs import replace
 
