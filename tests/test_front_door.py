@@ -23,7 +23,16 @@ from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.signals import ignoring
 
-HEAVY = {"serial", "construct", "mcap", "numpy"}
+HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.metadata"}
+# Modules and packages that a command does not use.
+UNUSED = {
+    "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
+    "encode Stop": HEAVY - {"construct"},
+    "spec emit c": HEAVY - {"construct"},
+    "completion fish": HEAVY,
+    "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
+    "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
+} | {f"{name} --help": {"numpy", "rich"} for name in front_door.COMMANDS}
 
 
 def said(result: Done) -> str:
@@ -36,8 +45,8 @@ def said(result: Done) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
-def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
+def loaded(*arguments: str) -> set[str]:
+    """The modules that a command has imported when it ends, and the packages that they are of."""
     code = (
         "import sys, atexit, bilprov\n"
         "atexit.register(lambda: sys.stderr.write(' '.join(sys.modules)))\n"
@@ -45,7 +54,19 @@ def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
     )
     result = process(*arguments, code=code)
     assert result.returncode == 0
-    assert not HEAVY & set(result.stderr.decode().split())
+    names = result.stderr.decode().split()
+    return set(names) | {name.split(".")[0] for name in names}
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
+def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
+    assert loaded(*arguments) & HEAVY == set()
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("line", UNUSED)
+def test_a_command_loads_nothing_that_it_does_not_use(line: str) -> None:
+    assert loaded(*line.split()) & UNUSED[line] == set()
 
 
 def test_importing_the_library_loads_nothing_heavy() -> None:

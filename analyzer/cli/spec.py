@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from bilprov.analyzer.cli.help import Group
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.output.console import show_as
+from bilprov.analyzer.output.help import Group
 
 
 @click.group(cls=Group)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import click
 from click import exceptions
 
-from bilprov.analyzer.cli.help import Group, with_pages
+from bilprov.analyzer.output.help import Group, with_pages
 
 
 class Row(NamedTuple):
