@@ -182,6 +182,7 @@ def conform(
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
     virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
+
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. Where a file or something for the screen could not be written,
     the run goes on to its end and the exit code is 2.
