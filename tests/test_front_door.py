@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
+import tomllib
 from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -93,6 +95,17 @@ def test_version_is_one_plain_line() -> None:
     name, version = process("--version").stdout.decode().split()
     assert name == "bilprov"
     assert version[0].isdigit()
+
+
+def test_an_installation_gets_the_version_that_the_command_shows() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    module, _, attribute = declared["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(
+        "."
+    )
+
+    assert declared["project"]["dynamic"] == ["version"]
+    shown = command("--version").stdout.decode()
+    assert shown == f"bilprov {getattr(import_module(module), attribute)}\n"
 
 
 @pytest.mark.parametrize(
