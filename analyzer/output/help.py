@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 
 import click
 
@@ -22,9 +23,7 @@ class Page(click.HelpFormatter):
     """
 
     def __init__(self, width: int | None = None, max_width: int | None = None) -> None:
-        from shutil import get_terminal_size
-
-        super().__init__(width=width or min(get_terminal_size().columns, _WIDEST))
+        super().__init__(width=width or min(_columns(), _WIDEST))
 
     def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
         """Write the usage line."""
@@ -111,3 +110,13 @@ def with_pages(command: click.Command) -> click.Command:
     for below in command.commands.values() if isinstance(command, click.Group) else ():
         with_pages(below)
     return command
+
+
+def _columns() -> int:
+    """The width that COLUMNS or the terminal tells, else 80; importing shutil for it takes long."""
+    with suppress(ValueError):
+        if (columns := int(os.environ.get("COLUMNS", ""))) > 0:
+            return columns
+    with suppress(OSError):
+        return os.get_terminal_size().columns or 80
+    return 80

@@ -15,7 +15,7 @@ from bilprov.__main__ import COMMANDS
 from bilprov.analyzer.output.help import Group, Page, with_pages
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, command
+from tests.support.commands import PATIENCE, command, process
 
 ESCAPE = "\x1b"
 WIDTHS = (40, 60, 80, 120)
@@ -100,6 +100,13 @@ def test_a_very_wide_terminal_gets_no_endless_lines() -> None:
     assert max(map(len, page("conform", columns=500))) <= 120
 
 
+@pytest.mark.waits
+@pytest.mark.parametrize("columns", ["", "0", "-3", "wide"])
+def test_a_width_that_is_none_counts_as_80(columns: str) -> None:
+    shown = process("--help", env={"COLUMNS": columns}).stdout.decode()
+    assert shown.splitlines() == page(columns=80)
+
+
 def test_no_line_is_broken_at_a_hyphen() -> None:
     for columns in range(60, 121, 5):
         lines = page("conform", columns=columns)
@@ -141,7 +148,7 @@ def test_a_terminal_gets_the_same_page_in_colours_unless_they_are_not_wanted(
 ) -> None:
     given = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
     with open_pty() as terminal, Path(terminal.name).open("wb") as stdout:
-        process = subprocess.run(
+        ended = subprocess.run(
             [sys.executable, "-m", "bilprov", "--help"],
             cwd=ROOT,
             stdout=stdout,
@@ -151,7 +158,7 @@ def test_a_terminal_gets_the_same_page_in_colours_unless_they_are_not_wanted(
         )
         shown = terminal.read().decode()
 
-    assert process.returncode == 0
+    assert ended.returncode == 0
     assert (ESCAPE in shown) == coloured
     assert re.sub(ESCAPE + r"\[\d+m", "", shown).splitlines() == page()
 
