@@ -73,7 +73,6 @@ HOMES = {
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
-    "rich_click": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.
     "pytest": (
@@ -393,7 +392,7 @@ BROKEN = [
     (library_away_from_home, "analyzer/ports_more.py", "from serial.tools import list_ports"),
     (library_away_from_home, "analyzer/decode/session.py", "from mcap.reader import make_reader"),
     (library_away_from_home, "spec/explain.py", "from rich.table import Table"),
-    (library_away_from_home, "captures/info.py", "import rich_click as click"),
+    (library_away_from_home, "captures/info.py", "import click"),
     (library_away_from_home, "captures/info.py", "def f():\n    import click"),
     (library_away_from_home, "conformance/pytest_plugin/bench.py", "def f():\n    import pytest"),
     (relative, "spec/codec.py", "from . import fields"),
@@ -447,7 +446,7 @@ KEPT = [
     (library_away_from_home, "spec/codec.py", "from construct import ConstructError"),
     (library_away_from_home, "analyzer/transport/ports.py", "import serial.tools.list_ports"),
     (library_away_from_home, "captures/reader.py", "import mcap.reader"),
-    (library_away_from_home, "analyzer/cli/text_commands.py", "import rich.table, rich_click"),
+    (library_away_from_home, "analyzer/cli/text_commands.py", "import rich.table, click"),
     (library_away_from_home, "conformance/pytest_plugin/case_item.py", "import pytest"),
     (
         relative,

@@ -8,19 +8,15 @@ from io import FileIO
 from pathlib import Path
 from typing import Literal
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
 from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
-from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
-from bilprov.analyzer.replay.playback import batches
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.storage.records import MAGIC
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -74,6 +70,10 @@ def _input(
     path = Path(words[0])
     if len(words) == 1 and _is_file(path):
         if _begins_like_a_capture(path):
+            from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
+            from bilprov.analyzer.replay.playback import batches
+            from bilprov.captures.reader import open_capture
+
             capture = open_capture(path)
             for sentence in said_about(capture, protocol):
                 note(sentence)
@@ -95,6 +95,8 @@ def _is_file(path: Path) -> bool:
 
 
 def _begins_like_a_capture(path: Path) -> bool:
+    from bilprov.captures.storage.records import MAGIC
+
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     compiled,

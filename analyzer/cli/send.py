@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded

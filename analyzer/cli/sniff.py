@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     Command,

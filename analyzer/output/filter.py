@@ -10,7 +10,6 @@ import ast
 import operator
 import warnings
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from typing import Any, NamedTuple, NoReturn, get_args
 
 from bilprov.analyzer.output.json_lines import JsonLine
@@ -241,6 +240,8 @@ class _Compiler:
             return name.kind, name.get
         if dotted in self._words:
             return "text", lambda line: dotted
+        from difflib import get_close_matches
+
         near = get_close_matches(dotted, [*self._names, *self._words], n=3)
         meant = f", did you mean {' or '.join(near)}?" if near else ";"
         return self._refuse(node, f"is no name here{meant} --help says which there are")

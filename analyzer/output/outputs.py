@@ -15,13 +15,13 @@ from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.json_lines import JsonLine, json_line
 from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.output.live_output import LiveOutput
+    from bilprov.analyzer.output.statistics import Statistics
 
 Format = Literal["live", "lines", "jsonl"]
 
