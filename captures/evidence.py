@@ -153,7 +153,7 @@ def _attachments(content: mmap.mmap, end: int, wanted: Collection[str]) -> dict[
         opcode, length = RECORD_HEAD.unpack_from(content, at)
         start, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
         if opcode == records.ATTACHMENT and at <= end and length <= ATTACHMENT_BYTES + 1024:
-            name, data = records.attachment_record(content[start:at])
-            if name in wanted:
-                found.setdefault(name, data)
+            attached = records.attachment_record(content[start:at])
+            if attached.name in wanted:
+                found.setdefault(attached.name, attached.data)
     return found

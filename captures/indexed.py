@@ -8,22 +8,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
 
 import msgspec
 
 from bilprov.captures import topics
-from bilprov.captures.reader import (
-    Capture,
-    changed,
-    events_of,
-    sights_of,
-    unreadable,
-)
+from bilprov.captures.reader import Capture, events_of, sights_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
 from bilprov.captures.storage.index import Index, IndexedChunk, read_index
-from bilprov.captures.storage.messages import Place, Stored, messages_after
+from bilprov.captures.storage.messages import Contents, Place, Stored, messages_after
 from bilprov.captures.storage.records import MAGIC, Damaged
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS
@@ -62,20 +57,18 @@ class IndexedCapture(Capture):
             grammar and recorded and recorded != grammar
         ):
             return None
-        try:
-            with self.path.open("rb") as file:
-                _check_size(file.fileno(), self.contents.size)
-                source = RecordFile(file, self.contents.size)
-                source.own = True
-                for chunk in self.index.chunks_before(self.start + t, _CHECKPOINTS):
-                    for found in _checkpoints(source, chunk, self.start):
-                        value = found.value
-                        if value.t < t and value.whole and grammar in (None, value.grammar):
-                            return found
-        except Damaged as error:
-            raise changed(self.path, error) from error
-        except OSError as error:
-            raise unreadable(self.path, error) from error
+
+        def read(file: BufferedReader, contents: Contents) -> Iterator[StoredCheckpoint]:
+            _check_size(file.fileno(), contents.size)
+            source = RecordFile(file, contents.size)
+            source.own = True
+            for chunk in self.index.chunks_before(self.start + t, _CHECKPOINTS):
+                yield from _checkpoints(source, chunk, self.start)
+
+        for found in self._read(read):
+            value = found.value
+            if value.t < t and value.whole and grammar in (None, value.grammar):
+                return found
         return None
 
     def events(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line]:
@@ -90,15 +83,12 @@ class IndexedCapture(Capture):
         return sights_of(self, self._stored(after))
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
-        try:
-            with self.path.open("rb") as file:
-                _check_size(file.fileno(), self.contents.size)
-                yield from messages_after(file, self.contents, after.place if after else None)
-                _check_size(file.fileno(), self.contents.size)
-        except Damaged as error:
-            raise changed(self.path, error) from error
-        except OSError as error:
-            raise unreadable(self.path, error) from error
+        def read(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+            _check_size(file.fileno(), contents.size)
+            yield from messages_after(file, contents, after.place if after else None)
+            _check_size(file.fileno(), contents.size)
+
+        return self._read(read)
 
 
 def open_indexed(path: str | Path) -> IndexedCapture | None:

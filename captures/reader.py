@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -23,13 +24,14 @@ from bilprov.captures.schemas import (
     Line,
     Look,
 )
-from bilprov.captures.storage.messages import Contents, Stored, stored_messages
-from bilprov.captures.storage.records import MAGIC, Damaged
+from bilprov.captures.storage.messages import Contents, Stored, attachments, stored_messages
+from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
 from bilprov.captures.text import printable
 
 TOPICS_SHOWN = 10
 
+Item = TypeVar("Item")
 Recorded: TypeAlias = Chunk | Line | Look | CaseMark | Asked | Checkpoint
 _DIRECTIONS: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
 _RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
@@ -111,10 +113,17 @@ class Capture:
                 value = _value(topic, encoding, message.data)
                 yield Message(topic, message.log_time - self.start, value, message.sequence)
 
+    def attachments(self) -> Iterator[AttachmentRecord]:
+        """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
+        return self._read(attachments)
+
     def _stored(self) -> Iterator[Stored]:
+        return self._read(stored_messages)
+
+    def _read(self, read: Callable[[BufferedReader, Contents], Iterator[Item]]) -> Iterator[Item]:
         try:
             with self.path.open("rb") as file:
-                yield from stored_messages(file, self.contents)
+                yield from read(file, self.contents)
         except Damaged as error:
             raise changed(self.path, error) from error
         except OSError as error:

@@ -70,6 +70,11 @@ class CaptureWriter(Closing):
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
         self._guarded(lambda: self._open(about, f"bilprov {version}"))
 
+    @property
+    def failed(self) -> bool:
+        """Whether the file could not be written; then nothing more is."""
+        return bool(self._failure)
+
     def chunk(self, chunk: Chunk) -> None:
         """Write a chunk; more than 64 KiB become several messages with the same time.
 

@@ -31,9 +31,9 @@ ROOMS = (
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
     (
+        "captures.evidence",
         "captures.background",
         "captures.chunked_file",
-        "captures.evidence",
         "captures.indexed",
         "captures.reader",
         "captures.writer",

@@ -12,7 +12,14 @@ from io import BufferedReader
 from typing import Generic, NamedTuple, TypeVar
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.records import MAGIC, MESSAGE_BYTES, Damaged
+from bilprov.captures.storage.records import (
+    ATTACHMENT_BYTES,
+    MAGIC,
+    MESSAGE_BYTES,
+    RECORD_HEAD,
+    AttachmentRecord,
+    Damaged,
+)
 from bilprov.captures.storage.recovery import SKIPPED, RecordFile
 
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
@@ -198,3 +205,26 @@ def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, in
             elif found.opcode == records.FOOTER:
                 return
         where = "the file is damaged here"
+
+
+def attachments(file: BufferedReader, contents: Contents) -> Iterator[AttachmentRecord]:
+    """Yield the complete attachments of an open file, in file order; nothing else is read.
+
+    Raises Damaged if the file has changed since the survey.
+    """
+    for at, region_end in contents.regions:
+        offset = at
+        while offset < region_end:
+            file.seek(offset)
+            head = file.read(RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:
+                raise Damaged("it has another size")
+            opcode, length = RECORD_HEAD.unpack(head)
+            offset += RECORD_HEAD.size + length
+            if opcode == records.FOOTER:
+                return
+            if opcode == records.ATTACHMENT and length <= ATTACHMENT_BYTES + MESSAGE_BYTES:
+                try:
+                    yield records.attachment_record(file.read(length), contents.own)
+                except Damaged:  # nobody looked at those of foreign files
+                    continue

@@ -34,6 +34,12 @@ COMMANDS = {
     "info": Row(
         "Analyze", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
     ),
+    "convert": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.convert",
+        "convert",
+        "Write a capture anew, all of it decoded.",
+    ),
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
     ),
