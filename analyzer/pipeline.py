@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode import checkpoint
@@ -13,13 +13,16 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.captures.schemas import Chunk, Line
 
+MOST_BYTES = 1 << 16  # that wait to be decoded
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class Pipeline:
     """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
 
-    The raw bytes are written to the capture before they are decoded. The judge gets the records in
-    the window of `shown`, whether they pass its filter or not.
+    The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
+    64 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
+    of `shown`, whether they pass its filter or not.
     """
 
     decoder: StreamDecoder
@@ -27,22 +30,43 @@ class Pipeline:
     shown: Shown
     recorder: Recorder | None = None
     judge: PassiveJudge | None = None
+    patience: int = 0
+    _pending: list[Chunk | Line] = field(default_factory=list)
+    _bytes: int = 0
+
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) `advance` is next needed without an event, None if it is not."""
+        if self._pending:
+            return self._pending[0].t + self.patience
+        return self.decoder.deadline
 
     def events(self, events: Sequence[Chunk | Line]) -> list[Part]:
         """Process events, in order, and return what they complete."""
         if not events:
             return []
+        if self.recorder:
+            self.recorder.events(events)
         if self.judge is None:
-            return self._events(events)
+            self._pending += events
+            self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
+            if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
+                return []
+            return self._decode_pending()
         parts: list[Part] = []  # what is judged depends on the order of events and records
         for event in events:
             self.judge.event(event)
-            parts += self._events([event])
+            self._pending = [event]
+            parts += self._decode_pending()
         return parts
 
     def advance(self, now: int) -> list[Part]:
         """Let time pass to `now` (ns) and return what falls due; no earlier event may follow."""
-        parts = self._parts(self.decoder.advance(now), now)
+        parts: list[Part] = []
+        if self._pending and now - self._pending[0].t >= self.patience:
+            parts = self._decode_pending()
+        if not self._pending:
+            parts += self._parts(self.decoder.advance(now), now)
         if self.recorder:
             self.recorder.tick(now)
         self.shown.output.tick(now)
@@ -50,11 +74,13 @@ class Pipeline:
 
     def finish(self) -> list[Part]:
         """End the session after its last event and return what is left."""
-        return self._parts(self.decoder.finish(), 0)
+        parts = self._decode_pending()
+        return parts + self._parts(self.decoder.finish(), 0)
 
-    def _events(self, events: Sequence[Chunk | Line]) -> list[Part]:
-        if self.recorder:
-            self.recorder.events(events)
+    def _decode_pending(self) -> list[Part]:
+        events, self._pending, self._bytes = self._pending, [], 0
+        if not events:
+            return []
         self.statistics.events(events)
         now = events[-1].t
         parts = self._parts(self.decoder.feed(events), now)

@@ -51,12 +51,13 @@ from bilprov.analyzer.replay.capture_session import (
 )
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
 from bilprov.analyzer.replay.playback import batches, interruptible, paced, played
+from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.replay.target import Target, scaled_timeout
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture
-from bilprov.captures.schemas import MS, Chunk, Look
+from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.protocol import Protocol
@@ -121,11 +122,13 @@ def replay(
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
     test = compiled(expression, protocol)
-    capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
-        note(sentence)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
     window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
+    capture = opened.capture
+    for sentence in (*said_about(capture, protocol), opened.note):
+        if sentence:
+            note(sentence)
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
@@ -137,9 +140,8 @@ def replay(
         if port is not None:
             settings = line_settings(protocol, baud, parity, stopbits)
             frame_pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
-            opened = open_port(port, settings)
-            target = stack.enter_context(Target(protocol, opened, frame_pause, stopper))
-        decoder = capture_decoder(capture, protocol, timeout)
+            wire = open_port(port, settings)
+            target = stack.enter_context(Target(protocol, wire, frame_pause, stopper))
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
         title = f"replay of {printable(capture.path.name)}"
         output = opened_output(chosen_format(style), protocol, statistics, title)
@@ -149,15 +151,26 @@ def replay(
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
         shown = Shown(output, test, window=window)
-        pipeline = Pipeline(decoder, statistics, shown, judge=judge)
+        pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
         if target is not None:
             return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
-        _show(capture, pipeline, rate, window, stopper, judge)
+        events = capture.sights() if judge else opened.events()
+        _show(events, pipeline, rate, window, stopper, judge)
     return tell_findings(judge.finish(), chosen_format(style)) if judge else 0
 
 
+def _opened(
+    path: str, protocol: Protocol, timeout: int | None, window: Window, *, whole: bool
+) -> Opened:
+    """Open the capture; not from its beginning on if `whole` is false and the window is later."""
+    if window.first is not None and not whole:
+        return opened_at(path, protocol, window.first, timeout)
+    capture = open_capture(path)
+    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events)
+
+
 def _show(
-    capture: Capture,
+    events: Iterable[Chunk | Line | Look],
     pipeline: Pipeline,
     rate: float,
     window: Window,
@@ -167,7 +180,6 @@ def _show(
     now = 0
     # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
-    events = capture.sights() if judge else capture.events()
     playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
     for batch in batches(playing, at_once=not rate and judge is None):
         if stopper.stopped:

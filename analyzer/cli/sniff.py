@@ -30,6 +30,7 @@ from bilprov.analyzer.output.outputs import (
     NoOutput,
     Output,
     Shown,
+    StreamOutput,
     chosen_format,
     opened_output,
 )
@@ -44,6 +45,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
 
 COLLECT_EVERY = 1.0  # s
+PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
@@ -151,7 +153,8 @@ def sniff(
             statistics,
             Shown(output, test, count),
             recorder,
-            judge=judge,
+            judge,
+            0 if isinstance(output, StreamOutput) else PATIENCE,
         )
         pipeline.events([Line(0, "open", "", title)])
         lost = _listen(source, pipeline, stopper, duration)
@@ -176,7 +179,7 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
             if end is not None and now >= end:
                 break
             wait = LONGEST_WAIT
-            for at in (pipeline.decoder.deadline, end):
+            for at in (pipeline.deadline, end):
                 if at is not None:
                     wait = min(wait, max(0.0, (at - now) / 1e9))
             events = source.poll(wait, [stopper.fileno()])

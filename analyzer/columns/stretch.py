@@ -85,7 +85,8 @@ class Stretch:
     before and only wait for an answer, and row 0 has the number `sequence`. `frames` and `end` (ns,
     of the last byte) have all of them, `start` (ns, of the first byte) and `states` the new ones.
     Device row j (`byte`, `t` in ns) answers host row j, or none if nothing is paired. `before` is
-    the state before the new rows, `lines` are the line events, and `spans` tells the order.
+    the state before the new rows and `last` that after them, `lines` are the line events, and
+    `spans` tells the order.
     """
 
     decoding: Decoding
@@ -98,6 +99,7 @@ class Stretch:
     byte: NDArray[np.uint8]
     t: NDArray[np.int64]
     before: State
+    last: State
     lines: tuple[Line, ...]
     spans: tuple[Span, ...]
 
@@ -178,7 +180,10 @@ class Stretch:
         counts: Counter[str] = Counter()
         sorts: list[tuple[Record, int]] = [(self.line(at, 0), 1) for at in range(len(self.lines))]
         faulty = np.flatnonzero(self.faulty)
-        sorts += [(host, len(faulty)) for host in self._hosts(faulty[:1] + self.carried)]
+        for frame in self.frame_bytes(faulty[:1] + self.carried):
+            judgement = self.decoding.steps[frame].judgement
+            host = HostRecord(0, 0, 0, "instruction", frame, judgement, 0, self.before)
+            sorts.append((host, len(faulty)))
         odd = np.flatnonzero(self.odd)
         sort = self.byte.take(odd).astype(np.int64)
         if self.decoding.paired:
@@ -221,6 +226,8 @@ class Stretch:
         """The state once the first `after` host rows have taken effect."""
         if after <= self.carried:
             return self.before
+        if after == self.after:
+            return self.last
         return written(*(int(column[after - self.carried - 1]) for column in self.states))
 
     def records(self) -> Iterator[Record]:

@@ -123,7 +123,7 @@ class Statistics:
             self._faulty.add(Records([record]), len(found))
 
     def _stretch(self, stretch: Stretch) -> None:
-        self._state = stretch.state(stretch.after)
+        self._state = stretch.last
         self.instructions += stretch.host_rows
         for t, frames in stretch.frame_counts():
             self._frames.add(t, frames)
