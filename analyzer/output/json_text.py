@@ -46,17 +46,22 @@ class JsonText:
 
     def _lines(self, records: Iterable[Record]) -> Iterator[str]:
         state, shown = _NO_STATE, ""
+        hosts, devices = self._host, self._device
+        moment, time = -1, ""
         for record in records:
             if record.state is not state:
                 state = record.state
                 shown = encode(state).decode()
-            if type(record) is HostRecord and record.kind == "instruction" and record.judgement:
-                front, end = self._host_text(record.judgement)
-                yield f'{{"t":{_seconds(record.t)}{front}{shown},"sequence":{record.sequence}{end}'
+            if record.t != moment:  # bytes of one read have one time
+                moment = record.t
+                time = _seconds(moment)
+            if type(record) is HostRecord and record.judgement and record.kind == "instruction":
+                front, end = hosts.get(record.data) or self._host_text(record.judgement)
+                yield f'{{"t":{time}{front}{shown},"sequence":{record.sequence}{end}'
             elif type(record) is DeviceRecord and record.agrees and not record.faults:
-                front, end = self._device_text(record)
+                front, end = devices.get(record.byte) or self._device_text(record)
                 yield (
-                    f'{{"t":{_seconds(record.t)}{front}{_seconds(record.latency or 0)},"state":'
+                    f'{{"t":{time}{front}{_seconds(record.latency or 0)},"state":'
                     f'{shown},"sequence":null,"answers":{record.instruction}{end}'
                 )
             elif (line := json_line(record)) is not None:

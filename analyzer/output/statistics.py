@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -102,25 +102,41 @@ class Statistics:
         """Count a part; only what is `shown` of it (a filter may hide some) is listed."""
         self._recent.add(shown, shown.rows)
         if isinstance(part, Records):
-            for record in part.listed:
-                self._record(record)
+            self._records(part.listed)
         else:
             self._stretch(part)
 
-    def _record(self, record: Record) -> None:
-        self._state = record.state
-        if isinstance(record, HostRecord):
-            self.instructions += record.judgement is not None
-            self._frames.add(record.end, 1)
-        elif isinstance(record, DeviceRecord):
-            self.responses += 1
-            if record.latency is not None:
-                self._latencies.append(record.latency)
-                self._longest = max(self._longest, record.latency)
-        found = serious_faults(record)
-        if found:
-            self._faults.update(fault.kind for fault in found)
-            self._faulty.add(Records([record]), len(found))
+    def _records(self, records: Sequence[Record]) -> None:
+        """Count records; this is done for each frame of a line that is not very busy."""
+        frames, latencies = 0, []
+        faulty: list[Record] = []
+        for record in records:
+            if type(record) is DeviceRecord:
+                self.responses += 1
+                if record.latency is not None:
+                    latencies.append(record.latency)
+                if record.faults:
+                    faulty.append(record)
+            elif type(record) is HostRecord:
+                frames += 1
+                self.instructions += record.sequence is not None
+                if record.reason:
+                    faulty.append(record)
+            else:
+                faulty.append(record)
+        if not records:
+            return
+        self._state = records[-1].state
+        if frames:
+            self._frames.add(records[-1].t, frames)
+        if latencies:
+            self._latencies.extend(latencies)
+            self._longest = max(self._longest, *latencies)
+        for record in faulty:
+            found = serious_faults(record)
+            if found:
+                self._faults.update(fault.kind for fault in found)
+                self._faulty.add(Records([record]), len(found))
 
     def _stretch(self, stretch: Stretch) -> None:
         self._state = stretch.last
