@@ -22,7 +22,6 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import Steps
 from bilprov.spec.tables import FrameColumns, frame_tables
 
-
 LATEST = 1 << 62
 """The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
 
