@@ -106,6 +106,13 @@ class Stretch:
         """The time (ns) from the instruction's last byte to its answer; for paired rows only."""
         return self.t - self.end[: len(self.t)]
 
+    @cached_property
+    def fits(self) -> NDArray[np.bool_]:
+        """Which device rows have no anomaly: expected and in time, or if unpaired a known code."""
+        if not self.decoding.paired:
+            return np.isin(self.byte, list(self.decoding.protocol.codes))
+        return self.agrees & (self.latency <= self.decoding.late)
+
     def frame(self, row: int) -> bytes:
         """The bytes of a host row."""
         at = int(self.frames.offset[row])
@@ -160,7 +167,7 @@ class Stretch:
 
     def device_records(self, start: int, stop: int, after: int) -> Iterator[DeviceRecord]:
         """Yield the records of device rows, after the first `after` host rows."""
-        state, protocol, late = self.state(after), self.decoding.protocol, self.decoding.late
+        state, protocol = self.state(after), self.decoding.protocol
         if not self.decoding.paired:
             for byte, t in zip(
                 self.byte[start:stop].tolist(), self.t[start:stop].tolist(), strict=True
@@ -173,7 +180,7 @@ class Stretch:
             self.byte[start:stop].tolist(),
             self.t[start:stop].tolist(),
             self.end[start:stop].tolist(),
-            (self.agrees[start:stop] & (self.latency[start:stop] <= late)).tolist(),
+            self.fits[start:stop].tolist(),
             strict=False,
         ):
             judgement = self.decoding.steps[frame].judgement

@@ -28,7 +28,8 @@ def _few_bytes_are_enough() -> Any:
         yield
 
 
-@settings(max_examples=200)
+@pytest.mark.slow
+@settings(max_examples=100)
 @given(ACTS, st.integers(0, 60), SETTINGS, st.booleans())
 def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     each_protocol: Protocol,

@@ -52,7 +52,8 @@ def same(
     return parts
 
 
-@settings(max_examples=250)
+@pytest.mark.slow
+@settings(max_examples=150)
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
 def test_columns_hold_the_records_of_a_session(
     each_protocol: Protocol,
@@ -95,6 +96,47 @@ def test_one_oddity_leaves_the_rest_to_columns(each_protocol: Protocol, seed: in
 
     odd = sum(len(part.listed) for part in parts if isinstance(part, Records))
     assert 0 < odd < 100
+
+
+# The answer's deadline, when it is given up, when a pause in a frame can cut it short: the ends.
+LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
+ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
+
+
+@pytest.mark.parametrize("pause", ENDS)
+@pytest.mark.parametrize("skew", [0, 20 * MS])
+def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(
+    protocol: Protocol, pause: int, skew: int
+) -> None:
+    valid, faulty = bytes([protocol.pad_byte]), b"\x90"
+    ok, wrong = (bytes([judge(protocol, frame).response.code]) for frame in (valid, faulty))
+    two = protocol.lengths.index(1)
+    frame = bytes([two, 0])
+    answer = bytes([judge(protocol, frame).response.code])
+    odd: list[list[tuple[int, str, bytes]]] = [
+        [(0, "host", valid), (pause, "device", ok)],
+        [(0, "host", valid), (pause, "host", valid), (0, "device", ok * 2)],
+        [(0, "host", valid + faulty), (pause, "device", wrong)],
+        [(0, "host", valid), (1, "host", faulty), (pause, "device", ok), (pause, "device", wrong)],
+        [(0, "host", valid), (0, "device", ok + ok), (pause, "host", valid)],
+        [(0, "host", frame[:1]), (pause, "host", frame[1:]), (0, "device", answer)],
+        [(0, "host", frame[:1]), (pause, "device", answer), (0, "host", frame[1:])],
+        [(0, "host", frame[:1]), (1, "device", answer), (pause, "host", frame[1:])],
+        [(0, "host", valid + frame[:1]), (pause, "host", frame[1:]), (0, "device", ok + answer)],
+        [(0, "host", valid + frame[:1]), (1, "device", ok), (pause, "host", frame[1:])],
+    ]
+    for acts in odd:
+        t = 0
+        events: list[Event] = conversation(protocol, 20, 1)
+        for number in range(3):
+            t += 3000 * MS
+            for wait, side, data in acts:
+                t += wait
+                events.append(Chunk(t, side, data))  # type: ignore[arg-type]
+            events += [Chunk(t + MS, "host", valid), Chunk(t + 2 * MS, "device", ok)] * (number < 2)
+        for batches in ([1000], [1], [21, 2]):
+            same(protocol, events, batches, skew=skew)
+            same(protocol, events, batches, frozenset(range(20, 40)), skew=skew)
 
 
 def replace_time(event: Event, t: int) -> Event:

@@ -50,9 +50,8 @@ class Act(NamedTuple):
 # Mostly far from every time-out; the ends of the longest ones are hit exactly.
 _SHORT = [0, 0, 1, 1000, MS, 3 * MS]
 _LONG = [15, 20, 25, 40, 50, 70, 100, 110, 120, 999, 1000, 1001, 1100, 2500]
-_pause = st.sampled_from(_SHORT * 6 + [long * MS for long in _LONG] + [-MS, -30 * MS])
-_gap = st.sampled_from(_SHORT * 3 + [15 * MS, 20 * MS - 1, 20 * MS, 25 * MS, 50 * MS, 60 * MS])
-_seldom = st.sampled_from([False] * 7 + [True])
+_pause = st.sampled_from(_SHORT * 20 + [long * MS for long in _LONG] + [-MS, -30 * MS])
+_gap = st.sampled_from(_SHORT * 2 + [15 * MS, 20 * MS - 1, 20 * MS, 25 * MS, 50 * MS, 60 * MS])
 
 _said = st.builds(Said, st.integers(0, 255), st.binary(max_size=6), st.booleans() | st.just(True))
 _say = st.builds(
@@ -60,7 +59,7 @@ _say = st.builds(
     _pause,
     st.just("say"),
     frames=st.lists(_said, min_size=1, max_size=5).map(tuple),
-    cut=st.sampled_from([0, 0, 0, 1, 2, 3, 5, 9]),
+    cut=st.sampled_from([0] * 8 + [1, 2, 3, 5, 9]),
     gap=_gap,
 )
 _answer = st.builds(
@@ -68,7 +67,7 @@ _answer = st.builds(
     _pause,
     st.just("answer"),
     count=st.sampled_from([None, None, None, 1, 2]),
-    change=st.sampled_from([""] * 9 + ["lost", "more", "other"]),
+    change=st.sampled_from([""] * 20 + ["lost", "more", "other"]),
     data=st.binary(min_size=1, max_size=2),
 )
 _noise = st.builds(
@@ -86,10 +85,11 @@ _line = st.builds(
     word=st.sampled_from(["break", "open", "parity", "modem", "gap", "overrun", "reconnected"]),
 )
 
-_good = st.sampled_from(["say", "answer"] * 12 + ["noise", "line"]).flatmap(
+_act = st.sampled_from(["say", "answer"] * 20 + ["noise", "line"]).flatmap(
     lambda kind: {"say": _say, "answer": _answer, "noise": _noise, "line": _line}[kind]
 )
-ACTS = st.lists(_good, max_size=40)
+# Left to itself, a list of at most 60 has five on the average.
+ACTS = st.lists(_act, max_size=8) | st.lists(_act, min_size=15, max_size=60)
 """What happens on a line, in order."""
 
 BATCHES = st.lists(st.sampled_from([1, 2, 3, 10, 1000]), min_size=1, max_size=5)
