@@ -10,7 +10,7 @@ import ast
 import hashlib
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from math import prod
 from typing import Any
@@ -191,6 +191,20 @@ class Protocol:
                 if isinstance(value, tuple):
                     ends = [end * value[1] for end in ranges[value[0]]]
                     found.setdefault(variable, []).extend(ends)
+        return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
+
+    @cached_property
+    def bounds(self) -> Mapping[str, tuple[int, int]]:
+        """The smallest and largest value that each state variable with a number can ever have."""
+        found = {
+            variable: [value, *self.limits.get(variable, ())]
+            for variable, value in asdict(self.power_on).items()
+            if not isinstance(value, Motion)
+        }
+        for effect in (self.on_fault, *(spec.effect for spec in self.instructions)):
+            for variable, value in effect.assignments:
+                if isinstance(value, int):
+                    found[variable].append(value)
         return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Effect, Motion
+from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
@@ -58,7 +58,7 @@ class FrameColumns(NamedTuple):
 class FrameTables:
     """Tables by header byte and first data byte, for arrays of whole frames.
 
-    Raises OverflowError for a grammar whose state variables do not fit into 64 bits.
+    Raises OverflowError for a grammar whose fields or state variables do not fit into 64 bits.
     """
 
     def __init__(self, protocol: Protocol) -> None:
@@ -70,19 +70,16 @@ class FrameTables:
         self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
         # Instructions with more than one data byte: their data are judged field by field.
         self._long: dict[int, InstructionSpec] = {}
-        limits = [0, *(end for ends in protocol.limits.values() for end in ends)]
-        limits += [v for e in self._effects() for _, v in e.assignments if isinstance(v, int)]
-        self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in limits))
-        if self._number.kind != "i":
-            raise OverflowError("a state variable does not fit into 64 bits")
+        ends = [end for both in protocol.bounds.values() for end in both]
+        self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in ends))
+        sizes = [part.size for spec in protocol.instructions for part in spec.fields]
+        if self._number.kind != "i" or max(sizes, default=0) > _WIDEST:
+            raise OverflowError("a state variable or a field does not fit into 64 bits")
         self._sets = np.zeros(1 << 16, np.uint8)  # one bit for each variable
         self._values = {variable: np.zeros(1 << 16, self._type(variable)) for variable in VARIABLES}
         steps = Steps(protocol)
         for header in range(256):
             self._fill(header, steps)
-
-    def _effects(self) -> list[Effect]:
-        return [self._protocol.on_fault, *(spec.effect for spec in self._protocol.instructions)]
 
     def _type(self, variable: str) -> np.dtype[Any]:
         return np.dtype(np.uint8) if variable == "motion" else self._number
@@ -255,6 +252,7 @@ class FrameTables:
 MOTIONS = tuple(Motion)
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
+_WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
 VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 

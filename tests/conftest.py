@@ -1,4 +1,4 @@
-"""What the tests share: the grammar's text and its Protocol, a copy with a Horn, a tiny robot."""
+"""What the tests share: the grammar and its Protocol, copies of it that differ, a tiny robot."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from hypothesis import settings
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
+from tests.support.grammars import wide_grammar
 from tests.vectors import RobotState
 
 Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
@@ -136,6 +137,19 @@ def horn_text(grammar_text: str) -> str:
 @pytest.fixture(scope="session")
 def horn(horn_text: str) -> Protocol:
     return load(horn_text, "horn.py")
+
+
+@pytest.fixture(scope="session")
+def wide(grammar_text: str) -> Protocol:
+    """A grammar with wide and signed fields, and a header of 3 + 5 bits."""
+    return load(wide_grammar(grammar_text), "wide.py")
+
+
+@pytest.fixture(scope="session", params=["protocol", "horn", "wide"])
+def each_protocol(request: pytest.FixtureRequest) -> Protocol:
+    """The kit's own grammar, the one with a Horn, and the wide one, in turn."""
+    found: Protocol = request.getfixturevalue(request.param)
+    return found
 
 
 @pytest.fixture(scope="session")

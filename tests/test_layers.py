@@ -42,6 +42,7 @@ ROOMS = (
     ("analyzer.transport",),
     ("analyzer.taps",),
     ("analyzer.decode",),
+    ("analyzer.columns",),
     ("analyzer.monitor",),
     ("analyzer.output",),
     ("analyzer.client",),
@@ -72,6 +73,7 @@ HOMES = {
     "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
+    "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.
@@ -391,6 +393,7 @@ BROKEN = [
     (library_away_from_home, "analyzer/taps/sources.py", "import serial"),
     (library_away_from_home, "analyzer/ports_more.py", "from serial.tools import list_ports"),
     (library_away_from_home, "analyzer/decode/session.py", "from mcap.reader import make_reader"),
+    (library_away_from_home, "analyzer/decode/session.py", "import numpy as np"),
     (library_away_from_home, "spec/explain.py", "from rich.table import Table"),
     (library_away_from_home, "captures/info.py", "import click"),
     (library_away_from_home, "captures/info.py", "def f():\n    import click"),

@@ -160,7 +160,10 @@ class StreamDecoder:
         """Decode the first events into columns; returns how many are regular."""
         assert self._regular is not None
         assert self._carry is not None
-        stretch, used, self._carry = self._regular.decode(self._carry, events)
+        try:
+            stretch, used, self._carry = self._regular.decode(self._carry, events)
+        except OverflowError:  # an event with a time that only a forged file has
+            return 0
         if used:
             parts.append(stretch)
         return used
@@ -184,7 +187,10 @@ class StreamDecoder:
                 self._unfit = True
                 return False
         assert state is not None
-        self._carry = self._regular.carry(state)
+        try:
+            self._carry = self._regular.carry(state)
+        except OverflowError:
+            return False
         return True
 
     def _leave_columns(self) -> Session:

@@ -22,6 +22,9 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import Steps
 from bilprov.spec.tables import FrameColumns, frame_tables
 
+LATEST = 1 << 62
+"""The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
+
 
 class Carry(NamedTuple):
     """What one stretch leaves to the next: the frames that wait for an answer, and the open frame.
@@ -102,11 +105,13 @@ class RegularDecoder:
         """Decode the events, of which there must be some, as far as they are regular.
 
         Returns the stretch, the number of events that it covers (it may be 0), and what it leaves
-        to the next.
+        to the next. Raises OverflowError if one of them is later than `LATEST`.
         """
         rest, tables = before.rest, self._tables
         t = np.maximum.accumulate(np.array([event.t for event in events], np.int64))
         np.maximum(t, rest.time, out=t)
+        if t[-1] > LATEST:
+            raise OverflowError("an event is too late for columns")
         host, device, lines, cut = _sorted(events, t)
 
         # Frames; `come` counts the host rows that are complete by the end of each host chunk.
@@ -152,7 +157,7 @@ class RegularDecoder:
             before=rest.state,
             last=last,
             lines=tuple(replace(line, t=int(t[at])) for at, line in lines if at < cut),
-            spans=tuple(_spans(cut, host, device, [carried, *come.tolist()])),
+            spans=tuple(_spans(cut, host, device, lines, [carried, *come.tolist()])),
         )
         if not cut:
             return stretch, 0, before
@@ -243,8 +248,9 @@ def _sorted(
     loss = len(events)
     for place, event in enumerate(events):
         if isinstance(event, Chunk):
-            places[event.direction].append(place)
-            chunks[event.direction].append(event.data)
+            if event.data:
+                places[event.direction].append(place)
+                chunks[event.direction].append(event.data)
         else:
             lines.append((place, event))
             if event.event in LOSSES:
@@ -273,10 +279,13 @@ def _starts(
     return np.concatenate([first, np.repeat(host.t, np.diff(begun, prepend=begun_before))])
 
 
-def _spans(cut: int, host: _Side, device: _Side, come: list[int]) -> Iterator[Span]:
+def _spans(
+    cut: int, host: _Side, device: _Side, lines: list[tuple[int, Line]], come: list[int]
+) -> Iterator[Span]:
     """Yield the rows of each of the first `cut` events; `come` is as in `_first_early`."""
     side = dict.fromkeys(host.event.tolist(), 0)
     side |= dict.fromkeys(device.event.tolist(), 1)
+    side |= dict.fromkeys((place for place, _ in lines), 2)
     chunks = answered = line = given = 0
     upto = device.bytes.tolist()
     for place in range(cut):
@@ -289,6 +298,6 @@ def _spans(cut: int, host: _Side, device: _Side, come: list[int]) -> Iterator[Sp
             yield Span("device", given, upto[answered], come[chunks])
             given = upto[answered]
             answered += 1
-        else:
+        elif kind == 2:
             yield Span("line", line, line + 1, come[chunks])
             line += 1

@@ -136,7 +136,9 @@ class Stretch:
 
     @cached_property
     def fits(self) -> NDArray[np.bool_]:
-        """Whether each device row is the expected answer and in time; for paired rows only."""
+        """Which device rows have no anomaly: expected and in time, or if unpaired a known code."""
+        if not self.decoding.paired:
+            return self.decoding.tables.used.take(self.byte)
         return self.agrees & (self.latency <= self.decoding.late)
 
     @cached_property
@@ -166,9 +168,7 @@ class Stretch:
     @cached_property
     def odd(self) -> NDArray[np.bool_]:
         """Whether each device row has an anomaly."""
-        if self.decoding.paired:
-            return ~self.fits
-        return ~self.decoding.tables.used.take(self.byte)
+        return ~self.fits
 
     @cached_property
     def fault_counts(self) -> dict[str, int]:
@@ -232,7 +232,7 @@ class Stretch:
 
     def records(self) -> Iterator[Record]:
         """Yield the records in order, as a Session decodes them."""
-        hosts = self._hosts(slice(self.carried, None))
+        hosts = self.hosts(slice(self.carried, None))
         answers = self.answers(slice(None))
         for side, start, stop, after in self.spans:
             if side == "host":
@@ -246,7 +246,7 @@ class Stretch:
         self, host: NDArray[np.bool_], device: NDArray[np.bool_], lines: Sequence[bool]
     ) -> Iterator[Record]:
         """Yield the records of the new host rows, device rows and line events where it says so."""
-        hosts = self._hosts(np.flatnonzero(host) + self.carried)
+        hosts = self.hosts(np.flatnonzero(host) + self.carried)
         answers = self.answers(np.flatnonzero(device))
         before = np.append(0, np.cumsum(host)).tolist()
         given = np.append(0, np.cumsum(device)).tolist()
@@ -299,7 +299,7 @@ class Stretch:
             )
         return self._odd_answer(Waiting(sequence, end, end, judgement), Held(t, byte), state)
 
-    def _hosts(self, rows: Rows) -> Iterator[HostRecord]:
+    def hosts(self, rows: Rows) -> Iterator[HostRecord]:
         """Yield the records of new host rows (of all host rows, counted from 0)."""
         steps = self.decoding.steps
         all_rows = np.arange(self.after)[rows]

@@ -63,12 +63,22 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         state = self.state
         count = sum(1 for group in self.waiting for _ in group.split(protocol))
         expiries = [group.expires for group in self.waiting]
+        past = [self.frame_start, self.frame_end, *(group.end for group in self.waiting)]
+        past += [t for t, _ in self.held]
+        past += [t for t in (self.lost_at, self.unsynced_since) if t is not None]
         sane = (
             state.motion in tuple(Motion)
             and state.moving == is_moving(state.motion, state.speed)
+            and all(
+                low <= getattr(state, variable) <= high
+                for variable, (low, high) in protocol.bounds.items()
+            )
+            and all(0 <= t <= self.time for t in past)
+            and self.frame_start <= self.frame_end
+            and (len(set(self.heard)) > 1 or not (self.waiting or self.held))
             and 0 <= count <= self.sequence
             and expiries == sorted(expiries)
-            and all(group.frames and group.end <= self.time for group in self.waiting)
+            and all(group.frames for group in self.waiting)
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
             and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])

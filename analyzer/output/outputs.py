@@ -13,15 +13,21 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import Record, is_frame
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
+from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
     from bilprov.analyzer.output.statistics import Statistics
+
+_NEVER = (1 << 63) - 1  # ns
 
 Format = Literal["live", "lines", "jsonl"]
 
@@ -130,6 +136,12 @@ class Window:
         """Whether a time (ns) is inside the window."""
         return (self.first is None or t >= self.first) and (self.after is None or t < self.after)
 
+    def masks(self, stretch: Stretch) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which new host rows and which device rows of a stretch are inside."""
+        first, after = self.first or 0, _NEVER if self.after is None else self.after
+        start, t = stretch.start, stretch.t
+        return (start >= first) & (start < after), (t >= first) & (t < after)
+
     def covers(self, part: Part) -> bool:
         """Whether all records of a part are inside; for a frame its first byte counts."""
         if self.first is None and self.after is None:
@@ -149,7 +161,7 @@ class Shown:
     """
 
     output: Output
-    test: Callable[[JsonLine], bool] | None = None
+    test: Filter | None = None
     left: int | None = None
     window: Window = Window()
 
@@ -166,19 +178,33 @@ class Shown:
         return part
 
     def _passing(self, part: Part) -> Iterator[Record]:
-        for record in part.records():
+        if isinstance(part, Records):
+            records = (record for record in part.listed if self._passes(record))
+        else:
+            records = self._chosen(part)
+        for record in records:
             if self.full:
                 return
-            if self.window.has(record.t) and self._passes(record):
-                if self.left is not None and is_frame(record):
-                    self.left -= 1
-                yield record
+            if self.left is not None and is_frame(record):
+                self.left -= 1
+            yield record
 
     def _passes(self, record: Record) -> bool:
+        if not self.window.has(record.t):
+            return False
         if self.test is None:
             return True
         line = json_line(record)
         return line is not None and self.test(line)
+
+    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
+        """Yield the records of a stretch that pass; no others are made."""
+        host, device = self.window.masks(stretch)
+        if self.test is not None:
+            passing = self.test.masks(stretch)
+            host, device = host & passing[0], device & passing[1]
+        lines = [self._passes(stretch.line(at, 0)) for at in range(len(stretch.lines))]
+        return stretch.chosen(host, device, lines)
 
 
 def _wants_colour(stream: TextIO) -> bool:

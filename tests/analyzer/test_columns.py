@@ -1,0 +1,244 @@
+"""Columns: a StreamDecoder gives the records that one Session gives, however it is fed."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bilprov.analyzer.columns import decoder as columns
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.columns.stretch import Stretch
+from bilprov.analyzer.decode.records import HostRecord
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
+from tests.support.decoding import MS, Event
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_bytes_are_enough() -> Any:
+    """Columns are used for any number of bytes, which is else not worth the trouble."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(columns, "LEAST", 0)
+        patch.setattr(columns, "FIRST", 0)
+        yield
+
+
+def same(
+    protocol: Protocol,
+    events: Sequence[Event],
+    batches: Sequence[int] = (1000,),
+    looks: frozenset[int] = frozenset(),
+    **chosen: Any,
+) -> list[Any]:
+    """The parts of a StreamDecoder, after comparing their records with a Session's."""
+    parts = told(StreamDecoder(protocol, **chosen), events, batches, looks)
+
+    assert records_of(parts) == told(Session(protocol, **chosen), events, looks=looks)
+    for part in parts:
+        records = list(part.records())
+        assert part.host_rows == sum(isinstance(record, HostRecord) for record in records)
+    return parts
+
+
+@pytest.mark.slow
+@settings(max_examples=150)
+@given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
+def test_columns_hold_the_records_of_a_session(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    looks: frozenset[int],
+    chosen: dict[str, Any],
+) -> None:
+    same(each_protocol, played(each_protocol, acts), batches, looks, **chosen)
+
+
+def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
+    """Events of a host that waits for each answer, with random frames."""
+    random, events = Random(seed), []
+    for number in range(count):
+        header = random.randrange(256)
+        frame = bytes([header]) + random.randbytes(protocol.lengths[header])
+        answer = bytes([judge(protocol, frame).response.code])
+        events += [
+            Chunk(number * MS, "host", frame),
+            Chunk(number * MS + 1000, "device", answer),
+        ]
+    return events
+
+
+def test_traffic_without_oddities_is_columns_alone(each_protocol: Protocol) -> None:
+    parts = same(each_protocol, conversation(each_protocol, 3000, 1), [700])
+
+    assert {type(part) for part in parts} == {Stretch}
+    assert sum(part.host_rows for part in parts) == 3000
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_oddity_leaves_the_rest_to_columns(each_protocol: Protocol, seed: int) -> None:
+    events = conversation(each_protocol, 3000, seed)
+    del events[1001]  # an answer
+    later = [replace_time(event, event.t + 3000 * MS) for event in events[1001:]]
+
+    parts = same(each_protocol, events[:1001] + later)
+
+    odd = sum(len(part.listed) for part in parts if isinstance(part, Records))
+    assert 0 < odd < 100
+
+
+# The answer's deadline, when it is given up, when a pause in a frame can cut it short: the ends.
+LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
+ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
+
+
+@pytest.mark.parametrize("pause", ENDS)
+@pytest.mark.parametrize("skew", [0, 20 * MS])
+def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(
+    protocol: Protocol, pause: int, skew: int
+) -> None:
+    valid, faulty = bytes([protocol.pad_byte]), b"\x90"
+    ok, wrong = (bytes([judge(protocol, frame).response.code]) for frame in (valid, faulty))
+    two = protocol.lengths.index(1)
+    frame = bytes([two, 0])
+    answer = bytes([judge(protocol, frame).response.code])
+    odd: list[list[tuple[int, str, bytes]]] = [
+        [(0, "host", valid), (pause, "device", ok)],
+        [(0, "host", valid), (pause, "host", valid), (0, "device", ok * 2)],
+        [(0, "host", valid + faulty), (pause, "device", wrong)],
+        [(0, "host", valid), (1, "host", faulty), (pause, "device", ok), (pause, "device", wrong)],
+        [(0, "host", valid), (0, "device", ok + ok), (pause, "host", valid)],
+        [(0, "host", frame[:1]), (pause, "host", frame[1:]), (0, "device", answer)],
+        [(0, "host", frame[:1]), (pause, "device", answer), (0, "host", frame[1:])],
+        [(0, "host", frame[:1]), (1, "device", answer), (pause, "host", frame[1:])],
+        [(0, "host", valid + frame[:1]), (pause, "host", frame[1:]), (0, "device", ok + answer)],
+        [(0, "host", valid + frame[:1]), (1, "device", ok), (pause, "host", frame[1:])],
+    ]
+    for acts in odd:
+        t = 0
+        events: list[Event] = conversation(protocol, 20, 1)
+        for number in range(3):
+            t += 3000 * MS
+            for wait, side, data in acts:
+                t += wait
+                events.append(Chunk(t, side, data))  # type: ignore[arg-type]
+            events += [Chunk(t + MS, "host", valid), Chunk(t + 2 * MS, "device", ok)] * (number < 2)
+        for batches in ([1000], [1], [21, 2]):
+            same(protocol, events, batches, skew=skew)
+            same(protocol, events, batches, frozenset(range(20, 40)), skew=skew)
+
+
+def replace_time(event: Event, t: int) -> Event:
+    return Chunk(t, event.direction, event.data) if isinstance(event, Chunk) else event
+
+
+def test_little_is_left_to_a_session(protocol: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(columns, "LEAST", 512)
+    events = conversation(protocol, 20, 1)
+
+    parts = same(protocol, events, [3])
+
+    assert {type(part) for part in parts} == {Records}
+
+
+def test_frames_of_many_chunks_and_chunks_of_many_frames(each_protocol: Protocol) -> None:
+    random = Random(3)
+    stream = random.randbytes(150_000)
+    events: list[Event] = []
+    at = t = 0
+    while at < len(stream):
+        size = random.choice([1, 2, 7, 4096, 70_000])
+        events.append(Chunk(t, "host", stream[at : at + size]))
+        at, t = at + size, t + 1000
+
+    same(each_protocol, events, [5, 1], heard=frozenset({"host"}))
+
+
+@pytest.mark.parametrize("t", [-5, 1 << 61, 1 << 62, (1 << 63) - 10, 1 << 63, 1 << 64, -(1 << 70)])
+def test_times_that_fit_into_no_clock_are_decoded_all_the_same(protocol: Protocol, t: int) -> None:
+    events = conversation(protocol, 50, 1)
+    after = [replace_time(event, event.t + max(t, 0)) for event in events]
+
+    same(protocol, [*events, Chunk(t, "host", b"\x11"), *after, Line(t, "gap"), *after], [7])
+
+
+def test_a_grammar_whose_state_fits_into_no_column_is_decoded_by_a_session(
+    grammar_text: str,
+) -> None:
+    huge = load(grammar_text.replace('led=From("rgb")', f'led=From("rgb", factor={1 << 70})'))
+
+    parts = same(huge, conversation(huge, 300, 1))
+
+    assert {type(part) for part in parts} == {Records}
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Every capture of the tree."""
+    samples = ROOT / "captures" / "samples"
+    found = list(samples.glob("*.mcap"))
+    for packed in samples.rglob("*.mcap.gz"):
+        path = tmp_path_factory.mktemp("samples") / packed.stem
+        path.write_bytes(gzip.decompress(packed.read_bytes()))
+        found.append(path)
+    assert len(found) == 2
+    return found
+
+
+def damaged(events: list[Event], random: Random) -> list[Event]:
+    """The events with some bits flipped and some bytes lost, from a random one to a random one."""
+    low, high = sorted(random.sample(range(len(events) + 1), 2))
+    out: list[Event] = []
+    for event in events[low:high]:
+        if isinstance(event, Chunk) and random.random() < 0.02:
+            data = bytearray(event.data)
+            place = random.randrange(len(data))
+            if random.random() < 0.5:
+                data[place] ^= 1 << random.randrange(8)
+            else:
+                del data[place]
+            event = replace_data(event, bytes(data))
+        out.append(event)
+    return out
+
+
+def replace_data(event: Chunk, data: bytes) -> Chunk:
+    return Chunk(event.t, event.direction, data)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_captures_cut_flipped_and_with_lost_bytes(
+    protocol: Protocol, captured: list[Path], seed: int
+) -> None:
+    random = Random(seed)
+    for path in captured:
+        capture = open_capture(path)
+        events = list(capture.events())
+        if seed:
+            events = damaged(events, random)
+        session = capture_session(capture, protocol)
+        expected = told(session, events)
+
+        state = capture_session(capture, protocol).saved()
+        assert state is not None
+        decoder = StreamDecoder(
+            protocol,
+            timeout=state.timeout,
+            skew=state.skew,
+            heard=frozenset(state.heard),
+            attached=state.unsynced_since is not None,
+        )
+        batches = [random.randrange(1, 300) for _ in range(5)]
+        assert records_of(told(decoder, events, batches)) == expected

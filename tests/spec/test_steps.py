@@ -1,0 +1,102 @@
+"""The remembered Steps say what `codec.judge` and `Effect.apply` say, for every kind of frame."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from bilprov.spec.codec import judge, raw_frame
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.steps import Step, Steps
+
+BEFORE = State(speed=11, steering=-7, led=3)
+
+
+def after(step: Step, state: State = BEFORE) -> dict[str, object]:
+    """The values of a state's variables after a step."""
+    return {
+        name: getattr(state, name) if getattr(step, name) is None else getattr(step, name)
+        for name in ("motion", "speed", "steering", "led")
+    }
+
+
+def judged(protocol: Protocol, frame: bytes, state: State = BEFORE) -> dict[str, object]:
+    """The same by the grammar's own effects."""
+    judgement = judge(protocol, frame)
+    effect = protocol.on_fault
+    if judgement.valid and judgement.instruction:
+        effect = judgement.instruction.effect
+    then = effect.apply(state, dict(judgement.fields))
+    return {
+        "motion": then.motion.value,
+        "speed": then.speed,
+        "steering": then.steering,
+        "led": then.led,
+    }
+
+
+def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
+    each_protocol: Protocol,
+) -> None:
+    random, steps = Random(1), Steps(each_protocol)
+
+    for header, length in enumerate(each_protocol.lengths):
+        for arrived in range(length + 1):
+            for _ in range(2):  # the second is one that is remembered, with other data
+                frame = bytes([header]) + random.randbytes(arrived)
+                step = steps[frame]
+                assert step.judgement == judge(each_protocol, frame)
+                assert after(step) == judged(each_protocol, frame)
+                assert steps[frame] == step
+
+
+@pytest.mark.slow
+def test_every_first_byte_after_every_header_is_judged_as_by_the_grammar(
+    each_protocol: Protocol,
+) -> None:
+    random, steps = Random(2), Steps(each_protocol)
+
+    for header, length in enumerate(each_protocol.lengths):
+        for first in range(256 if length else 1):
+            frame = (bytes([header, first]) + random.randbytes(length))[: 1 + length]
+            assert steps[frame].judgement == judge(each_protocol, frame)
+            assert after(steps[frame]) == judged(each_protocol, frame)
+
+
+@pytest.mark.parametrize("kind", ["no bytes", "a byte too many"])
+def test_what_is_not_one_frame_is_refused(protocol: Protocol, kind: str) -> None:
+    frame = b"" if kind == "no bytes" else raw_frame(protocol, protocol.stop.id, 0) + b"\0"
+
+    with pytest.raises(ValueError, match="frame"):
+        Steps(protocol)[frame]
+
+
+@pytest.mark.slow
+def test_no_more_frames_than_64_ki_are_remembered_and_all_are_judged_right(wide: Protocol) -> None:
+    steps = Steps(wide)
+    spec = next(spec for spec in wide.instructions if spec.length > 2)
+    frames = [
+        raw_frame(wide, spec.id, spec.length, n.to_bytes(spec.length, "big")) for n in range(70_000)
+    ]
+
+    for frame in frames:
+        steps[frame]  # asking is what makes it remember
+
+    assert len(steps) == 1 << 16
+    assert steps[frames[-1]].judgement == judge(wide, frames[-1])
+
+
+def test_a_frame_that_no_data_can_put_right_is_not_remembered_by_its_data(
+    each_protocol: Protocol,
+) -> None:
+    steps, random = Steps(each_protocol), Random(3)
+    unused = each_protocol.unused_ids[0]
+    longest = each_protocol.data_lengths[-1]
+
+    for _ in range(100):
+        frame = raw_frame(each_protocol, unused, longest, random.randbytes(longest))
+        assert steps[frame].judgement.frame == frame
+
+    assert len(steps) == 0

@@ -1,0 +1,220 @@
+"""Frames found and judged by tables are those of Framer, `codec.judge` and `Effect.apply`."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from itertools import pairwise
+from random import Random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.spec.codec import judge, nearest
+from bilprov.spec.framing import Framer
+from bilprov.spec.motion import VARIABLES, State
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.tables import MOTIONS, OUTCOMES, FrameTables, frame_tables
+
+BLOCK = 1 << 16  # how many bytes are tokenized at once: lengths around it are tried
+
+
+def framed(protocol: Protocol, data: bytes) -> tuple[list[int], int]:
+    """The places of the whole frames, and of the first header after them, by Framer."""
+    framer = Framer(protocol.lengths, None)
+    sizes = [len(frame.data) for frame in framer.feed(data, 0)]
+    places = [0]
+    for size in sizes:
+        places.append(places[-1] + size)
+    return places[:-1], places[-1]
+
+
+def found(tables: FrameTables, data: bytes, start: int = 0) -> tuple[list[int], int]:
+    offsets, end = tables.offsets(np.frombuffer(data, np.uint8), start)
+    return offsets.tolist(), end
+
+
+def every_first_byte(protocol: Protocol, random: Random) -> list[bytes]:
+    """A frame of each header with each first data byte, the other data random, in random order."""
+    frames = [
+        (bytes([header, first]) + random.randbytes(length))[: 1 + length]
+        for header, length in enumerate(protocol.lengths)
+        for first in range(256)
+    ]
+    # Random data of a wide field are seldom valid.
+    frames += [nearest(protocol, frame) for frame in random.sample(frames, 5000)]
+    random.shuffle(frames)
+    return frames
+
+
+@pytest.mark.slow
+def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_grammar(
+    each_protocol: Protocol,
+) -> None:
+    frames = every_first_byte(each_protocol, Random(1))
+    data = np.frombuffer(b"".join(frames), np.uint8)
+    tables = frame_tables(each_protocol)
+    before = State(MOTIONS[2], 9, -8, 7)
+
+    offsets, end = tables.offsets(data)
+    columns = tables.frames(data, offsets)
+    states = tables.states(data, columns, [getattr(before, name) for name in VARIABLES])
+
+    starts = np.cumsum([0, *(len(frame) for frame in frames)])
+    assert (offsets.tolist(), end) == (starts[:-1].tolist(), starts[-1])
+    state, expected = before, []
+    for frame in frames:
+        judgement = judge(each_protocol, frame)
+        effect = each_protocol.on_fault
+        if judgement.valid and judgement.instruction:
+            effect = judgement.instruction.effect
+        state = effect.apply(state, dict(judgement.fields))
+        expected.append((judgement.outcome, MOTIONS.index(state.motion), *_numbers(state)))
+    verdicts = [OUTCOMES[code] for code in columns.verdict.tolist()]
+    assert list(zip(verdicts, *(column.tolist() for column in states), strict=True)) == expected
+    assert tables.codes[columns.verdict].tolist() == [
+        each_protocol.answers[outcome].code for outcome, *_ in expected
+    ]
+
+
+def _numbers(state: State) -> tuple[int, int, int]:
+    return state.speed, state.steering, state.led
+
+
+@given(data=st.data())
+def test_the_last_state_is_the_last_of_all_states(
+    each_protocol: Protocol, data: st.DataObject
+) -> None:
+    stream = data.draw(st.binary(max_size=200))
+    tables = frame_tables(each_protocol)
+    array = np.frombuffer(stream, np.uint8)
+    columns = tables.frames(array, tables.offsets(array)[0])
+    before = ("forward", 5, -6, 1)
+
+    states = tables.states(array, columns, before)
+
+    last = tables.last_state(array, columns, before)
+    first = MOTIONS.index("forward"), *before[1:]
+    assert last == (tuple(int(column[-1]) for column in states) if len(columns.key) else first)
+
+
+@given(data=st.data())
+def test_every_field_of_every_frame_has_the_value_that_the_grammar_parses(
+    each_protocol: Protocol, data: st.DataObject
+) -> None:
+    tables = frame_tables(each_protocol)
+    for spec in each_protocol.instructions:
+        if not spec.fields:
+            continue
+        header = each_protocol.header_bytes[spec.id, spec.length]
+        frames = data.draw(
+            st.lists(st.binary(min_size=spec.length, max_size=spec.length), min_size=1, max_size=5)
+        )
+        array = np.frombuffer(b"".join(bytes([header]) + frame for frame in frames), np.uint8)
+        offsets, _ = tables.offsets(array)
+        for part in spec.fields:
+            values = tables.field(part, array, offsets).tolist()
+            assert values == [spec.decode(frame)[part.name] for frame in frames]
+
+
+@given(stream=st.binary(max_size=400), start=st.integers(0, 20))
+def test_frames_begin_where_the_framer_finds_them(
+    each_protocol: Protocol, stream: bytes, start: int
+) -> None:
+    tables = frame_tables(each_protocol)
+    start = min(start, len(stream))
+
+    offsets, end = found(tables, stream, start)
+
+    expected, after = framed(each_protocol, stream[start:])
+    assert (offsets, end) == ([start + place for place in expected], start + after)
+
+
+@given(stream=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=8))
+def test_a_stream_in_any_cuts_has_the_same_frames(
+    each_protocol: Protocol, stream: bytes, cuts: list[int]
+) -> None:
+    tables = frame_tables(each_protocol)
+
+    pieces, header = [], 0
+    for cut in [*sorted(min(cut, len(stream)) for cut in cuts), len(stream)]:
+        offsets, header = found(tables, stream[:cut], header)
+        pieces += offsets
+
+    assert (pieces, header) == framed(each_protocol, stream)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["random", "one header", "the longest", "none has data"])
+def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(
+    each_protocol: Protocol, kind: str
+) -> None:
+    tables = frame_tables(each_protocol)
+    longest = each_protocol.lengths.index(each_protocol.longest_frame - 1)
+    one = next(h for h, length in enumerate(each_protocol.lengths) if length == 1)
+    stream = {
+        "random": Random(5).randbytes(2 * BLOCK + 100),
+        # Framings that begin at different bytes never come together.
+        "one header": bytes([one]) * (2 * BLOCK + 100),
+        "the longest": bytes([longest]) * (2 * BLOCK + 100),
+        "none has data": bytes([each_protocol.pad_byte]) * (2 * BLOCK + 100),
+    }[kind]
+
+    sizes = [1 + length for length in each_protocol.lengths]
+    for start in (0, 1):
+        places, _ = framed(each_protocol, stream[start:])
+        ends = [place + sizes[stream[start + place]] for place in places]
+        for length in (BLOCK, 2 * BLOCK):
+            for more in (-each_protocol.longest_frame, -2, -1, 0, 1, 2, 33):
+                offsets, end = found(tables, stream[: length + more], start)
+                whole = bisect_right(ends, length + more - start)
+                assert offsets == [start + place for place in places[:whole]]
+                assert end == start + ends[whole - 1]
+
+
+def test_no_bytes_hold_no_frames(each_protocol: Protocol) -> None:
+    assert found(frame_tables(each_protocol), b"") == ([], 0)
+
+
+def test_the_frames_of_blocks_follow_each_other(protocol: Protocol) -> None:
+    stream = np.frombuffer(Random(6).randbytes(3 * BLOCK), np.uint8)
+
+    blocks = list(frame_tables(protocol).blocks(stream))
+
+    assert len(blocks) == 3
+    for (_, header), (offsets, _) in pairwise(blocks):
+        assert offsets[0] == header
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        ('led=From("rgb")', f'led=From("rgb", factor={1 << 70})'),
+        ("speed=0, steering=0, led=0)", f"speed=0, steering=0, led={1 << 70})"),
+        ("FAULTY = Sets(", f"FAULTY = Sets(led={1 << 70}, "),
+        ('"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(BytesInteger(8), 0, 255)'),
+    ],
+)
+def test_a_grammar_whose_numbers_do_not_fit_into_64_bits_is_refused(
+    grammar_text: str, edit: tuple[str, str]
+) -> None:
+    assert grammar_text.count(edit[0]) == 1
+    text = grammar_text.replace(*edit).replace("Byte, Struct", "Byte, BytesInteger, Struct")
+
+    with pytest.raises(OverflowError):
+        FrameTables(load(text))
+
+
+@pytest.mark.parametrize("led", [-1, 1 << 15, -(1 << 31), (1 << 62)])
+def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> None:
+    text = grammar_text.replace("speed=0, steering=0, led=0)", f"speed=0, steering=0, led={led})")
+    other = load(text)
+    tables = FrameTables(other)
+    stop = np.array([other.pad_byte], np.uint8)
+
+    states = tables.states(
+        stop, tables.frames(stop, tables.offsets(stop)[0]), ("stopped", 0, 0, led)
+    )
+
+    assert states.led.tolist() == [led]
