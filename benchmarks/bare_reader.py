@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import sys
 import time
 from contextlib import ExitStack, suppress
@@ -60,6 +61,7 @@ def _answers(protocol: Protocol) -> list[bytes]:
 
 def main() -> None:
     """Read until SIGINT."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     protocol = load_protocol()
     host, device = (os.open(name, os.O_RDONLY | os.O_NONBLOCK) for name in sys.argv[1:3])
     lengths, held, begun = protocol.lengths, b"", time.monotonic()

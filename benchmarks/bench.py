@@ -94,7 +94,8 @@ WORKS = (
 def main() -> int:
     """Measure the rows that are asked for; returns 1 if one failed, 130 if it was interrupted."""
     options = _options()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(number, signal.default_int_handler)
     works = [work for work in WORKS if fnmatch(work.name, options.only)]
     sizes = QUICK if options.quick else FULL
     seconds = options.seconds or (2 if options.quick else 60)

@@ -18,6 +18,7 @@ from bilprov.captures.schemas import Chunk
 FAST = 833  # ns of a byte at 12 Mbaud
 _CALM = 1_500_000_000  # ns at the protocol's own rate, after which decoded channels have stopped
 _PAGE = 4096  # bytes of a read
+_SAMPLES = 4  # times the sample for construct, so that opening the file does not count
 _TRIED = 20  # reads of a capture that is made, after which it is known how long it takes
 _LONGEST = 24  # times the patience of a row that a whole command may take
 
@@ -192,10 +193,10 @@ def _replayed(
         made, ended = few, little
     else:
         ended = run(bilprov_words(*words(made.path)))
-    sample = setting.sample.frames
+    start, most = product.capture_start(made.path) + _CALM, _SAMPLES * setting.sample.frames
     speed = {
         CONSTRUCT: lambda: _rate(
-            lambda: peers.construct_replayed(made.path, setting.construct, sample, out)
+            lambda: peers.construct_replayed(made.path, setting.construct, start, most, out)
         )
     }
     if setting.has_ceiling():

@@ -19,35 +19,33 @@ class Disagree(Exception):
 def columns(setting: Setting, work: Work) -> Row:
     """Host bytes to a verdict and a state for each frame."""
     decode, said = product.decoded_columns(setting.protocol), setting.said
-    judged = product.judged_columns(decode(said.host), setting.protocol)
-    _require_same("columns", judged, "the C loop", setting.ceiling.judged(said.host))
-    if judged.codes != said.device:
+
+    def judged(data: bytes) -> Judged:
+        return product.judged_columns(decode(data), setting.protocol)
+
+    if judged(said.host).codes != said.device:
         raise Disagree("the columns' verdicts are not those of the frames that were drawn")
-    _require_same(
-        "construct",
-        setting.construct.judged(setting.sample.host),
-        "the C loop",
-        setting.ceiling.judged(setting.sample.host),
-    )
-    sample = _frames(setting)
-    rates = medians(
-        setting.sizes.rounds,
-        {
-            "bilprov": lambda: said.frames / timed(lambda: decode(said.host)),
-            CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
-            C_LOOP: lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host)),
-        },
-    )
+    few, sample = setting.sample.host, _frames(setting)
+    _require_same("columns", judged(few), CONSTRUCT, setting.construct.judged(few))
+    works = {
+        "bilprov": lambda: said.frames / timed(lambda: decode(said.host)),
+        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
+    }
+    if setting.has_ceiling():
+        _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
+        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
+    rates = medians(setting.sizes.rounds, works)
     ours = rates.pop("bilprov")
+    least = {CONSTRUCT: 400, C_LOOP: 0.12}
     return Row(
         work.name,
         f"{work.words}, {len(said.host) / 1e6:.3g} MB",
         "frames/s",
         ours,
         rates,
-        goals=(
-            Goal(f"400 x {CONSTRUCT}", ours / rates[CONSTRUCT], 400),
-            Goal(f"0.12 x {C_LOOP}", ours / rates[C_LOOP], 0.12),
+        goals=tuple(
+            Goal(f"{least[name]:g} x {name}", ours / rate, least[name])
+            for name, rate in rates.items()
         ),
     )
 

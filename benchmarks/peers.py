@@ -174,24 +174,29 @@ def raw_written(path: Path, chunks: Iterable[Chunk]) -> int:
     return frames
 
 
-def read_by_mcap(path: Path, topic: str = HOST_RAW) -> Iterator[bytes]:
-    """The messages of a topic, by the mcap library's own reader."""
+def read_by_mcap(path: Path, topic: str = HOST_RAW, start: int = 0) -> Iterator[bytes]:
+    """The messages of a topic from `start` (ns) on, by the mcap library's own reader."""
     with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=[topic]):
+        for _, _, message in make_reader(file).iter_messages(topics=[topic], starting_at=start):
             yield message.data
 
 
 def first_after(path: Path, start: int) -> int:
     """The time (ns) of the first message at or after `start` (ns), by the library's index alone."""
     with path.open("rb") as file:
-        _, _, message = next(make_reader(file).iter_messages(start_time=start))
+        _, _, message = next(make_reader(file).iter_messages(starting_at=start))
         return message.log_time
 
 
-def construct_replayed(path: Path, construct: Construct, most: int, out: Any = None) -> int:
-    """Decode up to `most` host frames of a capture; with `out`, write each as a JSON line."""
+def construct_replayed(
+    path: Path, construct: Construct, start: int, most: int, out: Any = None
+) -> int:
+    """Decode up to `most` host frames of a capture from `start` (ns) on, where a frame begins.
+
+    With `out`, write each as a JSON line. Returns how many there were.
+    """
     frames, held = 0, b""
-    for data in read_by_mcap(path):
+    for data in read_by_mcap(path, start=start):
         data, used = held + data, 0
         for frame in construct.frames(data):
             used += len(frame.data)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import bilprov
 from benchmarks.ceiling import Judged
@@ -28,24 +29,37 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
 
-COLUMNS = "bilprov.analyzer.columns"
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
 Words = list[str]
 
 
-def decoded_columns(protocol: Protocol) -> Callable[[bytes], object]:
+class Columns(NamedTuple):
+    """An array of verdicts (places in `OUTCOMES`), and one for each state variable by its name."""
+
+    verdict: Any
+    state: Any
+
+
+def decoded_columns(protocol: Protocol) -> Callable[[bytes], Columns]:
     """The function from host bytes to columns. Raises Skipped where the kit has none."""
     try:
-        decode_frames = import_module(COLUMNS).decode_frames
-    except (ImportError, AttributeError):
-        raise Skipped(f"there is no {COLUMNS}.decode_frames yet") from None
-    return lambda data: decode_frames(data, protocol)
+        tables, numpy = import_module("bilprov.spec.tables"), import_module("numpy")
+    except ImportError as error:
+        raise Skipped(f"there are no columns here: {error}") from None
+    before = [getattr(protocol.power_on, name) for name in VARIABLES]
+
+    def decode(data: bytes) -> Columns:
+        found, buffer = tables.frame_tables(protocol), numpy.frombuffer(data, numpy.uint8)
+        frames = found.frames(buffer, found.offsets(buffer)[0])
+        return Columns(frames.verdict, found.states(buffer, frames, before))
+
+    return decode
 
 
-def judged_columns(columns: object, protocol: Protocol) -> Judged:
+def judged_columns(columns: Columns, protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
-    verdict, state = columns.verdict, columns.state  # type: ignore[attr-defined]
+    verdict, state = columns
     codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES)
     last = {name: getattr(state, name)[-1].item() for name in VARIABLES}
     values = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())

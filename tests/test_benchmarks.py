@@ -31,12 +31,14 @@ SIZE = 10_000  # bytes
 
 @pytest.fixture(params=["car", "horn", "wide"])
 def grammar(request: pytest.FixtureRequest, grammar_text: str, horn_text: str) -> Protocol:
-    """The protocol, one with another instruction, and one with two fields, one of two bytes."""
+    """The protocol, one with another instruction, and one with wide fields and two of them."""
     wide = grammar_text.replace(
         '"speed" / Ranged(Byte, 0, 255) * "speed that the other instructions use",',
         '"speed" / Ranged(Int16ub, 3, 900) * "how fast", "mode" / Ranged(Byte, 1, 2) * "how",',
     ).replace("import BitsInteger,", "import Int16ub, BitsInteger,")
-    assert wide.count("Int16ub") == 2
+    strength = '"strength" / Ranged(Byte, 0, 255) * "steering strength",'
+    wide = wide.replace(strength, f'{strength} "how" / Ranged(Byte, 5, 6) * "how",', 1)
+    assert (wide.count("Int16ub"), wide.count('"how"')) == (2, 3)
     return load({"car": grammar_text, "horn": horn_text, "wide": wide}[request.param])
 
 
