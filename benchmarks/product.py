@@ -31,39 +31,51 @@ from bilprov.spec.protocol import Protocol
 
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
+_PART = 1 << 18  # bytes that are decoded at once, so that the arrays of a part fit into a cache
+
 Words = list[str]
 
 
 class Columns(NamedTuple):
-    """An array of verdicts (places in `OUTCOMES`), and one for each state variable by its name."""
+    """The columns of one part: an array of verdicts (places in `OUTCOMES`), and the states.
+
+    The states are an array for each variable, by its name.
+    """
 
     verdict: Any
     state: Any
 
 
-def decoded_columns(protocol: Protocol) -> Callable[[bytes], Columns]:
-    """The function from host bytes to columns. Raises Skipped where the kit has none."""
+def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
+    """The function from host bytes, whole frames, to columns. Raises Skipped where there is none."""
     try:
         tables, numpy = import_module("bilprov.spec.tables"), import_module("numpy")
     except ImportError as error:
         raise Skipped(f"there are no columns here: {error}") from None
-    before = [getattr(protocol.power_on, name) for name in VARIABLES]
+    found = tables.frame_tables(protocol)
 
-    def decode(data: bytes) -> Columns:
-        found, buffer = tables.frame_tables(protocol), numpy.frombuffer(data, numpy.uint8)
-        frames = found.frames(buffer, found.offsets(buffer)[0])
-        return Columns(frames.verdict, found.states(buffer, frames, before))
+    def decode(data: bytes) -> list[Columns]:
+        buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
+        state = [getattr(protocol.power_on, name) for name in VARIABLES]
+        while at < len(data):
+            part = buffer[at : at + _PART]
+            offsets, used = found.offsets(part)
+            frames = found.frames(part, offsets)
+            columns.append(Columns(frames.verdict, found.states(part, frames, state)))
+            state = [int(column[-1]) for column in columns[-1].state]
+            at += used
+        return columns
 
     return decode
 
 
-def judged_columns(columns: Columns, protocol: Protocol) -> Judged:
+def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
-    verdict, state = columns
-    codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES)
-    last = {name: getattr(state, name)[-1].item() for name in VARIABLES}
-    values = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
-    return Judged(verdict.astype("uint8").tobytes().translate(codes.ljust(256, b"\0")), values)
+    codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES).ljust(256, b"\0")
+    last = {name: int(getattr(columns[-1].state, name)[-1]) for name in VARIABLES}
+    state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
+    verdicts = b"".join(part.verdict.tobytes() for part in columns)
+    return Judged(verdicts.translate(codes), state)
 
 
 def decoded_records(path: Path) -> tuple[float, Judged]:
