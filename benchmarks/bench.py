@@ -150,13 +150,14 @@ def _in_words(row: Row) -> str:
     if row.ours is None:
         return f"{row.state}: {row.note}"
     parts = [figure(row.ours, row.unit)]
-    parts += [f"{figure(value, name)}" for name, value in row.figures.items()]
+    parts += [figure(value, name) for name, value in row.figures.items()]
     ratios = row.ratios
     parts += [
         f"{name} {figure(value, row.unit)} ({times(ratios[name])})"
         for name, value in row.peers.items()
         if name in ratios
     ]
+    parts += [f"beside {figure(value, name)}" for name, value in row.beside.items()]
     parts += [reach(goal) for goal in row.goals]
     return "; ".join(parts) + (f" ({row.note})" if row.note else "")
 

@@ -66,7 +66,7 @@ def sniffed(
     gc.unfreeze()
     ours = rates.pop("bilprov")
     figures = {"B a frame on disk": on_disk.pop("bilprov")}
-    figures |= {f"B a frame by {name}": size for name, size in on_disk.items()}
+    beside = {f"B a frame ({name})": size for name, size in on_disk.items()}
     return Row(
         work.name,
         work.words,
@@ -74,6 +74,7 @@ def sniffed(
         ours,
         rates,
         figures,
+        beside,
         (
             Goal(f"{times_construct} x {name_json}", ours / rates[name_json], times_construct),
             Goal(f"at most {most_bytes} B a frame", figures["B a frame on disk"], most_bytes, True),
@@ -211,7 +212,7 @@ def _replayed(
         made.frames / ended.seconds,
         rates,
         {"MB at peak": ended.memory / 1e6, "MB with the small capture": little.memory / 1e6},
-        (
+        goals=(
             Goal(
                 f"{times_construct} x {CONSTRUCT}",
                 made.frames / ended.seconds / rates[CONSTRUCT],
@@ -219,7 +220,7 @@ def _replayed(
             ),
             Goal("at most 300 MB", ended.memory / 1e6, 300, True),
         ),
-        note,
+        note=note,
     )
 
 

@@ -47,8 +47,8 @@ def seek(setting: Setting, work: Work) -> Row:
         ours,
         found,
         {"ms over python": over, f"ms with {few.frames / 1e6:.3g} M frames": little},
-        (Goal(f"python + {_SEEK} ms", over, _SEEK, at_most=True),),
-        made.note,
+        goals=(Goal(f"python + {_SEEK} ms", over, _SEEK, at_most=True),),
+        note=made.note,
     )
 
 
@@ -71,4 +71,4 @@ def start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row
     ours = found.pop("bilprov")
     more = ours - found["python alone"]
     goal = Goal(f"python + {over:g} ms", more, over, at_most=True)
-    return Row(work.name, work.words, "ms", ours, found, {"ms over python": more}, (goal,))
+    return Row(work.name, work.words, "ms", ours, found, {"ms over python": more}, goals=(goal,))

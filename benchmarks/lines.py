@@ -12,7 +12,7 @@ import subprocess
 import termios
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -23,13 +23,21 @@ from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.schemas import Direction
 from bilprov.spec.protocol import Protocol
 
-PERIOD = 1_000_000  # ns between two bursts, as long as USB adapters wait at least
+_PERIOD = 1_000_000  # ns between two bursts, about; the least that USB adapters wait
 BUFFER = 1 << 16  # bytes that wait for a slow reader; a driver's buffer is ten times as large
 _PATIENCE = 30.0  # s to begin, and to end
-_SETTLES = 0.5  # s before the traffic begins and after it has ended
+_STARTS = 0.5  # s from when a listener has opened its lines until traffic begins
+_SETTLES = 0.25  # s that are waited for the last bytes
 
 Burst = tuple[bytes, bytes]
 """What the host and the device send in one period."""
+
+
+class Bursts(NamedTuple):
+    """Bursts, and the time (ns) from one to the next."""
+
+    ready: list[Burst]
+    period: int
 
 
 class Sent(NamedTuple):
@@ -61,16 +69,16 @@ def wires() -> Iterator[Wires]:
         yield Wires(host, device)
 
 
-def bursts(said: Traffic, protocol: Protocol, byte_time: float) -> list[Burst]:
-    """The traffic in bursts of one period each, the answers to a burst's frames with it."""
-    size = max(1, round(PERIOD / byte_time))
+def bursts(said: Traffic, protocol: Protocol, byte_time: int) -> Bursts:
+    """The traffic in bursts of whole bytes, the answers to a burst's frames with it."""
+    size = max(1, round(_PERIOD / byte_time))
     found: list[Burst] = []
     for chunk in reads(said, protocol, size, 1):
         if chunk.direction == "host":
             found.append((chunk.data, b""))
         else:
             found[-1] = found[-1][0], chunk.data
-    return found
+    return Bursts(found, size * byte_time)
 
 
 class _End:
@@ -95,19 +103,20 @@ class _End:
         self.lost += len(self._waiting)
 
 
-def send(on: Wires, ready: Sequence[Burst], seconds: float) -> Sent:
+def send(on: Wires, traffic: Bursts, seconds: float) -> Sent:
     """Send bursts in their time, over and over, for so many seconds."""
     host, device = _End(on.host), _End(on.device)
+    ready, period = traffic
     begun, count = time.monotonic_ns(), 0
-    while (due := (time.monotonic_ns() - begun) // PERIOD) < seconds * 1e9 / PERIOD:
+    while (due := (time.monotonic_ns() - begun) // period) < seconds * 1e9 / period:
         now = [ready[place % len(ready)] for place in range(count, due)]
         host.push(b"".join(said for said, _ in now))
         device.push(b"".join(answered for _, answered in now))
         count = due
-        time.sleep(max(0, begun + (count + 1) * PERIOD - time.monotonic_ns()) / 1e9)
+        time.sleep(max(0, begun + (count + 1) * period - time.monotonic_ns()) / 1e9)
     until = time.monotonic() + _SETTLES
     while time.monotonic() < until and not (host.push(b"") & device.push(b"")):
-        time.sleep(PERIOD / 1e9)
+        time.sleep(period / 1e9)
     for end in (host, device):
         end.give_up()
     return Sent(host.sent, device.sent, host.lost + device.lost)
@@ -120,11 +129,11 @@ def await_listener(process: subprocess.Popen[bytes], on: Wires) -> None:
         if process.poll() is not None or time.monotonic() > until:
             raise RuntimeError("the listener has not opened its lines")
         time.sleep(0.01)
-    time.sleep(_SETTLES)
+    time.sleep(_STARTS)
 
 
 def listen(
-    words: list[str], on: Wires, ready: Sequence[Burst], seconds: float, out: Stream, screen: Stream
+    words: list[str], on: Wires, traffic: Bursts, seconds: float, out: Stream, screen: Stream
 ) -> Heard:
     """Run a program that listens while traffic passes, then end it by SIGINT.
 
@@ -133,7 +142,7 @@ def listen(
     with started(words, stdin=screen, stdout=out, stderr=screen) as process:
         await_listener(process, on)
         before = cpu_time(process.pid)
-        sent = send(on, ready, seconds)
+        sent = send(on, traffic, seconds)
         time.sleep(_SETTLES)
         if process.poll() is not None:
             raise RuntimeError(f"the listener has ended with {process.returncode}")

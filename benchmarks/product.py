@@ -47,7 +47,7 @@ class Columns(NamedTuple):
 
 
 def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
-    """The function from host bytes, whole frames, to columns. Raises Skipped where there is none."""
+    """The function from whole host frames to columns. Raises Skipped where the kit has none."""
     try:
         tables, numpy = import_module("bilprov.spec.tables"), import_module("numpy")
     except ImportError as error:
@@ -63,7 +63,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
             frames = found.frames(part, offsets)
             columns.append(Columns(frames.verdict, found.states(part, frames, state)))
             state = [int(column[-1]) for column in columns[-1].state]
-            at += used
+            at += used or len(data)
         return columns
 
     return decode

@@ -40,8 +40,9 @@ class Goal:
 class Row:
     """One work, measured beside its peers in the same rounds.
 
-    `unit` is that of `ours` and of the `peers` (name -> figure); `figures` are others, their unit
-    in the name. A row that is `skipped` or `failed` says why in `note`.
+    `unit` is that of `ours` and of the `peers` (name -> figure). `figures` are others of ours,
+    `beside` others of the peers, their unit in the name. A row that is `skipped` or `failed` says
+    why in `note`.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Row:
     ours: float | None = None
     peers: dict[str, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
+    beside: dict[str, float] = field(default_factory=dict)
     goals: tuple[Goal, ...] = ()
     note: str = ""
     state: Literal["measured", "skipped", "failed"] = "measured"
@@ -131,13 +133,17 @@ def as_markdown(rows: Sequence[Row], on: Machine, mode: str) -> str:
 def _table_row(row: Row) -> str:
     if row.ours is None:
         return f"| {row.work} | | | | {row.state}: {_cell(row.note)} |"
-    more = [figure(value, name) for name, value in row.figures.items()]
-    ours = ", ".join([figure(row.ours, row.unit), *more])
-    peers = "; ".join(f"{name} {figure(value, row.unit)}" for name, value in row.peers.items())
+    ours = "; ".join([figure(row.ours, row.unit), *_figures(row.figures)])
+    peers = [f"{name} {figure(value, row.unit)}" for name, value in row.peers.items()]
+    beside = "; ".join([*peers, *_figures(row.beside)])
     ratios = "; ".join(f"{times(ratio)} {name}" for name, ratio in row.ratios.items())
     goals = "; ".join(reach(goal) for goal in row.goals)
     told = f" ({_cell(row.note)})" if row.note else ""
-    return f"| {row.work}{told} | {ours} | {peers} | {ratios} | {goals} |"
+    return f"| {row.work}{told} | {ours} | {beside} | {ratios} | {goals} |"
+
+
+def _figures(figures: dict[str, float]) -> list[str]:
+    return [figure(value, name) for name, value in figures.items()]
 
 
 def reach(goal: Goal) -> str:

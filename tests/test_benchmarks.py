@@ -197,6 +197,7 @@ ROWS = (
         20e6,
         {"construct": 50e3, "C loop": 200e6},
         {"MB at peak": 120},
+        {"MB of another's": 9},
         (Goal("400 x construct", 400, 400), Goal("0.12 x C loop", 0.1, 0.12)),
     ),
     Row("line", "a full line", "% of a core", 30, {"bare reader": 5}, goals=()),
@@ -216,7 +217,13 @@ def test_the_table_has_a_row_for_each_work_with_ratios_and_what_was_reached() ->
 
     assert len(lines) == 2 + len(ROWS) + 2
     columns = lines[2]
-    for told in ("20 M frames/s", "120 MB at peak", "400 x construct", "0.1 x C loop"):
+    for told in (
+        "20 M frames/s",
+        "120 MB at peak |",
+        "9 MB of another's |",
+        "400 x construct",
+        "0.1 x C loop",
+    ):
         assert told in columns
     assert "400 x construct: yes, 400" in columns
     assert "0.12 x C loop: **no**, 0.1" in columns
