@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 import bilprov
 from benchmarks.ceiling import Judged
 from benchmarks.commands import Skipped, bilprov_words, run
-from bilprov.analyzer.decode.session import BOTH, Session
-from bilprov.analyzer.output.outputs import Shown, StreamOutput
+from bilprov.analyzer.cli.sniff import PATIENCE
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
@@ -100,15 +102,15 @@ def decoded_records(path: Path) -> tuple[float, Judged]:
 def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
     settings = line_settings(protocol)
-    session = Session(protocol, skew=0)
+    decoder = StreamDecoder(protocol, skew=0)
     statistics = Statistics(protocol, settings.byte_time)
     with Recorder(path, time.time_ns(), _metadata(protocol)) as recorder:
-        output = StreamOutput(sys.stdout, lambda _: None)
-        pipeline = Pipeline(session, statistics, Shown(output), recorder)
-        pipeline.event(Line(0, "open"))
+        shown = Shown(NoOutput())
+        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
+        pipeline.events([Line(0, "open")])
 
         def take(chunk: Chunk) -> None:
-            pipeline.event(chunk)
+            pipeline.events([chunk])
             pipeline.advance(chunk.t)
 
         yield take

@@ -178,11 +178,10 @@ class Shown:
         return part
 
     def _passing(self, part: Part) -> Iterator[Record]:
-        if isinstance(part, Records):
-            records = (record for record in part.listed if self._passes(record))
-        else:
-            records = self._chosen(part)
-        for record in records:
+        chosen = (
+            filter(self._passes, part.listed) if isinstance(part, Records) else self._chosen(part)
+        )
+        for record in chosen:
             if self.full:
                 return
             if self.left is not None and is_frame(record):
@@ -203,7 +202,11 @@ class Shown:
         if self.test is not None:
             passing = self.test.masks(stretch)
             host, device = host & passing[0], device & passing[1]
-        lines = [self._passes(stretch.line(at, 0)) for at in range(len(stretch.lines))]
+        lines = [
+            self._passes(stretch.line(span.start, span.after))
+            for span in stretch.spans
+            if span.side == "line"
+        ]
         return stretch.chosen(host, device, lines)
 
 
