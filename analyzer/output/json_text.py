@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import count, islice
+from itertools import chain, count, islice, repeat
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
@@ -17,10 +17,7 @@ from bilprov.captures.schemas import State
 from bilprov.spec.codec import Judgement
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from bilprov.analyzer.columns.stretch import Answer, Stretch
+    from bilprov.analyzer.columns.stretch import Stretch
 
 _REMEMBERED = 1 << 14  # texts of frames
 _NO_STATE = State("", 0, 0, 0, False)
@@ -41,8 +38,9 @@ class JsonText:
 
     def stretch(self, stretch: Stretch) -> str:
         """The lines of all records of a stretch."""
-        lines = self._stretch if stretch.decoding.paired else self._unpaired
-        return "".join(lines(stretch))
+        if not stretch.decoding.paired:
+            return self.records(stretch.records())
+        return "".join(self._stretch(stretch))
 
     def _lines(self, records: Iterable[Record]) -> Iterator[str]:
         state, shown = _NO_STATE, ""
@@ -67,53 +65,58 @@ class JsonText:
             elif (line := json_line(record)) is not None:
                 yield encode(line).decode() + "\n"
 
-    def _unpaired(self, stretch: Stretch) -> Iterator[str]:
-        return self._lines(stretch.records())
-
     def _stretch(self, stretch: Stretch) -> Iterator[str]:
-        hosts, devices = self._host_lines(stretch), _device_rows(stretch)
-        for side, start, stop, after in stretch.spans:
-            if side == "host":
-                yield from islice(hosts, stop - start)
-            elif side == "device":
-                yield from self._device_lines(stretch, islice(devices, stop - start), after)
-            else:
-                yield from self._lines([stretch.line(start, after)])
-
-    def _host_lines(self, stretch: Stretch) -> Iterator[str]:
-        """Yield the lines of the new host rows."""
+        """Yield the lines of a stretch in which answers are paired, in pieces."""
         texts, steps = self._host, stretch.decoding.steps
-        for t, frame, sequence, motion, speed, steering, led in zip(
-            _all_seconds(stretch.start),
+        rows = zip(
             stretch.frame_bytes(slice(stretch.carried, None)),
             count(stretch.sequence + stretch.carried),
             *(column.tolist() for column in stretch.states),
             strict=False,
-        ):
-            front, end = texts.get(frame) or self._host_text(steps[frame].judgement)
-            moved, moving = _motion_text(motion, speed)
-            yield (
-                f'{{"t":{t}{front}{moved},"steering":{steering},"led":{led}{moving},'
-                f'"sequence":{sequence}{end}'
-            )
-
-    def _device_lines(
-        self, stretch: Stretch, rows: Iterable[tuple[Answer, str, str]], after: int
-    ) -> Iterator[str]:
-        """Yield the lines of device rows after the first `after` host rows."""
-        state, texts = stretch.state(after), self._device
-        shown = encode(state).decode()
-        for answer, t, latency in rows:
-            if not answer.fits:
-                yield from self._lines([stretch.device_record(answer, state)])
+        )
+        for side, start, stop, after in stretch.spans:
+            if side == "device":
+                yield from self._answers(stretch, start, stop, after)
                 continue
-            front, end = texts.get(answer.byte) or self._device_text(
-                stretch.device_record(answer, state)
-            )
-            yield (
-                f'{{"t":{t}{front}{latency},"state":{shown},"sequence":null,'
-                f'"answers":{answer.sequence}{end}'
-            )
+            if side == "line":
+                yield from self._lines([stretch.line(start, after)])
+                continue
+            # Frames that end in one read began in it too, but for the first of them.
+            begun = stretch.start[start - stretch.carried : stop - stretch.carried]
+            times = chain([_seconds(int(begun[0]))], repeat(_seconds(int(begun[-1]))))
+            for t, (frame, sequence, motion, speed, steering, led) in zip(
+                times, islice(rows, stop - start), strict=False
+            ):
+                front, end = texts.get(frame) or self._host_text(steps[frame].judgement)
+                moved, moving = _motion_text(motion, speed)
+                yield (
+                    f'{{"t":{t}{front}{moved},"steering":{steering},"led":{led}{moving},'
+                    f'"sequence":{sequence}{end}'
+                )
+
+    def _answers(self, stretch: Stretch, start: int, stop: int, after: int) -> Iterator[str]:
+        """Yield the lines of the device rows of one read, after the first `after` host rows."""
+        state, rows = stretch.state(after), slice(start, stop)
+        shown, t = encode(state).decode(), _seconds(int(stretch.t[start]))
+        known: dict[tuple[int, int], tuple[str, str]] = {}
+        for row, byte, latency, fits in zip(
+            count(start),
+            stretch.byte[rows].tolist(),
+            stretch.latency[rows].tolist(),
+            stretch.fits[rows].tolist(),
+            strict=False,
+        ):
+            around = known.get((byte, latency)) if fits else None
+            if around is None:
+                (answer,) = stretch.answers(slice(row, row + 1))
+                record = stretch.device_record(answer, state)
+                if not fits:
+                    yield from self._lines([record])
+                    continue
+                front, end = self._device_text(record)
+                front = f'{{"t":{t}{front}{_seconds(latency)},"state":{shown},"sequence":null,'
+                around = known[byte, latency] = f'{front}"answers":', end
+            yield f"{around[0]}{stretch.sequence + row}{around[1]}"
 
     def _host_text(self, judgement: Judgement) -> tuple[str, str]:
         text = self._host.get(judgement.frame)
@@ -148,16 +151,6 @@ def _around_state(record: Record) -> tuple[str, str]:
 
 def _seconds(nanoseconds: int) -> str:
     return encode(nanoseconds / 1e9).decode()
-
-
-def _all_seconds(nanoseconds: NDArray[np.int64]) -> list[str]:
-    return encode((nanoseconds / 1e9).tolist())[1:-1].decode().split(",")
-
-
-def _device_rows(stretch: Stretch) -> Iterator[tuple[Answer, str, str]]:
-    """Each device row, and the texts of its time and of its latency."""
-    times, latencies = _all_seconds(stretch.t), _all_seconds(stretch.latency)
-    return zip(stretch.answers(slice(None)), times, latencies, strict=False)
 
 
 @lru_cache(maxsize=4096)
