@@ -113,11 +113,12 @@ class BackgroundWriter(Closing):
 
     def _run(self) -> None:
         try:
-            while not self._closing:
+            closing = False
+            while not closing:
                 self._wake.wait(WAKE_AFTER)
                 self._wake.clear()
+                closing = self._closing  # looked at before the queue: nothing is put in after it
                 self._write_waiting()
-            self._write_waiting()
             self._writer.close()
         except Exception as error:
             self._error = error

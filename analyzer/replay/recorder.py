@@ -79,7 +79,7 @@ class RecordWriter(CaptureWriter):
 
 
 class Recorder(Closing):
-    """Records a live session: raw events at once, and behind the reader what else is due.
+    """Records a live session, in a thread behind the reader of the line (`BackgroundWriter`).
 
     The decoded topics stop while traffic is over 2,000 frames/s, and `/faults` says when
     (`Throttle`); the raw events are always written. A checkpoint is due every 64 KiB of raw bytes

@@ -36,7 +36,9 @@ class Throttle:
         if ended:
             if rate >= RESUME_BELOW:
                 self._calm_since = self._last
-            self._began, self._frames = max(self._last, now - SECOND), 0
+            # After a pause the second begins with what ends the pause.
+            self._began = self._last if now - self._last < SECOND else now
+            self._frames = 0
         self._last = now
         self._frames += frames
         if self._frames > STOP_ABOVE:

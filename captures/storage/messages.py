@@ -9,7 +9,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedReader
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import (
@@ -136,30 +136,32 @@ def messages_after(
     return _in_file_order(_spans_after(file, contents, place), counted=True, expected=expected)
 
 
-def _in_file_order(
-    spans: Iterator[tuple[bytes, int, int, str]], counted: bool, expected: int = 0
-) -> Iterator[Stored]:
+_Spans: TypeAlias = tuple[bytes, list[tuple[int, int]], str]
+"""A chunk's bytes, where the content of each message starts and ends, and what is lost before."""
+
+
+def _in_file_order(chunks: Iterator[_Spans], counted: bool, expected: int = 0) -> Iterator[Stored]:
     unpack = records.MESSAGE_HEAD.unpack_from
     head = records.MESSAGE_HEAD.size
     lost = ""
-    for content, start, end, where in spans:
+    for content, spans, where in chunks:
         if where:
             lost = where
-        if end - start - head > MESSAGE_BYTES:
-            lost = "a message that is too long is left out here"
-            continue
-        channel, sequence, log_time, _ = unpack(content, start)
-        if counted:
-            missing = (sequence - expected) & 0xFFFF_FFFF
-            expected = (sequence + 1) & 0xFFFF_FFFF
-            lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
-        yield Stored(log_time, sequence, channel, content[start + head : end], lost)
-        lost = ""
+        for start, end in spans:
+            data = content[start + head : end]
+            if len(data) > MESSAGE_BYTES:
+                lost = "a message that is too long is left out here"
+                continue
+            channel, sequence, log_time, _ = unpack(content, start)
+            if counted:
+                missing = (sequence - expected) & 0xFFFF_FFFF
+                expected = (sequence + 1) & 0xFFFF_FFFF
+                lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
+            yield Stored(log_time, sequence, channel, data, lost)
+            lost = ""
 
 
-def _spans_after(
-    file: BufferedReader, contents: Contents, place: Place | None
-) -> Iterator[tuple[bytes, int, int, str]]:
+def _spans_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[_Spans]:
     source = RecordFile(file, contents.size)
     source.own = True
     offset = len(MAGIC) if place is None else place.chunk
@@ -167,22 +169,21 @@ def _spans_after(
     while offset < contents.size:
         try:
             found = source.record(offset)
-            whole = list(records.records_in(found.content)) if found.opcode == records.CHUNK else []
+            if found.opcode == records.CHUNK:
+                spans = records.messages_in(found.content)
+                yield found.content, [span for span in spans if span[0] >= passed], ""
         except Damaged:
             resumed = source.next_chunk(offset + 1)
             if resumed is None:
                 return
             offset, passed = resumed, 0
             continue
-        for opcode, start, end in whole:
-            if opcode == records.MESSAGE and start >= passed:
-                yield found.content, start, end, ""
         if found.opcode == records.DATA_END:
             return
         offset, passed = found.end, 0
 
 
-def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, int, int, str]]:
+def _spans(file: BufferedReader, contents: Contents) -> Iterator[_Spans]:
     # The survey has checked each record of these regions; here they only must still be complete.
     source = RecordFile(file, contents.size)
     source.past_data = True
@@ -193,12 +194,12 @@ def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, in
             found = source.record(offset)
             offset = found.end
             if found.opcode == records.CHUNK:
-                for opcode, start, end in records.records_in(found.content):
-                    if opcode == records.MESSAGE:
-                        yield found.content, start, end, where
-                        where = ""
+                spans = records.messages_in(found.content)
+                yield found.content, spans, where
+                if spans:
+                    where = ""
             elif found.opcode == records.MESSAGE:
-                yield found.content, 0, len(found.content), where
+                yield found.content, [(0, len(found.content))], where
                 where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"

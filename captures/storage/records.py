@@ -221,6 +221,14 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         yield opcode, start, at
 
 
+def messages_in(content: bytes) -> list[tuple[int, int]]:
+    """The start and the end of the content of each message in a chunk's unpacked bytes.
+
+    Raises Damaged if a record is inconsistent.
+    """
+    return [(start, end) for opcode, start, end in records_in(content) if opcode == MESSAGE]
+
+
 def _ends(cursor: Cursor, own: bool) -> None:
     # The format lets other writers append fields; our writer does not.
     if own and cursor.at != len(cursor.data):

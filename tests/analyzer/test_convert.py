@@ -145,6 +145,7 @@ def test_a_checkpoint_stands_where_it_stood(protocol: Protocol, tmp_path: Path) 
         assert list(old.events(first)) == list(anew.events(second))
 
 
+@pytest.mark.slow
 def test_damage_becomes_a_gap_and_no_checkpoint_is_kept(protocol: Protocol, tmp_path: Path) -> None:
     live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
     with live.open("rb") as file:

@@ -61,6 +61,7 @@ def steady(rate: int, first: int, last: int) -> list[tuple[int, int]]:
         (steady(2_020, 0, 30), [(1_000, STOPPED)]),
         (steady(40_000, 0, 30), [(100, STOPPED)]),
         ([(2_001, 700)], [(700, STOPPED)]),
+        ([(1_500, 90_000), (1_500, 90_900)], [(90_900, STOPPED)]),
         ([(2_000, 500), (2_000, 1_500)], []),
         (steady(4_000, 0, 1) + steady(980, 1, 9), [(550, STOPPED), (6_050, RESUMED)]),
         (steady(4_000, 0, 1) + steady(1_000, 1, 30), [(550, STOPPED)]),

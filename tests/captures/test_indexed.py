@@ -182,10 +182,24 @@ def test_a_damaged_chunk_costs_its_checkpoints_alone(path: Path) -> None:
     assert rest == survey[-len(rest) :]
 
 
-def set_entry(field: int, value: int) -> Callable[[bytearray, int], None]:
+def test_damage_to_the_chunk_of_a_checkpoint_that_was_found_is_a_gap(path: Path) -> None:
+    found = opened(path).checkpoint_before(18 * STEP, GRAMMAR)
+    assert found is not None
+    before = list(opened(path).sights(found))
+    content = bytearray(path.read_bytes())
+    content[found.place.chunk + 33] ^= 1  # in the checksum
+    path.write_bytes(bytes(content))
+    gap, *rest = opened(path).sights(found)
+    assert isinstance(gap, Line)
+    assert (gap.t, gap.event) == (15 * STEP, "gap")
+    assert rest == before[-len(rest) :]
+    assert len(rest) == 45
+
+
+def set_entry(field: int, value: int, entry: int = -2) -> Callable[[bytearray, int], None]:
     """Set a number (8 bytes) of the entry of the last chunk but one: times, offset, length."""
     return lambda content, start: struct.pack_into(
-        "<Q", content, entries(content, start)[-2] + 9 + 8 * field, value
+        "<Q", content, entries(content, start)[entry] + 9 + 8 * field, value
     )
 
 
@@ -223,6 +237,7 @@ REFUSED: dict[str, Callable[[bytearray, int], None]] = {
     "a chunk in the summary": set_entry(2, 1 << 16),
     "a chunk before the last one": set_entry(2, 9),
     "a chunk that is too long": set_entry(3, 1 << 40),
+    "a last chunk that is too long": set_entry(3, 1 << 40, -1),
     "a chunk that ends before it begins": set_entry(0, (1 << 64) - 1),
     "a time after all others": set_entry(1, (1 << 64) - 1),
     "a time before all others": set_entry(0, 0),
@@ -247,7 +262,7 @@ def test_an_index_that_lies_is_not_believed(path: Path, lie: str) -> None:
     assert list(open_capture(path).sights()) == whole
 
 
-@pytest.mark.parametrize("field", ["first", "channels"])
+@pytest.mark.parametrize("field", ["first", "channels", "size"])
 def test_an_entry_that_hides_a_checkpoint_costs_only_time(path: Path, field: str) -> None:
     whole = list(opened(path).sights())
 
@@ -256,6 +271,8 @@ def test_an_entry_that_hides_a_checkpoint_costs_only_time(path: Path, field: str
             if field == "first":
                 struct.pack_into("<Q", content, at + 9, START + 59 * STEP)
                 struct.pack_into("<Q", content, at + 17, START + 59 * STEP)
+            elif field == "size":
+                struct.pack_into("<Q", content, at + 33, 60)
             else:
                 (length,) = struct.unpack_from("<I", content, at + 41)
                 for n in range(length // 10):

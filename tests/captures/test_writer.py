@@ -327,6 +327,7 @@ def test_the_summary_and_the_indexes_say_what_is_in_the_file(tmp_path: Path) -> 
         for n, t in enumerate(times * 900):
             capture.chunk(Chunk(t, "device" if n % 3 else "host", b"x" * (n % 5)))
         capture.attach("a.txt", "text/plain", b"attached", 6)
+        capture.chunk(Chunk(8, "host", b"the last"))
     content = path.read_bytes()
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -340,9 +341,9 @@ def test_the_summary_and_the_indexes_say_what_is_in_the_file(tmp_path: Path) -> 
     assert summary is not None
     counted = summary.statistics
     assert counted is not None
-    assert (counted.message_count, counted.channel_message_counts) == (4_500, {1: 1_500, 2: 3_000})
+    assert (counted.message_count, counted.channel_message_counts) == (4_501, {1: 1_501, 2: 3_000})
     assert (counted.message_start_time, counted.message_end_time) == (START + 3, START + 4_000)
-    assert (counted.chunk_count, counted.attachment_count, counted.metadata_count) == (3, 1, 2)
+    assert (counted.chunk_count, counted.attachment_count, counted.metadata_count) == (4, 1, 2)
     assert (counted.channel_count, counted.schema_count) == (11, 9)
     indexed = 0
     for chunk in summary.chunk_indexes:
@@ -358,7 +359,20 @@ def test_the_summary_and_the_indexes_say_what_is_in_the_file(tmp_path: Path) -> 
                 assert (kind, sender, log_time) == (5, channel, time)
                 assert chunk.message_start_time <= time <= chunk.message_end_time
                 indexed += 1
-    assert indexed == 4_500
+    assert indexed == 4_501
+
+
+def test_a_chunk_holds_little_more_than_256_kib(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path) as capture:
+        for _ in range(20):
+            capture.chunk(Chunk(0, "host", bytes(60_000)))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]
+    assert len(sizes) == 4
+    assert max(sizes) < (256 + 64) * 1024
 
 
 def assert_plain(schema: dict[str, Any]) -> None:
