@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.replay.capture_session import capture_session
-from bilprov.analyzer.replay.recorder import RecordWriter
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
@@ -21,9 +22,8 @@ def write_decoded(
     """Write a new capture with what was recorded, and every record that is decoded from it.
 
     Raw chunks, line events, what a conformance run noted, attachments and metadata are the same;
-    where messages are lost, the `gap` stands in the new file. Checkpoints are kept where they
-    surely still fit. `go_on` is called before each message: once it is false, the new file is
-    removed and the result is false.
+    where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `go_on` is
+    called before each message: once it is false, the new file is removed and the result is false.
 
     Raises CaptureError if the old file cannot be read, which leaves no new one, or the new file
     cannot be written.
@@ -56,6 +56,12 @@ def _write(
     capture: Capture, protocol: Protocol, out: RecordWriter, go_on: Callable[[], bool]
 ) -> bool:
     session = capture_session(capture, protocol)
+    checkpoints, size = Checkpoints(protocol.sha256), 0
+
+    def saved() -> str | None:
+        state = session.saved()
+        return None if state is None else checkpoint.encoded(state)
+
     for file in capture.attachments():
         out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
     for value in capture.recorded():
@@ -65,14 +71,11 @@ def _write(
             out.event(value)
             for record in session.feed(value):
                 out.record(record)
-        elif not isinstance(value, Checkpoint) or _still_fits(value, capture, protocol):
+            size += len(value.data) if isinstance(value, Chunk) else 0
+            if made := checkpoints.made(value.t, size, saved):
+                out.write(made, value.t)
+        elif not isinstance(value, Checkpoint):
             out.write(value, value.t)
     for record in session.finish():
         out.record(record)
     return True
-
-
-def _still_fits(checkpoint: Checkpoint, capture: Capture, protocol: Protocol) -> bool:
-    """Whether decoding may go on from it: nothing before it is lost or in another order."""
-    same = capture.contents.counted and not capture.damage
-    return same and checkpoint.whole and checkpoint.grammar == protocol.sha256

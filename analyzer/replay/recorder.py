@@ -78,6 +78,32 @@ class RecordWriter(CaptureWriter):
             self._state = record.state
 
 
+class Checkpoints:
+    """Makes a checkpoint at least every 64 KiB of raw bytes, and every second with traffic.
+
+    `grammar` is the sha256 of the grammar that decodes.
+    """
+
+    def __init__(self, grammar: str) -> None:
+        self._grammar = grammar
+        self._bytes = 0
+        self._t = 0
+
+    def made(self, t: int, total: int, save: Callable[[], str | None]) -> Checkpoint | None:
+        """The checkpoint at `t` (ns), after `total` raw bytes; None if none is due, or can be.
+
+        `save` gives the decoder's state as JSON text, or None if it cannot be told now.
+        """
+        fresh = total - self._bytes
+        if fresh < CHECKPOINT_BYTES and not (fresh and t - self._t >= CHECKPOINT_AFTER):
+            return None
+        state = save()
+        if state is None:
+            return None
+        self._bytes, self._t = total, t
+        return Checkpoint.of(t, self._grammar, state) if len(state) <= CHECKPOINT_STATE else None
+
+
 class Recorder(Closing):
     """Records a live session, in a thread behind the reader of the line (`BackgroundWriter`).
 
@@ -93,15 +119,13 @@ class Recorder(Closing):
     def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
         self.bytes = 0
         self._start = start_wall
-        self._grammar = metadata["grammar_sha256"]
         self._writer = BackgroundWriter(
             path, start_wall=start_wall, metadata=metadata, version=kit_version()
         )
         self.path = self._writer.path
         self._throttle = Throttle()
         self._state: State | None = None
-        self._saved_bytes = 0
-        self._saved_at = 0
+        self._checkpoints = Checkpoints(metadata["grammar_sha256"])
 
     @property
     def waited_ns(self) -> int:
@@ -134,15 +158,9 @@ class Recorder(Closing):
         `save` gives the decoder's state as JSON text, and is called only if it is due. Where it
         gives None, the next call tries again.
         """
-        fresh = self.bytes - self._saved_bytes
-        if fresh < CHECKPOINT_BYTES and not (fresh and t - self._saved_at >= CHECKPOINT_AFTER):
-            return
-        state = save()
-        if state is None:
-            return
-        self._saved_bytes, self._saved_at = self.bytes, t
-        if len(state) <= CHECKPOINT_STATE:
-            self._writer.write(Checkpoint.of(t, self._grammar, state), t)
+        made = self._checkpoints.made(t, self.bytes, save)
+        if made:
+            self._writer.write(made, t)
 
     def tick(self, now: int) -> None:
         """Let time pass to `now`."""
@@ -152,17 +170,6 @@ class Recorder(Closing):
     def close(self) -> None:
         """Finish the file; further calls do nothing."""
         self._writer.close()
-
-    def event(self, event: Chunk | Line) -> None:
-        """Write one raw event, before it is decoded."""
-        self.events((event,))
-
-    def record(self, record: Record) -> None:
-        """Write one decoded record, as a batch of its own."""
-        self.decoded(isinstance(record, HostRecord), self._now(record), lambda: (record,))
-
-    def _now(self, record: Record) -> int:
-        return record.value.end if isinstance(record, HostRecord) else record.value.t
 
     def _count(self, frames: int, now: int) -> None:
         change = self._throttle.count(frames, now)
