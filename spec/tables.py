@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import VARIABLES, Motion, is_moving
 from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
@@ -250,6 +250,7 @@ class FrameTables:
 
 
 MOTIONS = tuple(Motion)
+_DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
 _WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
@@ -259,6 +260,12 @@ VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DAT
 def coded(value: str | int) -> int:
     """A state variable's value as a number: a motion is its place in `MOTIONS`."""
     return MOTIONS.index(Motion(value)) if isinstance(value, str) else value
+
+
+def moving(motion: NDArray[np.integer], speed: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether the wheels turn in each row: of the motion, as its place in `MOTIONS`, and speed."""
+    turning: NDArray[np.bool_] = _DRIVES.take(motion) & np.greater(speed, 0)
+    return turning
 
 
 @lru_cache(maxsize=8)

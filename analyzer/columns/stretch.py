@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import islice, repeat
+from itertools import chain, count, islice, repeat
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,10 +23,11 @@ from bilprov.analyzer.decode.records import (
     serious_faults,
 )
 from bilprov.captures.schemas import Line, State
+from bilprov.spec.codec import Judgement
 from bilprov.spec.motion import VARIABLES, is_moving
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Steps
-from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns
+from bilprov.spec.steps import ShortFrames, Steps
+from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns, moving
 
 
 class Span(NamedTuple):
@@ -61,7 +62,7 @@ Rows: TypeAlias = "slice | NDArray[np.int64]"
 """Some rows, in order."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Decoding:
     """What decoding into columns rests on: the protocol, its tables, and the session's settings.
 
@@ -75,6 +76,11 @@ class Decoding:
     paired: bool
     skew: int
     late: int
+
+    @cached_property
+    def short(self) -> ShortFrames:
+        """The frames of at most one data byte, ready made."""
+        return ShortFrames(self.protocol, self.steps)
 
 
 @dataclass(frozen=True)
@@ -191,11 +197,11 @@ class Stretch:
             sort += expected.astype(np.int64) << 8
             sort += (self.latency.take(odd) > self.decoding.late).astype(np.int64) << 16
         _, first, number = np.unique(sort, return_index=True, return_counts=True)
-        for place, count in zip(odd[first], number.tolist(), strict=True):
+        for place, amount in zip(odd[first], number.tolist(), strict=True):
             (answer,) = self.answers(np.array([place]))
-            sorts.append((self.device_record(answer, self.before), count))
-        for record, count in sorts:
-            counts.update({fault.kind: count for fault in serious_faults(record)})
+            sorts.append((self.device_record(answer, self.before), amount))
+        for record, amount in sorts:
+            counts.update({fault.kind: amount for fault in serious_faults(record)})
         return dict(counts)
 
     def frame_counts(self) -> Iterator[tuple[int, int]]:
@@ -233,12 +239,12 @@ class Stretch:
     def records(self) -> Iterator[Record]:
         """Yield the records in order, as a Session decodes them."""
         hosts = self.hosts(slice(self.carried, None))
-        answers = self.answers(slice(None))
+        devices = self._devices()
         for side, start, stop, after in self.spans:
             if side == "host":
                 yield from islice(hosts, stop - start)
             elif side == "device":
-                yield from self._devices(islice(answers, stop - start), after)
+                yield from islice(devices, stop - start)
             else:
                 yield self.line(start, after)
 
@@ -255,20 +261,39 @@ class Stretch:
                 start, stop = start - self.carried, stop - self.carried
                 yield from islice(hosts, before[stop] - before[start])
             elif side == "device":
-                yield from self._devices(islice(answers, given[stop] - given[start]), after)
+                state = self.state(after)
+                for answer in islice(answers, given[stop] - given[start]):
+                    yield self.device_record(answer, state)
             elif lines[start]:
                 yield self.line(start, after)
 
-    def frame_bytes(self, rows: Rows) -> Iterator[bytes]:
-        """Yield the bytes of host rows."""
-        offset = self.frames.offset[rows]
-        end = offset + self.size[rows]
-        if not len(offset):
+    def frame_bytes(self, rows: Rows) -> list[bytes]:
+        """The bytes of host rows."""
+        short = self.decoding.short.frames
+        frames: list[Any] = list(map(short.__getitem__, self.frames.key[rows].tolist()))
+        for place, frame in self._long_frames(rows):
+            frames[place] = frame
+        return frames
+
+    def judgements(self, rows: Rows) -> list[Judgement]:
+        """The judgements of host rows."""
+        short, steps = self.decoding.short.judgements, self.decoding.steps
+        judged: list[Any] = list(map(short.__getitem__, self.frames.key[rows].tolist()))
+        for place, frame in self._long_frames(rows):
+            judged[place] = steps[frame].judgement
+        return judged
+
+    def _long_frames(self, rows: Rows) -> Iterator[tuple[int, bytes]]:
+        """The frames of more than one data byte among host rows, each with its place there."""
+        size, offset = self.size[rows], self.frames.offset[rows]
+        places = np.flatnonzero(size > _SHORT)
+        if not len(places):
             return iter(())
-        low = int(offset[0])
+        start = offset.take(places)
+        end, low = start + size.take(places), int(start[0])
         data = self.data[low : int(end[-1])].tobytes()
-        places = zip((offset - low).tolist(), (end - low).tolist(), strict=True)
-        return (data[at:stop] for at, stop in places)
+        slices = map(slice, (start - low).tolist(), (end - low).tolist())
+        return zip(places.tolist(), map(data.__getitem__, slices), strict=True)
 
     def answers(self, rows: Rows) -> Iterator[Answer]:
         """Yield device rows one by one."""
@@ -301,29 +326,61 @@ class Stretch:
 
     def hosts(self, rows: Rows) -> Iterator[HostRecord]:
         """Yield the records of new host rows (of all host rows, counted from 0)."""
-        steps = self.decoding.steps
-        all_rows = np.arange(self.after)[rows]
-        new = all_rows - self.carried
-        last: list[int] = []
-        state = self.before
-        for sequence, frame, begun, ended, *values in zip(
-            (all_rows + self.sequence).tolist(),
+        rows = np.arange(self.after)[rows]
+        new = rows - self.carried
+        end = _objects(self.end[rows])
+        motion, speed, steering, led = (column[new] for column in self.states)
+        states = map(
+            State,
+            _NAMES[motion].tolist(),
+            speed.tolist(),
+            steering.tolist(),
+            led.tolist(),
+            moving(motion, speed).tolist(),
+        )
+        return map(
+            HostRecord,
+            _objects(self.start[new]),
+            end,
+            end,
+            repeat("instruction"),
             self.frame_bytes(rows),
-            self.start[new].tolist(),
-            self.end[rows].tolist(),
-            *(column[new].tolist() for column in self.states),
-            strict=True,
-        ):
-            if values != last:
-                last = values
-                state = written(*values)
-            judgement = steps[frame].judgement
-            yield HostRecord(begun, ended, ended, "instruction", frame, judgement, sequence, state)
+            self.judgements(rows),
+            (rows + self.sequence).tolist(),
+            states,
+        )
 
-    def _devices(self, answers: Iterable[Answer], after: int) -> Iterator[DeviceRecord]:
-        """Yield the records of device rows, after the first `after` host rows."""
-        state = self.state(after)
-        return (self.device_record(answer, state) for answer in answers)
+    def _devices(self) -> Iterator[DeviceRecord]:
+        """Yield the records of all device rows."""
+        spans = [span for span in self.spans if span.side == "device"]
+        states = (repeat(self.state(span.after), span.stop - span.start) for span in spans)
+        state = chain.from_iterable(states)
+        if not self.decoding.paired:
+            return map(self.device_record, self.answers(slice(None)), state)
+        byte = self.byte.tolist()
+        usual = map(
+            DeviceRecord,
+            _objects(self.t),
+            byte,
+            map(self.decoding.protocol.codes.get, byte),
+            self.judgements(slice(len(self.t))),
+            count(self.sequence),
+            _objects(self.latency),
+            repeat(True),
+            state,
+        )
+        return self._with_odd(usual) if self.odd.any() else usual
+
+    def _with_odd(self, usual: Iterator[DeviceRecord]) -> Iterator[DeviceRecord]:
+        """Yield device records, those with an anomaly as they should be."""
+        odd = np.flatnonzero(self.odd)
+        answers = self.answers(odd)
+        at = 0
+        for row in odd.tolist():
+            yield from islice(usual, row - at)
+            yield self.device_record(next(answers), next(usual).state)
+            at = row + 1
+        yield from usual
 
     def _odd_answer(self, waiting: Waiting, held: Held, state: State) -> DeviceRecord:
         """The record of an answer that is not the expected one, or that is late."""
@@ -342,7 +399,8 @@ class Stretch:
         )
 
 
-_NAMES = tuple(motion.value for motion in MOTIONS)
+_SHORT = 2  # bytes of a frame that `ShortFrames` has
+_NAMES = np.array([motion.value for motion in MOTIONS], object)
 _moving = lru_cache(maxsize=4096)(is_moving)
 
 
@@ -350,6 +408,16 @@ def written(motion: int, speed: int, steering: int, led: int) -> State:
     """The state of a row of StateColumns, as it is written."""
     name = _NAMES[motion]
     return State(name, speed, steering, led, _moving(name, speed))
+
+
+def _objects(values: NDArray[np.int64]) -> list[int]:
+    """Numbers as a list, in which neighbours that are equal are one object."""
+    if not len(values):
+        return []
+    first = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    runs = np.diff(first, append=len(values))
+    listed: list[int] = np.repeat(values[first].astype(object), runs).tolist()
+    return listed
 
 
 def values_of(state: State) -> tuple[Any, ...]:

@@ -29,8 +29,7 @@ from bilprov.analyzer.output.filter_tree import (
     getter,
 )
 from bilprov.analyzer.output.json_lines import json_line
-from bilprov.spec.motion import is_moving
-from bilprov.spec.tables import MOTIONS, OUTCOMES
+from bilprov.spec.tables import MOTIONS, OUTCOMES, moving
 
 Mask: TypeAlias = NDArray[np.bool_]
 
@@ -192,7 +191,7 @@ class _HostRows(_Rows):
         words: list[tuple[str, ...]] = [()] * len(OUTCOMES)
         for place in np.unique(verdict).tolist():
             row = self._stretch.carried + int(np.argmax(verdict == place))
-            words[place] = _kinds(next(self._stretch.hosts(np.array([row]))))
+            words[place] = _kinds(next(iter(self._stretch.hosts(np.array([row])))))
         return Coded(verdict, words)
 
     @cached_property
@@ -222,7 +221,7 @@ class _HostRows(_Rows):
     def _state(self, variable: str) -> Column:
         states = self._stretch.states
         if variable == "moving":
-            return Coded(_moving(states.motion, states.speed), (False, True))
+            return Coded(moving(states.motion, states.speed).view(np.uint8), (False, True))
         column = getattr(states, variable)
         return _motion_words(column) if variable == "motion" else Numbers(_floats(column))
 
@@ -316,7 +315,7 @@ class _DeviceRows(_Rows):
             motion, speed = self._state("motion"), self._state("speed")
             assert isinstance(motion, Coded)
             assert isinstance(speed, Numbers)
-            return Coded(_moving(motion.code, speed.value), (False, True))
+            return Coded(moving(motion.code, speed.value).view(np.uint8), (False, True))
         column: NDArray[Any] = getattr(self._stretch.states, variable)
         first = getattr(before, variable)
         if variable == "motion":
@@ -383,13 +382,6 @@ def _constant(word: str) -> Coded:
 def _kinds(record: HostRecord | DeviceRecord) -> tuple[str, ...]:
     line = json_line(record)
     return line.faults if line else ()
-
-
-def _moving(motion: NDArray[np.integer], speed: NDArray[Any]) -> NDArray[np.integer]:
-    """`is_moving` of each row, as 0 and 1."""
-    drives = np.array([is_moving(motion.value, 1) for motion in MOTIONS])
-    moving: Mask = drives.take(motion) & np.greater(speed, 0)
-    return moving.astype(np.int64)
 
 
 def _number(value: float | str) -> Numbers:
