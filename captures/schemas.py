@@ -27,7 +27,8 @@ class Line(msgspec.Struct, frozen=True, gc=False):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
-    `overrun`, `modem`, `unplugged` or `reconnected`; `tap` says on which line, or is empty for
+    `overrun`, `modem`, `unplugged`, `reconnected` or `waited` (nothing was read for a while,
+    because the capture file was too slow); `tap` says on which line, or is empty for
     both.
     """
 

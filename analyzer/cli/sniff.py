@@ -44,7 +44,7 @@ from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_n
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
 
-COLLECT_EVERY = 1.0  # s
+COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
@@ -183,8 +183,8 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
                 if at is not None:
                     wait = min(wait, max(0.0, (at - now) / 1e9))
             events = source.poll(wait, [stopper.fileno()])
+            collect(not events)
             if not events:
-                collect()
                 continue
             if pipeline.recorder and pipeline.recorder.waited_ns > waited:
                 more, waited = pipeline.recorder.waited_ns - waited, pipeline.recorder.waited_ns
@@ -200,19 +200,20 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
 
 
 @contextmanager
-def collecting_when_idle() -> Iterator[Callable[[], None]]:
-    """Collect no garbage by itself in the block; it gets a function to call when nothing is due.
+def collecting_when_idle() -> Iterator[Callable[[bool], None]]:
+    """Turn the garbage collector off in the block, where it would stop the reader at any moment.
 
-    The collector would stop the reader in the midst of traffic.
+    The block gets a function to call again and again with whether nothing is to be done now: then
+    garbage is collected, at most once a second, and on a line that is never idle once a minute.
     """
     gc.collect()
     gc.freeze()
     gc.disable()
     collected = time.monotonic()
 
-    def collect() -> None:
+    def collect(idle: bool) -> None:
         nonlocal collected
-        if time.monotonic() - collected > COLLECT_EVERY:
+        if time.monotonic() - collected > (COLLECT_IDLE if idle else COLLECT_BUSY):
             gc.collect()
             collected = time.monotonic()
 

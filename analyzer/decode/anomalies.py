@@ -25,6 +25,7 @@ LINE_SEVERITY = {
     "gap": Severity.WARNING,
     "overrun": Severity.WARNING,
     "reconnected": Severity.INFO,
+    "waited": Severity.WARNING,
     "break": Severity.WARNING,
     "parity": Severity.WARNING,
     "framing": Severity.WARNING,
