@@ -132,9 +132,13 @@ class Stretch:
             elif side == "device":
                 yield from self.device_records(start, stop, after)
             else:
-                for line in self.lines[start:stop]:
-                    found = anomalies.of_line(line, lost=False)
-                    yield LineRecord(line, False, self.state(after), found)
+                yield from self.line_records(start, stop, after)
+
+    def line_records(self, start: int, stop: int, after: int) -> Iterator[LineRecord]:
+        """Yield the records of line events, after the first `after` host rows."""
+        for line in self.lines[start:stop]:
+            found = anomalies.of_line(line, lost=False)
+            yield LineRecord(line, False, self.state(after), found)
 
     def frame_bytes(self, start: int, stop: int) -> Iterator[bytes]:
         """Yield the bytes of host rows, which must be one or more."""
