@@ -1,9 +1,10 @@
-"""Sets up a decoding session for a capture, with the recorded settings where the file has them."""
+"""Sets up the decoding of a capture, with the recorded settings where the file has them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TypedDict
 
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
@@ -16,17 +17,30 @@ from bilprov.spec.protocol import Protocol
 _LONGEST = 60_000.0  # ms that a file may ask for
 
 
-def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
-    """A session with the settings of the recording one; `timeout` is as in `capture_timeout`."""
+class Settings(TypedDict):
+    """What a Session or a StreamDecoder is told about the recording; see there."""
+
+    timeout: int
+    heard: frozenset[Direction]
+    skew: int
+    attached: bool
+
+
+def capture_settings(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Settings:
+    """The settings of the recording session; `timeout` is as in `capture_timeout`."""
     skew = _nanoseconds(capture, "skew_ms")
-    return Session(
-        protocol,
+    return Settings(
         timeout=capture_timeout(capture, protocol, timeout),
         heard=heard(capture),
         skew=SKEW if skew is None else skew,
         # Without this entry the first byte need not be a header.
         attached=capture.metadata.get("attached") != "no",
     )
+
+
+def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
+    """A session with the settings of the recording one; `timeout` is as in `capture_timeout`."""
+    return Session(protocol, **capture_settings(capture, protocol, timeout))
 
 
 def capture_timeout(capture: Capture, protocol: Protocol, timeout: int | None = None) -> int:

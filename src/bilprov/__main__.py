@@ -32,6 +32,12 @@ COMMANDS = {
     "info": Row(
         "Analyze", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
     ),
+    "stats": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.stats",
+        "stats",
+        "Count what captures hold: frames, answers.",
+    ),
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
     ),
