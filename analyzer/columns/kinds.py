@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.records import Record, serious_faults
+from bilprov.analyzer.decode.records import HostRecord, Record, serious_faults
 from bilprov.spec.tables import OUTCOMES
 
 
@@ -24,8 +24,12 @@ def host_kinds(stretch: Stretch) -> Kinds:
     verdict = stretch.new.verdict
     kinds: list[tuple[str, ...]] = [()] * len(OUTCOMES)
     for place in np.flatnonzero(np.bincount(verdict)).tolist():
-        row = stretch.carried + int(np.argmax(verdict == place))
-        kinds[place] = _serious(next(stretch.host_records(row, row + 1)))
+        frame = stretch.frame(stretch.carried + int(np.argmax(verdict == place)))
+        judgement = stretch.decoding.steps[frame].judgement
+        # Neither times nor the state matter here; the states of a stretch need not be worked out.
+        kinds[place] = _serious(
+            HostRecord(0, 0, 0, "instruction", frame, judgement, 0, stretch.before)
+        )
     return Kinds(verdict, kinds)
 
 

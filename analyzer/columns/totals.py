@@ -136,6 +136,9 @@ class Totals:
 
     def _ended(self, end: NDArray[np.int64]) -> None:
         """Count frames that ended at these times, which increase."""
+        if end[0] // SECOND == end[-1] // SECOND:
+            self._seconds([(int(end[0]) // SECOND, len(end))])
+            return
         second = end // SECOND
         begun = np.flatnonzero(np.diff(second, prepend=-1))
         counts = np.diff(begun, append=len(end))

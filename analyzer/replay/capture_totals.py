@@ -12,7 +12,7 @@ from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 
 # A batch ends with the event that reaches one of these.
-_BYTES = 1 << 18
+_BYTES = 1 << 19
 _EVENTS = 4096
 
 
