@@ -24,7 +24,7 @@ Counts have these keys:
 - `agreeing`, `disagreeing`: answers that are the expected one; others, and all unused codes.
 - `anomalies`: by kind, as `faults` of the JSON lines names them.
 - `latency`: null where nothing is paired, else `count`, `min`, `median`, `p95`, `p99`, `max`: from
-  the last byte of a frame to its answer. `min` and `max` are exact, the others rounded down to 1 us.
+  the last byte of a frame to its answer; `min` and `max` are exact, the rest rounded down to 1 us.
 
 Instructions and responses of the grammar are there even where the count is 0.
 """
@@ -162,16 +162,18 @@ def _latency(spread: Spread) -> Latency:
 
 def drawn(stats: Stats) -> Iterator[RenderableType]:
     """Yield the parts to print; text from the files is escaped."""
-    for file in stats.files:
+    for number, file in enumerate(stats.files):
+        if number:
+            yield Text()
         yield from _part(printable(file.path), file.counts)
     if len(stats.files) > 1:
+        yield Text()
         yield from _part(f"{len(stats.files)} captures together", stats.total)
 
 
 def _part(title: str, counts: Counts) -> Iterator[RenderableType]:
     yield heading(title)
     yield facts(_about(counts))
-    yield Text()
     yield from _table("instruction", counts.instructions)
     yield from _table("expected response", counts.expected)
     yield from _table("response", counts.responses)
@@ -207,5 +209,5 @@ def _frames(counts: Counts) -> str:
 def _table(name: str, counts: Mapping[str, int]) -> Iterator[RenderableType]:
     rows = [(printable(kind), f"{count:,}") for kind, count in counts.items() if count]
     if rows:
-        yield table((name, "count"), rows, right="count")
         yield Text()
+        yield table((name, "count"), rows, right="count")
