@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import rich_click as click
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.json_lines import JsonLine
+    from bilprov.analyzer.output.filter import Filter
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -88,7 +88,7 @@ judge_option = click.option(
 )
 
 
-def compiled(expression: str | None, protocol: Protocol) -> Callable[[JsonLine], bool] | None:
+def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     """Compile a filter expression; None if there is none. Raises FilterError."""
     if expression is None:
         return None

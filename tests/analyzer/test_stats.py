@@ -18,7 +18,7 @@ from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.commands import command
+from tests.support.commands import command, process
 from tests.support.decoding import MS, Event, conversation
 
 EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
@@ -215,4 +215,18 @@ def test_one_capture_that_cannot_be_read_leaves_no_json(tmp_path: Path) -> None:
 
     wrong(EXAMPLES, "/nowhere/c.mcap", "--json", str(file))
 
+    assert not file.exists()
+
+
+@pytest.mark.waits
+def test_ctrl_c_ends_it_without_a_word_and_leaves_no_json(
+    tmp_path: Path, grammar_text: str
+) -> None:
+    grammar, file = tmp_path / "interrupting.py", tmp_path / "stats.json"
+    interrupt = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
+    grammar.write_text(grammar_text + interrupt, encoding="utf-8")
+
+    result = process("--grammar", str(grammar), "stats", EXAMPLES, "--json", str(file))
+
+    assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
     assert not file.exists()
