@@ -198,12 +198,12 @@ class FrameTables:
     ) -> tuple[int, ...]:
         """The state after all of the frames, as a row of StateColumns."""
         if not self._long:  # then the last frame that sets a variable tells, for each of them
-            sets = self._sets.take(frames.key)
-            last = {
-                int(rows[-1])
-                for bit in range(len(VARIABLES))
-                if len(rows := np.flatnonzero(sets & 1 << bit))
-            }
+            bits = [1 << bit for bit in range(len(VARIABLES))]
+            sets = self._sets.take(frames.key[-_TAIL:])
+            if np.bitwise_or.reduce(sets) != sum(bits):  # none of the last frames sets one of them
+                sets = self._sets.take(frames.key)
+            frames = frames.rows(slice(len(frames.key) - len(sets), None))
+            last = {int(rows[-1]) for bit in bits if len(rows := np.flatnonzero(sets & bit))}
             frames = frames.rows(sorted(last))
         if not len(frames.key):
             return tuple(coded(value) for value in before)
@@ -253,6 +253,7 @@ MOTIONS = tuple(Motion)
 _DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
+_TAIL = 256  # frames in which each variable is mostly set
 _WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
 VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
-from bilprov.analyzer.decode.decoder import LOSSES, QUIET
+from bilprov.analyzer.decode.decoder import LOSSES
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import Steps
@@ -66,8 +66,7 @@ class RegularDecoder:
     def __init__(self, protocol: Protocol, *, timeout: int, skew: int, paired: bool) -> None:
         self._tables = frame_tables(protocol)
         self._longest = round(protocol.timing.answer_longest * MS)
-        # In a pause shorter than this nothing can happen to an open frame.
-        self._pause = min(timeout, QUIET)
+        self._timeout = timeout
         late = round(protocol.timing.answer_deadline * MS)
         self._decoding = Decoding(protocol, self._tables, Steps(protocol), paired, skew, late)
 
@@ -98,7 +97,7 @@ class RegularDecoder:
         """When (ns) something falls due without an event, None if nothing does."""
         due = [int(end) + self._longest for end in carry.end[:1]]
         if carry.begun < len(carry.data):
-            due.append(carry.rest.frame_end + self._pause)
+            due.append(carry.rest.frame_end + self._timeout)
         return min(due, default=None)
 
     def decode(self, before: Carry, events: Sequence[Chunk | Line]) -> tuple[Stretch, int, Carry]:
@@ -206,10 +205,10 @@ class RegularDecoder:
         """
         is_open = np.append(before.begun, ends) < np.append(len(before.data), bounds)
         last = np.append(before.rest.frame_end, host.t)
-        pauses = np.flatnonzero(is_open & (np.append(host.t, t[-1]) - last >= self._pause))
+        pauses = np.flatnonzero(is_open & (np.append(host.t, t[-1]) - last >= self._timeout))
         if not len(pauses):
             return len(t)
-        return int(np.searchsorted(t, last[pauses[0]] + self._pause))
+        return int(np.searchsorted(t, last[pauses[0]] + self._timeout))
 
     def _first_overdue(
         self, t: NDArray[np.int64], end: NDArray[np.int64], answer_t: NDArray[np.int64]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -20,7 +19,6 @@ from bilprov.analyzer.decode.records import (
     HostRecord,
     LineRecord,
     Record,
-    serious_faults,
 )
 from bilprov.captures.schemas import Line, State
 from bilprov.spec.codec import Judgement
@@ -175,34 +173,6 @@ class Stretch:
     def odd(self) -> NDArray[np.bool_]:
         """Whether each device row has an anomaly."""
         return ~self.fits
-
-    @cached_property
-    def fault_counts(self) -> dict[str, int]:
-        """The number of anomalies by kind, without those of severity info.
-
-        The kinds of a frame depend on whether it is faulty, and those of an answer on its byte, the
-        expected one and whether it is late; so one row of each sort tells.
-        """
-        counts: Counter[str] = Counter()
-        sorts: list[tuple[Record, int]] = [(self.line(at, 0), 1) for at in range(len(self.lines))]
-        faulty = np.flatnonzero(self.faulty)
-        for frame in self.frame_bytes(faulty[:1] + self.carried):
-            judgement = self.decoding.steps[frame].judgement
-            host = HostRecord(0, 0, 0, "instruction", frame, judgement, 0, self.before)
-            sorts.append((host, len(faulty)))
-        odd = np.flatnonzero(self.odd)
-        sort = self.byte.take(odd).astype(np.int64)
-        if self.decoding.paired:
-            expected = self.decoding.tables.codes.take(self.frames.verdict.take(odd))
-            sort += expected.astype(np.int64) << 8
-            sort += (self.latency.take(odd) > self.decoding.late).astype(np.int64) << 16
-        _, first, number = np.unique(sort, return_index=True, return_counts=True)
-        for place, amount in zip(odd[first], number.tolist(), strict=True):
-            (answer,) = self.answers(np.array([place]))
-            sorts.append((self.device_record(answer, self.before), amount))
-        for record, amount in sorts:
-            counts.update({fault.kind: amount for fault in serious_faults(record)})
-        return dict(counts)
 
     def frame_counts(self) -> Iterator[tuple[int, int]]:
         """Yield the times (ns) at which frames were complete, and how many were."""

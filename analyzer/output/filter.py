@@ -29,10 +29,8 @@ from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.output.filter_masks import Mask
 
 LONGEST = 1000  # characters
 _ALLOWED = "and, or, not, in, ==, !=, <, <=, >, >=, parentheses, names, 'text' and numbers"
@@ -113,7 +111,7 @@ class Filter:
         """Whether the line passes."""
         return self._get(line) is True
 
-    def masks(self, stretch: Stretch) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def masks(self, stretch: Stretch) -> tuple[Mask, Mask]:
         """Which of the new host rows pass, and which device rows. Line events are not asked."""
         from bilprov.analyzer.output.filter_masks import masks
 

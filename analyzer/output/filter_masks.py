@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from bilprov.analyzer.columns.kinds import device_kinds, host_kinds
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.output.filter_tree import (
@@ -187,12 +188,7 @@ class _HostRows(_Rows):
 
     @cached_property
     def _faults(self) -> Coded:
-        verdict = self._stretch.new.verdict
-        words: list[tuple[str, ...]] = [()] * len(OUTCOMES)
-        for place in np.unique(verdict).tolist():
-            row = self._stretch.carried + int(np.argmax(verdict == place))
-            words[place] = _kinds(next(iter(self._stretch.hosts(np.array([row])))))
-        return Coded(verdict, words)
+        return Coded(*host_kinds(self._stretch))
 
     @cached_property
     def _frames(self) -> tuple[NDArray[np.int64], list[bytes]]:
@@ -297,7 +293,7 @@ class _DeviceRows(_Rows):
 
     @cached_property
     def _faults(self) -> Coded:
-        return self._of_odd((), _kinds)
+        return Coded(*device_kinds(self._stretch))
 
     @cached_property
     def _after(self) -> NDArray[np.int64]:
@@ -377,11 +373,6 @@ def _motion_words(code: NDArray[np.integer]) -> Coded:
 
 def _constant(word: str) -> Coded:
     return Coded(np.zeros((), np.int64), (word,))
-
-
-def _kinds(record: HostRecord | DeviceRecord) -> tuple[str, ...]:
-    line = json_line(record)
-    return line.faults if line else ()
 
 
 def _number(value: float | str) -> Numbers:

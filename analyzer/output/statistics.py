@@ -147,10 +147,17 @@ class Statistics:
         if stretch.decoding.paired and len(stretch.t):
             self._latencies.extend(stretch.latency[-KEPT_LATENCIES:].tolist())
             self._longest = max(self._longest, int(stretch.latency.max()))
-        found = stretch.fault_counts
+        from bilprov.analyzer.columns.kinds import fault_counts  # it needs numpy
+
+        found = fault_counts(stretch)
+        found.update(
+            fault.kind
+            for at in range(len(stretch.lines))
+            for fault in serious_faults(stretch.line(at, stretch.carried))
+        )
         if found:
-            self._faults.update(found)
-            self._faulty.add(stretch, sum(found.values()))
+            self._faults += found
+            self._faulty.add(stretch, found.total())
 
     def snapshot(self, now: int) -> Snapshot:
         """Return the statistics at `now` (ns since the start)."""

@@ -1,4 +1,4 @@
-"""Sets up a decoding session for a capture, with the recorded settings where the file has them."""
+"""Sets up the decoding of a capture, with the recorded settings where the file has them."""
 
 from __future__ import annotations
 

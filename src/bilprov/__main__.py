@@ -34,6 +34,12 @@ COMMANDS = {
     "info": Row(
         "Analyze", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
     ),
+    "stats": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.stats",
+        "stats",
+        "Count what captures hold: frames, answers.",
+    ),
     "convert": Row(
         "Analyze",
         "bilprov.analyzer.cli.convert",

@@ -17,7 +17,7 @@ from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.analyzer.replay.capture_session import capture_session, capture_settings
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
@@ -228,17 +228,8 @@ def test_captures_cut_flipped_and_with_lost_bytes(
         events = list(capture.events())
         if seed:
             events = damaged(events, random)
-        session = capture_session(capture, protocol)
-        expected = told(session, events)
+        expected = told(capture_session(capture, protocol), events)
 
-        state = capture_session(capture, protocol).saved()
-        assert state is not None
-        decoder = StreamDecoder(
-            protocol,
-            timeout=state.timeout,
-            skew=state.skew,
-            heard=frozenset(state.heard),
-            attached=state.unsynced_since is not None,
-        )
+        decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
         batches = [random.randrange(1, 300) for _ in range(5)]
         assert records_of(told(decoder, events, batches)) == expected

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.codec import judge, nearest
+from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import VARIABLES, State
 from bilprov.spec.protocol import Protocol, load
@@ -97,6 +97,23 @@ def test_the_last_state_is_the_last_of_all_states(
     last = tables.last_state(array, columns, before)
     first = MOTIONS.index("forward"), *before[1:]
     assert last == (tuple(int(column[-1]) for column in states) if len(columns.key) else first)
+
+
+def test_a_state_that_was_set_long_before_is_kept(each_protocol: Protocol) -> None:
+    tables = frame_tables(each_protocol)
+    sets = [
+        build(each_protocol, spec.name, {part.name: part.high for part in spec.fields})
+        for spec in each_protocol.instructions
+    ]
+    stream = np.frombuffer(b"".join(sets) + bytes([each_protocol.pad_byte]) * 5000, np.uint8)
+    columns = tables.frames(stream, tables.offsets(stream)[0])
+
+    states = tables.states(stream, columns, ("stopped", 0, 0, 0))
+
+    assert states.led[-1]
+    assert states.speed[-1]
+    last = tables.last_state(stream, columns, ("stopped", 0, 0, 0))
+    assert last == tuple(int(column[-1]) for column in states)
 
 
 @given(data=st.data())

@@ -99,6 +99,7 @@ SETTINGS = st.fixed_dictionaries(
     {
         "skew": st.sampled_from([0, SKEW]),
         "attached": st.booleans(),
+        "timeout": st.sampled_from([None] * 6 + [0, 1, 5 * MS, 1500 * MS]),
         "heard": st.sampled_from(
             [frozenset({"host", "device"})] * 4 + [frozenset({"host"}), frozenset({"device"})]
         ),

@@ -1,0 +1,232 @@
+"""`bilprov stats`: what captures hold, counted; for people, and as JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.output import capture_stats
+from bilprov.analyzer.replay.capture_totals import capture_totals
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command, process
+from tests.support.decoding import MS, Event, conversation
+
+EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
+
+
+def written(path: Path, events: Sequence[Event], **metadata: str) -> str:
+    metadata = {"attached": "no", "heard": "host device", **metadata}
+    with CaptureWriter(path, start_wall=10**18, metadata=metadata, version="1") as writer:
+        for event in events:
+            if isinstance(event, Chunk):
+                writer.chunk(event)
+            else:
+                writer.write(event, event.t)
+    return str(path)
+
+
+def counted(*arguments: str) -> Any:
+    result = command("stats", *arguments, "--json", "-")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def wrong(*arguments: str) -> str:
+    result = command("stats", *arguments)
+    assert (result.returncode, result.stdout) == (2, b"")
+    (line,) = result.stderr.decode().splitlines()
+    return line
+
+
+def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
+    shown = command("replay", EXAMPLES, "--rate", "0", "--format", "jsonl").stdout
+    lines = [json.loads(line) for line in shown.splitlines()]
+    frames = [line for line in lines if line["sequence"] is not None and line["direction"]]
+    answers = [line for line in lines if line["kind"] == "response"]
+
+    (file,) = counted(EXAMPLES)["files"]
+
+    counts = file["counts"]
+    assert counts["frames"] == len(frames) > 0
+    assert counts["device_bytes"] == len(answers) > 0
+    names = Counter(line["name"] for line in frames if line["name"])
+    assert {n: c for n, c in counts["instructions"].items() if c and "unused" not in n} == names
+    expected = Counter(line["judgement"] for line in frames)
+    assert {name: count for name, count in counts["expected"].items() if count} == expected
+    given = Counter(line["name"] for line in answers)
+    assert {name: count for name, count in counts["responses"].items() if count} == given
+    assert counts["agreeing"] == sum(line["agrees"] is True for line in answers)
+    assert counts["anomalies"] == Counter(kind for line in lines for kind in line["faults"])
+    latencies = sorted(line["latency"] for line in answers)
+    assert (counts["latency"]["min"], counts["latency"]["max"]) == (latencies[0], latencies[-1])
+    assert counts["latency"]["median"] == pytest.approx(latencies[len(latencies) // 2], abs=1e-6)
+
+
+def test_every_key_is_explained() -> None:
+    found = counted(EXAMPLES)
+    keys = {*found, *found["files"][0], *found["total"], *found["total"]["latency"]}
+    keys |= set(found["grammar"])
+
+    explained = set(re.findall(r"`(\w+)`", capture_stats.__doc__ or ""))
+
+    assert keys <= explained
+
+
+def test_several_captures_are_counted_one_by_one_and_together(tmp_path: Path) -> None:
+    other = written(tmp_path / "other.mcap", conversation([(b"\x20", b"\0")] * 3))
+
+    found = counted(EXAMPLES, other, EXAMPLES)
+
+    assert [file["path"] for file in found["files"]] == [EXAMPLES, other, EXAMPLES]
+    each = [file["counts"] for file in found["files"]]
+    total = found["total"]
+    for key in ("frames", "host_bytes", "device_bytes", "agreeing", "disagreeing", "truncated"):
+        assert total[key] == sum(counts[key] for counts in each)
+    for key in ("instructions", "expected", "responses", "anomalies"):
+        together = sum((Counter(counts[key]) for counts in each), Counter())
+        assert +Counter(total[key]) == together
+    assert total["duration"] == pytest.approx(sum(counts["duration"] for counts in each))
+    assert total["latency"]["max"] == max(counts["latency"]["max"] for counts in each)
+
+
+def test_people_get_tables(tmp_path: Path) -> None:
+    events = conversation([(b"\x11\x05", b"\0"), (b"\x90", b"\0"), (b"\x21", b"")])
+    shown = command("stats", written(tmp_path / "c.mcap", events)).stdout.decode()
+
+    for part in ("Speed", "unused 9", "3 frames", "disagreeing", "BAD_HEADER", "1 as expected"):
+        assert part in shown, shown
+    assert "truncated" in shown
+    assert all(line.isprintable() for line in shown.splitlines())
+
+
+def test_a_capture_without_traffic_has_no_counts_and_says_so(tmp_path: Path) -> None:
+    file = written(tmp_path / "c.mcap", [])
+
+    result = command("stats", file, "--json", "-")
+
+    counts = json.loads(result.stdout)["total"]
+    assert (counts["frames"], counts["latency"], counts["duration"]) == (0, None, 0)
+    assert b"holds no traffic" in result.stderr
+    assert command("stats", file).returncode == 0
+
+
+def test_an_unfinished_capture_says_so_and_is_counted(tmp_path: Path) -> None:
+    whole = Path(written(tmp_path / "c.mcap", conversation([(b"\x20", b"\0")] * 3)))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-100])
+
+    result = command("stats", str(cut), "--json", "-")
+
+    assert b"never finished" in result.stderr
+    assert json.loads(result.stdout)["files"][0]["unfinished"] is True
+    assert json.loads(result.stdout)["total"]["frames"] == 3
+
+
+def test_a_damaged_capture_says_so_and_the_rest_is_counted(tmp_path: Path) -> None:
+    events = conversation([(b"\x11" + bytes([n % 256]), b"\0") for n in range(3000)])
+    path = Path(written(tmp_path / "c.mcap", events))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3 : len(data) // 3 + 64] = bytes(64)
+    path.write_bytes(data)
+
+    result = command("stats", str(path), "--json", "-")
+
+    assert b"is damaged" in result.stderr
+    (file,) = json.loads(result.stdout)["files"]
+    assert file["damage"]
+
+
+def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protocol) -> None:
+    events: list[Event] = [Chunk(0, "host", b"\x11"), Chunk(30 * MS, "host", b"\x05")]
+
+    kinds = [
+        capture_totals(
+            open_capture(written(tmp_path / f"{ms}.mcap", events, truncation_timeout_ms=ms)),
+            protocol,
+        ).kinds
+        for ms in ("20", "40")
+    ]
+
+    assert kinds == [{"truncated": 2}, {"instruction": 1}]
+
+
+def test_another_grammar_counts_its_own_instructions(tmp_path: Path, horn_text: str) -> None:
+    grammar = tmp_path / "horn.py"
+    grammar.write_text(horn_text, encoding="utf-8")
+    file = written(tmp_path / "c.mcap", conversation([(b"\x91\x02", b"\0")]))
+
+    result = command("--grammar", str(grammar), "stats", file, "--json", "-")
+
+    assert json.loads(result.stdout)["total"]["instructions"]["Horn"] == 1
+
+
+def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protocol) -> None:
+    chunk = bytes([protocol.pad_byte]) * 4096
+    events: list[Event] = [Chunk(number, "host", chunk) for number in range(400)]
+    events.insert(7, Line(3, "break"))
+    told: list[int] = []
+
+    totals = capture_totals(
+        open_capture(written(tmp_path / "c.mcap", events)), protocol, told.append
+    )
+
+    assert sum(told) == totals.host_bytes == 400 * 4096
+    assert max(told) <= 1 << 20  # so that memory stays flat
+    assert len(told) > 1
+
+
+def test_the_json_replaces_an_older_file_and_the_tables_are_shown_too(tmp_path: Path) -> None:
+    file = tmp_path / "stats.json"
+    file.write_text("older")
+
+    result = command("stats", EXAMPLES, "--json", str(file))
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert b"instruction" in result.stdout
+    assert json.loads(file.read_text()) == counted(EXAMPLES)
+
+
+def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
+    capture = written(tmp_path / "c.mcap", [])
+    before = Path(capture).read_bytes()
+
+    assert "missing argument" in wrong()
+    assert "does not exist" in wrong("/nowhere/c.mcap")
+    assert "is a folder" in wrong(str(tmp_path))
+    assert "is not MCAP" in wrong(__file__)
+    assert "cannot be written" in wrong(capture, "--json", "/nowhere/stats.json")
+    assert "would overwrite the capture" in wrong(capture, "--json", capture)
+    assert "no such option" in wrong(capture, "--yaml", "x")
+    assert Path(capture).read_bytes() == before
+
+
+def test_one_capture_that_cannot_be_read_leaves_no_json(tmp_path: Path) -> None:
+    file = tmp_path / "stats.json"
+
+    wrong(EXAMPLES, "/nowhere/c.mcap", "--json", str(file))
+
+    assert not file.exists()
+
+
+@pytest.mark.waits
+def test_ctrl_c_ends_it_without_a_word_and_leaves_no_json(
+    tmp_path: Path, grammar_text: str
+) -> None:
+    grammar, file = tmp_path / "interrupting.py", tmp_path / "stats.json"
+    interrupt = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
+    grammar.write_text(grammar_text + interrupt, encoding="utf-8")
+
+    result = process("--grammar", str(grammar), "stats", EXAMPLES, "--json", str(file))
+
+    assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
+    assert not file.exists()
