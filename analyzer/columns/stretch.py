@@ -24,7 +24,7 @@ from bilprov.captures.schemas import Line, State
 from bilprov.spec.codec import Judgement
 from bilprov.spec.motion import VARIABLES, is_moving
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import ShortFrames, Steps
+from bilprov.spec.steps import ShortFrames, Steps, short_frames
 from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns, moving
 
 
@@ -75,10 +75,10 @@ class Decoding:
     skew: int
     late: int
 
-    @cached_property
+    @property
     def short(self) -> ShortFrames:
         """The frames of at most one data byte, ready made."""
-        return ShortFrames(self.protocol, self.steps)
+        return short_frames(self.protocol)
 
 
 @dataclass(frozen=True)
@@ -217,6 +217,18 @@ class Stretch:
                 yield from islice(devices, stop - start)
             else:
                 yield self.line(start, after)
+
+    def inside(
+        self, first: int | None, after: int | None
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which new host rows and device rows are in `first <= t < after` (ns; None: no bound)."""
+        host, device = (np.ones(len(t), np.bool_) for t in (self.start, self.t))
+        for mask, t in ((host, self.start), (device, self.t)):
+            if first is not None:
+                mask &= t >= first
+            if after is not None:
+                mask &= t < after
+        return host, device
 
     def chosen(
         self, host: NDArray[np.bool_], device: NDArray[np.bool_], lines: Sequence[bool]

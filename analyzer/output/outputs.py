@@ -19,15 +19,10 @@ from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
     from bilprov.analyzer.output.statistics import Statistics
-
-_NEVER = (1 << 63) - 1  # ns
 
 Format = Literal["live", "lines", "jsonl"]
 
@@ -136,12 +131,6 @@ class Window:
         """Whether a time (ns) is inside the window."""
         return (self.first is None or t >= self.first) and (self.after is None or t < self.after)
 
-    def masks(self, stretch: Stretch) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which new host rows and which device rows of a stretch are inside."""
-        first, after = self.first or 0, _NEVER if self.after is None else self.after
-        start, t = stretch.start, stretch.t
-        return (start >= first) & (start < after), (t >= first) & (t < after)
-
     def covers(self, part: Part) -> bool:
         """Whether all records of a part are inside; for a frame its first byte counts."""
         if self.first is None and self.after is None:
@@ -198,7 +187,7 @@ class Shown:
 
     def _chosen(self, stretch: Stretch) -> Iterator[Record]:
         """Yield the records of a stretch that pass; no others are made."""
-        host, device = self.window.masks(stretch)
+        host, device = stretch.inside(self.window.first, self.window.after)
         if self.test is not None:
             passing = self.test.masks(stretch)
             host, device = host & passing[0], device & passing[1]

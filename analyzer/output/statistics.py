@@ -172,7 +172,7 @@ class Statistics:
             byte_rates=rates,
             loads=(rates[0] * self._byte_time / 1e9, rates[1] * self._byte_time / 1e9),
             latencies=self._latency_values(),
-            faults=tuple(self._faults.most_common()),
+            faults=tuple(sorted(self._faults.items(), key=lambda item: (-item[1], item[0]))),
             recent=self._recent.records(),
             recent_faults=self._anomalies(),
             state=self._state,

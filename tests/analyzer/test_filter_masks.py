@@ -27,6 +27,7 @@ from tests.support.traffic import ACTS, SETTINGS, Act, played, told
 def _few_bytes_are_enough() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(columns, "LEAST", 0)
+        patch.setattr(columns, "FIRST", 0)
         yield
 
 
