@@ -67,8 +67,8 @@ noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs
 	$(BIN)/python -m benchmarks.noise
 	$(BIN)/python -m benchmarks.noise --board
 
-bench: setup ## does sniffing keep up with a full line?
-	$(BIN)/python -m benchmarks.full_line
+bench: setup ## how fast each work is beside construct, mcap and C, 6 minutes; renews the README's table
+	$(BIN)/python -m benchmarks.bench --publish $(BENCH_ARGS)
 
 pictures: setup ## draw the pictures anew: the architecture, and those of the README
 	$(BIN)/python -m docs.architecture docs

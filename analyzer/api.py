@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 
+from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.playback import batches
 from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture
@@ -21,6 +24,8 @@ from bilprov.spec import explain as explaining
 from bilprov.spec.codec import Judgement
 from bilprov.spec.explain import Explanation
 from bilprov.spec.protocol import Protocol
+
+PIECE = 1 << 16  # bytes that are decoded at once
 
 
 def judge(frame: bytes, protocol: Protocol | None = None) -> Judgement:
@@ -59,9 +64,14 @@ def decode(
     The bytes count as sent without a pause: all times are 0, and an incomplete last frame is
     reported as cut short.
     """
-    session = Session(protocol or load_protocol(), heard=frozenset({direction}))
-    records = [*session.feed(Chunk(0, direction, data)), *session.finish()]
-    return [record for record in records if isinstance(record, HostRecord | DeviceRecord)]
+    decoder = StreamDecoder(protocol or load_protocol(), heard=frozenset({direction}))
+    events = [Chunk(0, direction, data[at : at + PIECE]) for at in range(0, len(data), PIECE)]
+    parts = chain.from_iterable(decoder.feed([event]) for event in events)
+    records: list[HostRecord | DeviceRecord] = []
+    for part in chain(parts, decoder.finish()):
+        # One direction alone has neither line events nor missing answers.
+        records += part.records()  # type: ignore[arg-type]
+    return records
 
 
 def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator[Record]:
@@ -73,10 +83,12 @@ def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator
     cannot be read as a capture.
     """
     capture = open_capture(path)
-    session = capture_session(capture, protocol or load_protocol())
-    for event in capture:
-        yield from session.feed(event)
-    yield from session.finish()
+    decoder = capture_decoder(capture, protocol or load_protocol())
+    for batch in batches(capture, at_once=True):
+        for part in decoder.feed(batch):
+            yield from part.records()
+    for part in decoder.finish():
+        yield from part.records()
 
 
 _LONGEST_WAIT = 0.2  # s, so that Ctrl-C is never held up

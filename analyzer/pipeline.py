@@ -1,63 +1,104 @@
-"""The processing of each event, shared by sniffing and replaying: record, decode, count, show."""
+"""The processing of events, shared by sniffing and replaying: record, decode, count, show."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
-from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.outputs import Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.captures.schemas import Chunk, Line
 
+MOST_BYTES = 1 << 16  # that wait to be decoded
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class Pipeline:
-    """Connects a session to its recorder, statistics, output (in `shown`) and passive judge.
+    """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
 
-    The raw bytes are written to the capture before they are decoded. `wanted` selects the records
-    that may be shown and judged (a replay's window), None for all.
+    The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
+    64 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
+    of `shown`, whether they pass its filter or not.
     """
 
-    session: Session
+    decoder: StreamDecoder
     statistics: Statistics
     shown: Shown
     recorder: Recorder | None = None
-    wanted: Callable[[Record], bool] | None = None
     judge: PassiveJudge | None = None
+    patience: int = 0
+    _pending: list[Chunk | Line] = field(default_factory=list)
+    _bytes: int = 0
 
-    def event(self, event: Chunk | Line) -> list[Record]:
-        """Process an event and return the records it completes."""
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) `advance` is next needed without an event, None if it is not."""
+        if self._pending:
+            return self._pending[0].t + self.patience
+        return self.decoder.deadline
+
+    def events(self, events: Sequence[Chunk | Line]) -> list[Part]:
+        """Process events, in order, and return what they complete."""
+        if not events:
+            return []
         if self.recorder:
-            self.recorder.event(event)
-        self.statistics.event(event)
-        if self.judge:
+            self.recorder.events(events)
+        if self.judge is None:
+            self._pending += events
+            self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
+            if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
+                return []
+            return self._decode_pending()
+        parts: list[Part] = []  # what is judged depends on the order of events and records
+        for event in events:
             self.judge.event(event)
-        return self._records(self.session.feed(event))
+            self._pending = [event]
+            parts += self._decode_pending()
+        return parts
 
-    def advance(self, now: int) -> list[Record]:
-        """Let time pass to `now` (ns) and return the records due; no earlier event may follow."""
-        records = self._records(self.session.advance(now))
+    def advance(self, now: int) -> list[Part]:
+        """Let time pass to `now` (ns) and return what falls due; no earlier event may follow."""
+        parts: list[Part] = []
+        if self._pending and now - self._pending[0].t >= self.patience:
+            parts = self._decode_pending()
+        if not self._pending:
+            parts += self._parts(self.decoder.advance(now), now)
         if self.recorder:
             self.recorder.tick(now)
         self.shown.output.tick(now)
-        return records
+        return parts
 
-    def finish(self) -> list[Record]:
-        """End the session after its last event and return the last records."""
-        return self._records(self.session.finish())
+    def finish(self) -> list[Part]:
+        """End the session after its last event and return what is left."""
+        parts = self._decode_pending()
+        return parts + self._parts(self.decoder.finish(), 0)
 
-    def _records(self, records: Iterable[Record]) -> list[Record]:
-        listed = list(records)
-        for record in listed:
+    def _decode_pending(self) -> list[Part]:
+        events, self._pending, self._bytes = self._pending, [], 0
+        if not events:
+            return []
+        self.statistics.events(events)
+        now = events[-1].t
+        parts = self._parts(self.decoder.feed(events), now)
+        if self.recorder:
+            self.recorder.checkpoint(now, self._saved)
+        return parts
+
+    def _saved(self) -> str | None:
+        state = self.decoder.saved()
+        return None if state is None else checkpoint.encoded(state)
+
+    def _parts(self, parts: list[Part], now: int) -> list[Part]:
+        for part in parts:
             if self.recorder:
-                self.recorder.record(record)
-            wanted = self.wanted is None or self.wanted(record)
-            if wanted and self.judge:
-                self.judge.record(record)
-            shown = wanted and self.shown.show(record)
-            self.statistics.record(record, shown=shown)
-        return listed
+                self.recorder.decoded(part.host_rows, now, part.records)
+            if self.judge:
+                for record in part.records():
+                    if self.shown.window.has(record.t):
+                        self.judge.record(record)
+            self.statistics.part(part, self.shown.show(part))
+        return parts

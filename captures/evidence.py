@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 
+from bilprov.captures.chunked_file import SEAL_BYTES, SEAL_HASH, SEAL_NAME
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, MAGIC, RECORD_HEAD, Damaged
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.text import printable
-from bilprov.captures.writer import SEAL_BYTES, SEAL_HASH, SEAL_NAME
 
 _SEAL = re.compile(rb"\x0c.{8}\x0c\x00{3}" + re.escape(SEAL_NAME.encode()), re.DOTALL)
 _DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)
@@ -153,7 +153,7 @@ def _attachments(content: mmap.mmap, end: int, wanted: Collection[str]) -> dict[
         opcode, length = RECORD_HEAD.unpack_from(content, at)
         start, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
         if opcode == records.ATTACHMENT and at <= end and length <= ATTACHMENT_BYTES + 1024:
-            name, data = records.attachment_record(content[start:at])
-            if name in wanted:
-                found.setdefault(name, data)
+            attached = records.attachment_record(content[start:at])
+            if attached.name in wanted:
+                found.setdefault(attached.name, attached.data)
     return found

@@ -4,23 +4,43 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.schemas import Chunk, Direction, Line, Look
-from bilprov.captures.storage.messages import Contents, Stored, stored_messages
-from bilprov.captures.storage.records import MAGIC, Damaged
+from bilprov.captures.schemas import (
+    Asked,
+    CaseMark,
+    Checkpoint,
+    Chunk,
+    Direction,
+    Line,
+    Look,
+)
+from bilprov.captures.storage.messages import Contents, Stored, attachments, stored_messages
+from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
 from bilprov.captures.text import printable
 
 TOPICS_SHOWN = 10
+
+Item = TypeVar("Item")
+Recorded: TypeAlias = Chunk | Line | Look | CaseMark | Asked | Checkpoint
+_DIRECTIONS: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
+_RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
+    topics.LINE: Line,
+    topics.LOOKS: Look,
+    topics.CASES: CaseMark,
+    topics.ASKS: Asked,
+    topics.CHECKPOINT: Checkpoint,
+}
 
 
 class Message(msgspec.Struct, frozen=True):
@@ -64,33 +84,21 @@ class Capture:
         Where messages are lost by damage to the file, a Line `gap` is inserted. Raises CaptureError
         if the file changed since it was opened or cannot be read.
         """
-        return (event for event in self.sights() if not isinstance(event, Look))
+        return events_of(self, self._stored())
 
     def sights(self) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order.
 
         Raises CaptureError as `events` does.
         """
-        directions: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
-        names = {channel: topic for channel, (topic, _) in self.contents.channels.items()}
-        for message in self._stored():
-            t = message.log_time - self.start
-            if message.lost:
-                yield Line(t, "gap", "", message.lost)
-            topic = names.get(message.channel, "")
-            if topic in directions:
-                yield Chunk(t, directions[topic], message.data)
-            elif topic == topics.LINE:
-                try:
-                    line = msgspec.json.decode(message.data, type=Line)
-                except JSON_ERRORS:
-                    continue
-                yield Line(t, line.event, line.tap, line.detail)
-            elif topic == topics.LOOKS:
-                try:
-                    yield replace(msgspec.json.decode(message.data, type=Look), t=t)
-                except JSON_ERRORS:
-                    continue
+        return sights_of(self, self._stored())
+
+    def recorded(self) -> Iterator[Recorded]:
+        """Yield all that was recorded and not decoded from the bytes, in order.
+
+        Raises CaptureError as `events` does.
+        """
+        return _recorded(self, self._stored(), _RECORDED)
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -105,16 +113,55 @@ class Capture:
                 value = _value(topic, encoding, message.data)
                 yield Message(topic, message.log_time - self.start, value, message.sequence)
 
+    def attachments(self) -> Iterator[AttachmentRecord]:
+        """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
+        return self._read(attachments)
+
     def _stored(self) -> Iterator[Stored]:
+        return self._read(stored_messages)
+
+    def _read(self, read: Callable[[BufferedReader, Contents], Iterator[Item]]) -> Iterator[Item]:
         try:
             with self.path.open("rb") as file:
-                yield from stored_messages(file, self.contents)
+                yield from read(file, self.contents)
         except Damaged as error:
-            raise CaptureError(
-                f"{printable(self.path)} changed while it was read ({error}): open it again"
-            ) from error
+            raise changed(self.path, error) from error
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
+
+
+def events_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line]:
+    """The chunks and line events among stored messages of a capture, with gaps inserted."""
+    for value in _recorded(capture, stored, {topics.LINE}):
+        if isinstance(value, Chunk | Line):
+            yield value
+
+
+def sights_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line | Look]:
+    """The events and looks among stored messages of a capture, with gaps inserted."""
+    for value in _recorded(capture, stored, {topics.LINE, topics.LOOKS}):
+        if isinstance(value, Chunk | Line | Look):
+            yield value
+
+
+def _recorded(
+    capture: Capture, stored: Iterator[Stored], wanted: Collection[str]
+) -> Iterator[Recorded]:
+    start = capture.start
+    names = {channel: topic for channel, (topic, _) in capture.contents.channels.items()}
+    for message in stored:
+        t = message.log_time - start
+        if message.lost:
+            yield Line(t, "gap", "", message.lost)
+        topic = names.get(message.channel, "")
+        if topic in _DIRECTIONS:
+            yield Chunk(t, _DIRECTIONS[topic], message.data)
+        elif topic in wanted:
+            try:
+                value = msgspec.json.decode(message.data, type=_RECORDED[topic])
+            except JSON_ERRORS:
+                continue
+            yield replace(value, t=t)
 
 
 def open_capture(path: str | Path) -> Capture:
@@ -134,7 +181,7 @@ def open_capture(path: str | Path) -> Capture:
             _check_magic(path, file.read(len(MAGIC)))
             contents = surveyed(file, size)
     except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     _check_topics(path, contents)
     return Capture(
         path=path,
@@ -147,7 +194,13 @@ def open_capture(path: str | Path) -> Capture:
     )
 
 
-def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
+def changed(path: Path, why: Damaged) -> CaptureError:
+    """The error for a capture that is not what it was when it was opened."""
+    return CaptureError(f"{printable(path)} changed while it was read ({why}): open it again")
+
+
+def unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
+    """The error that says why a capture cannot be read."""
     if isinstance(error, FileNotFoundError):
         return CaptureError(f"{printable(path)} does not exist: name an MCAP file")
     why = error.strerror if isinstance(error, OSError) else error

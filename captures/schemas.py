@@ -6,7 +6,8 @@ or `end`. In the file the same moment is `log_time` = wall clock at the start + 
 
 from __future__ import annotations
 
-from typing import Literal
+import zlib
+from typing import Literal, Self
 
 import msgspec
 
@@ -14,7 +15,7 @@ Direction = Literal["host", "device"]
 FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
 
 
-class Chunk(msgspec.Struct, frozen=True):
+class Chunk(msgspec.Struct, frozen=True, gc=False):
     """The bytes of one read from a port; all records are decoded from chunks."""
 
     t: int
@@ -22,7 +23,7 @@ class Chunk(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class Line(msgspec.Struct, frozen=True):
+class Line(msgspec.Struct, frozen=True, gc=False):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
@@ -36,7 +37,7 @@ class Line(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
-class State(msgspec.Struct, frozen=True):
+class State(msgspec.Struct, frozen=True, gc=False):
     """The motion state that the instructions so far predict (topic `/state`)."""
 
     motion: str
@@ -46,7 +47,7 @@ class State(msgspec.Struct, frozen=True):
     moving: bool
 
 
-class Instruction(msgspec.Struct, frozen=True):
+class Instruction(msgspec.Struct, frozen=True, gc=False):
     """Host bytes with their judgement (topic `/host/instructions`).
 
     `kind` is `instruction` for a whole frame, `truncated` for one that the time-out cut short,
@@ -68,7 +69,7 @@ class Instruction(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Response(msgspec.Struct, frozen=True):
+class Response(msgspec.Struct, frozen=True, gc=False):
     """One device byte, with the instruction it answers (topic `/device/responses`).
 
     `instruction` is that instruction's `sequence` or None where there is none; `latency` is in
@@ -145,6 +146,40 @@ class Look(msgspec.Struct, frozen=True):
     led: int | None = None
     left: int | None = None
     right: int | None = None
+
+
+class Checkpoint(msgspec.Struct, frozen=True):
+    """What is needed to go on decoding after the messages before it (topic `/checkpoint`).
+
+    `decoder` is the state as the decoder wrote it (JSON), in which nobody else looks; `grammar` is
+    the sha256 of the grammar that it decoded by. `crc` is the CRC-32 of the UTF-8 text of `t`,
+    `grammar` and `decoder`, a newline between them.
+    """
+
+    t: int
+    grammar: str
+    decoder: str
+    crc: int
+
+    @classmethod
+    def of(cls, t: int, grammar: str, decoder: str) -> Self:
+        """A checkpoint at `t` (ns) with its checksum."""
+        return cls(t, grammar, decoder, _crc(t, grammar, decoder))
+
+    @property
+    def whole(self) -> bool:
+        """Whether the checksum is right and the decoder's state is JSON."""
+        if self.crc != _crc(self.t, self.grammar, self.decoder):
+            return False
+        try:
+            msgspec.json.decode(self.decoder)
+        except (msgspec.MsgspecError, ValueError, RecursionError):
+            return False
+        return True
+
+
+def _crc(t: int, grammar: str, decoder: str) -> int:
+    return zlib.crc32(f"{t}\n{grammar}\n{decoder}".encode("utf-8", "surrogatepass"))
 
 
 MS = 1_000_000  # ns

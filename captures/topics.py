@@ -19,6 +19,7 @@ import msgspec
 from bilprov.captures.schemas import (
     Asked,
     CaseMark,
+    Checkpoint,
     Chunk,
     Instruction,
     Line,
@@ -28,7 +29,9 @@ from bilprov.captures.schemas import (
     State,
 )
 
-Written: TypeAlias = Instruction | Response | State | Log | Line | CaseMark | Look | Asked
+Written: TypeAlias = (
+    Instruction | Response | State | Log | Line | CaseMark | Look | Asked | Checkpoint
+)
 
 HOST_RAW = "/host/raw"
 DEVICE_RAW = "/device/raw"
@@ -36,6 +39,7 @@ LINE = "/line"
 CASES = "/conformance/cases"
 LOOKS = "/conformance/looks"
 ASKS = "/conformance/asks"
+CHECKPOINT = "/checkpoint"
 
 METADATA_NAME = "bilprov"
 START_KEY = "start"  # in the metadata: the wall clock at t = 0, ns
@@ -80,6 +84,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic(CASES, 8, JSON_ENCODING, "bilprov.CaseMark", CaseMark),
     Topic(LOOKS, 9, JSON_ENCODING, "bilprov.Look", Look),
     Topic(ASKS, 10, JSON_ENCODING, "bilprov.Asked", Asked),
+    Topic(CHECKPOINT, 11, JSON_ENCODING, "bilprov.Checkpoint", Checkpoint),
 )
 
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}

@@ -7,7 +7,6 @@ the chunks, in the first chunk (where the chunk's checksum protects it) and at t
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -15,11 +14,10 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import Final
 
-from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
-from mcap.writer import CompressionType, Writer
 
 from bilprov.captures import topics
+from bilprov.captures.chunked_file import MESSAGE_FRONT, ChunkedFile
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Log, Time
@@ -30,40 +28,8 @@ FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # the cost of a seek is proportional to this
 CHUNK_BYTES = 256 * 1024
 U64 = 1 << 64
-SEAL_NAME: Final = "bilprov.seal"
-SEAL_HASH: Final = "sha256"
-SEAL_BYTES: Final = "bytes"
+NEVER: Final = 1 << 65  # ns, later than any time
 FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
-
-
-class HashedFile:
-    """A new file that hashes the data as they are written; it is only ever appended to.
-
-    The hash becomes the seal of a finished capture, over all bytes before the seal; the parts
-    after it have checksums of their own. A seal detects damage, not forgery: a person who changes
-    a file on purpose can write a new seal too.
-    """
-
-    def __init__(self, file: BufferedWriter) -> None:
-        self._file = file
-        self._hash = hashlib.sha256()
-
-    def write(self, data: bytes | memoryview) -> int:
-        """Write and hash. Raises OSError."""
-        self._hash.update(data)
-        return self._file.write(data)
-
-    def tell(self) -> int:
-        """The number of bytes written."""
-        return self._file.tell()
-
-    def flush(self) -> None:
-        """Pass the written data to the operating system. Raises OSError."""
-        self._file.flush()
-
-    def seal(self) -> dict[str, str]:
-        """The pairs of the metadata record that seals all data written so far: hash and size."""
-        return {SEAL_HASH: self._hash.hexdigest(), SEAL_BYTES: str(self.tell())}
 
 
 class CaptureWriter(Closing):
@@ -85,8 +51,9 @@ class CaptureWriter(Closing):
         self._log_time(0)
         self._sequence = 0
         self._newest = 0
-        self._waiting_since: int | None = None
-        self._in_chunk = 0
+        self._flush_at = NEVER
+        self._chunk_messages = 0
+        self._chunk_bytes = 0
         self._kept_bytes = 0
         self._kept_until = 0
         self._failure = ""
@@ -101,14 +68,12 @@ class CaptureWriter(Closing):
         self._file = _new_file(self.path)
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
-        self._hashed = HashedFile(self._file)
-        self._mcap = Writer(
-            self._hashed,  # type: ignore[arg-type]  # only its write, tell and flush are used
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-        )
         self._guarded(lambda: self._open(about, f"bilprov {version}"))
+
+    @property
+    def failed(self) -> bool:
+        """Whether the file could not be written; then nothing more is."""
+        return bool(self._failure)
 
     def chunk(self, chunk: Chunk) -> None:
         """Write a chunk; more than 64 KiB become several messages with the same time.
@@ -117,7 +82,10 @@ class CaptureWriter(Closing):
         """
         channel = 1 if chunk.direction == "host" else 2
         data = chunk.data
-        for at in range(0, len(data) or 1, MESSAGE_BYTES):
+        if len(data) <= MESSAGE_BYTES:
+            self._add(channel, data, chunk.t)
+            return
+        for at in range(0, len(data), MESSAGE_BYTES):
             self._add(channel, data[at : at + MESSAGE_BYTES], chunk.t)
 
     def write(self, value: topics.Written, t: int) -> None:
@@ -146,7 +114,7 @@ class CaptureWriter(Closing):
             self._leave_out(f"{name}: {len(data)} bytes, allowed are {ATTACHMENT_BYTES}", t)
             return
         self.flush()
-        self._guarded(lambda: self._mcap.add_attachment(log_time, log_time, name, media_type, data))
+        self._guarded(lambda: self._mcap.attachment(name, media_type, data, log_time))
         self.flush()
 
     def tick(self, now: int) -> None:
@@ -155,8 +123,7 @@ class CaptureWriter(Closing):
         Raises CaptureError if the file cannot be written.
         """
         self._newest = max(self._newest, now)
-        waiting = self._waiting_since
-        if waiting is not None and self._newest - waiting >= FLUSH_AFTER:
+        if self._newest >= self._flush_at:
             self.flush()
 
     def flush(self) -> None:
@@ -164,16 +131,17 @@ class CaptureWriter(Closing):
 
         Raises CaptureError if the disk is full, the file is gone or cannot be written.
         """
+        self._guarded(self._mcap.end_chunk)
         self._guarded(self._mcap.flush)
         if self._counts_links and os.fstat(self._file.fileno()).st_nlink == 0:
             self._fail(
                 f"the capture file {printable(self.path)} was deleted while recording: what was "
                 "captured is lost, record again"
             )
-        self._kept_bytes = self._file.tell()
+        self._kept_bytes = self._mcap.size
         self._kept_until = self._newest
-        self._waiting_since = None
-        self._in_chunk = 0
+        self._flush_at = NEVER
+        self._chunk_messages = self._chunk_bytes = 0
 
     def close(self) -> None:
         """Finish the file; further calls, and a call after a failure, do nothing.
@@ -183,48 +151,60 @@ class CaptureWriter(Closing):
         if self._closed:
             return
         self.flush()
-        self._guarded(lambda: self._mcap.add_metadata(SEAL_NAME, self._hashed.seal()))
         self._guarded(self._mcap.finish)
         self._guarded(self._file.close)
         self._closed = True
 
     def _open(self, about: dict[str, str], library: str) -> None:
-        self._mcap.start(profile="", library=library)
-        self._mcap.add_metadata(topics.METADATA_NAME, about)
-        # The library writes the table into the first chunk only. This copy before it lets the
-        # streaming readers of other programs work when that chunk is lost or was never written.
-        table = RecordBuilder()
+        self._mcap = ChunkedFile(self._file, library)
+        self._mcap.metadata(topics.METADATA_NAME, about)
         # A flipped bit in the metadata record is not detected, and would shift all times: the
         # start is in the channels too, which a chunk's checksum protects.
         guarded = {topics.CHANNEL_START_KEY: about[topics.START_KEY]}
+        schemas: list[Schema] = []
+        channels: list[Channel] = []
         for topic in topics.TOPICS:
             schema = 0
             if topic.schema:
+                schema = len(schemas) + 1
                 form = topics.json_schema(topic.value)
-                schema = self._mcap.register_schema(topic.schema, "jsonschema", form)
-                Schema(schema, form, "jsonschema", topic.schema).write(table)
-            channel = self._mcap.register_channel(topic.name, topic.encoding, schema, guarded)
-            if channel != topic.channel:
-                raise AssertionError(f"{topic.name} is channel {channel}, not {topic.channel}")
-            Channel(channel, topic.name, topic.encoding, guarded, schema).write(table)
-        self._hashed.write(table.end())  # type: ignore[no-untyped-call]
+                schemas.append(
+                    Schema(id=schema, data=form, encoding="jsonschema", name=topic.schema)
+                )
+            channels.append(
+                Channel(
+                    id=topic.channel,
+                    topic=topic.name,
+                    message_encoding=topic.encoding,
+                    metadata=guarded,
+                    schema_id=schema,
+                )
+            )
+        self._mcap.table(schemas, channels)
         self._file.flush()
-        self._kept_bytes = self._file.tell()
+        self._kept_bytes = self._mcap.size
 
     def _add(self, channel: int, data: bytes, t: int) -> None:
-        log_time = self._log_time(t)
+        # A message costs about a microsecond: nothing here that is not needed for each.
+        log_time = self._start + t
+        if self._closed or not 0 <= log_time < U64:
+            self._guarded(lambda: self._log_time(t))
         sequence = self._sequence
-        self._guarded(lambda: self._mcap.add_message(channel, log_time, data, log_time, sequence))
         self._sequence = (sequence + 1) & 0xFFFF_FFFF
-        self._newest = max(self._newest, t)
-        self._in_chunk += 1
-        if self._waiting_since is None:
+        self._mcap.message((channel, sequence, log_time, data))
+        self._chunk_messages += 1
+        self._chunk_bytes += len(data) + MESSAGE_FRONT
+        if t > self._newest:
+            self._newest = t
+        if self._flush_at == NEVER:
             # A message may come late (a frame's `t` is its first byte): it waits from now, not `t`.
-            self._waiting_since = self._newest
-        if self._in_chunk >= CHUNK_MESSAGES:
+            self._flush_at = self._newest + FLUSH_AFTER
+        if (
+            self._newest >= self._flush_at
+            or self._chunk_messages >= CHUNK_MESSAGES
+            or self._chunk_bytes > CHUNK_BYTES
+        ):
             self.flush()
-        else:
-            self.tick(t)
 
     def _leave_out(self, what: str, t: int) -> None:
         seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)

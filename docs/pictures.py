@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 from rich.console import Console, RenderableType
 
+from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.live_view import View, live_view
@@ -54,10 +55,9 @@ def drive_picture(protocol: Protocol) -> RenderableType:
                 data = device.advance(now)
                 if data:
                     events.append(Chunk(now, "device", data))
-            for event in events:
-                statistics.event(event)
-                for record in session.feed(event):
-                    statistics.record(record)
+            statistics.events(events)
+            part = Records([record for event in events for record in session.feed(event)])
+            statistics.part(part, part)
             now += _STEP
     captured = "drive.mcap"
     return live_view(

@@ -88,3 +88,24 @@ def _assigned(effect: Effect, fields: dict[str, int]) -> dict[str, Any]:
         else getattr(value, "value", value)
         for variable, value in effect.assignments
     }
+
+
+class ShortFrames:
+    """Frames of at most one data byte, and their judgements, by 256 times the header plus the data.
+
+    Each list has 65,536 entries: of a frame without data the same one 256 times, and None where the
+    header announces more than one byte.
+    """
+
+    def __init__(self, protocol: Protocol, steps: Steps) -> None:
+        self.frames: list[bytes | None] = []
+        self.judgements: list[Judgement | None] = []
+        for header, length in enumerate(protocol.lengths):
+            if length > 1:
+                self.frames += [None] * 256
+                self.judgements += [None] * 256
+                continue
+            data = [bytes([header, first])[: 1 + length] for first in range(256 if length else 1)]
+            repeated = 256 // len(data)
+            self.frames += data * repeated
+            self.judgements += [steps[frame].judgement for frame in data] * repeated

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import VARIABLES, Motion, is_moving
 from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
@@ -65,6 +65,7 @@ class FrameTables:
         self._protocol = protocol
         self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
         self.codes = np.array([protocol.answers[outcome].code for outcome in OUTCOMES], np.uint8)
+        self.used = np.isin(np.arange(256), list(protocol.codes))
         self._verdict = np.zeros(1 << 16, np.uint8)
         self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
         # Instructions with more than one data byte: their data are judged field by field.
@@ -160,7 +161,7 @@ class FrameTables:
             for part in spec.fields:
                 value = self.field(part, data, offset[rows])
                 good &= (value >= part.low) & (value <= part.high)
-            verdict[rows] = np.where(good, _VALID, _BAD_DATA)
+            verdict[rows] = np.where(good, VALID, _BAD_DATA)
         return FrameColumns(offset, key, verdict)
 
     def field(
@@ -236,7 +237,7 @@ class FrameTables:
         """What frames of more than one data byte set: a variable, the rows, the values."""
         for code, spec in self._long.items():
             rows = np.flatnonzero(frames.key >> 8 == code)
-            valid = frames.verdict[rows] == _VALID
+            valid = frames.verdict[rows] == VALID
             for good, effect in ((True, spec.effect), (False, self._protocol.on_fault)):
                 where = rows[valid == good]
                 for variable, value in effect.assignments:
@@ -249,16 +250,23 @@ class FrameTables:
 
 
 MOTIONS = tuple(Motion)
+_DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
 _WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
-_VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 
 def coded(value: str | int) -> int:
     """A state variable's value as a number: a motion is its place in `MOTIONS`."""
     return MOTIONS.index(Motion(value)) if isinstance(value, str) else value
+
+
+def moving(motion: NDArray[np.integer], speed: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether the wheels turn in each row: of the motion, as its place in `MOTIONS`, and speed."""
+    turning: NDArray[np.bool_] = _DRIVES.take(motion) & np.greater(speed, 0)
+    return turning
 
 
 @lru_cache(maxsize=8)

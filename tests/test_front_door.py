@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
+import tomllib
 from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -23,7 +25,16 @@ from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.signals import ignoring
 
-HEAVY = {"serial", "construct", "mcap", "numpy"}
+HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.metadata"}
+# Modules and packages that a command does not use.
+UNUSED = {
+    "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
+    "encode Stop": HEAVY - {"construct"},
+    "spec emit c": HEAVY - {"construct"},
+    "completion fish": HEAVY,
+    "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
+    "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
+} | {f"{name} --help": {"numpy", "rich"} for name in front_door.COMMANDS}
 
 
 def said(result: Done) -> str:
@@ -36,8 +47,8 @@ def said(result: Done) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
-def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
+def loaded(*arguments: str) -> set[str]:
+    """The modules that a command has imported when it ends, and the packages that they are of."""
     code = (
         "import sys, atexit, bilprov\n"
         "atexit.register(lambda: sys.stderr.write(' '.join(sys.modules)))\n"
@@ -45,7 +56,19 @@ def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
     )
     result = process(*arguments, code=code)
     assert result.returncode == 0
-    assert not HEAVY & set(result.stderr.decode().split())
+    names = result.stderr.decode().split()
+    return set(names) | {name.split(".")[0] for name in names}
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
+def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
+    assert loaded(*arguments) & HEAVY == set()
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("line", UNUSED)
+def test_a_command_loads_nothing_that_it_does_not_use(line: str) -> None:
+    assert loaded(*line.split()) & UNUSED[line] == set()
 
 
 def test_importing_the_library_loads_nothing_heavy() -> None:
@@ -72,6 +95,17 @@ def test_version_is_one_plain_line() -> None:
     name, version = process("--version").stdout.decode().split()
     assert name == "bilprov"
     assert version[0].isdigit()
+
+
+def test_an_installation_gets_the_version_that_the_command_shows() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    module, _, attribute = declared["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(
+        "."
+    )
+
+    assert declared["project"]["dynamic"] == ["version"]
+    shown = command("--version").stdout.decode()
+    assert shown == f"bilprov {getattr(import_module(module), attribute)}\n"
 
 
 @pytest.mark.parametrize(
@@ -122,7 +156,7 @@ def test_no_arguments_show_the_help_as_wrong_use() -> None:
 BROKEN_COMMAND = """
 import sys, bilprov, types
 from bilprov import __main__ as front_door
-import rich_click as click
+import click
 module = types.ModuleType("broken")
 def body(*, error={error}):
     raise error

@@ -30,7 +30,14 @@ ROOMS = (
     ("spec.emit",),
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
-    ("captures.evidence", "captures.reader", "captures.writer"),
+    (
+        "captures.evidence",
+        "captures.background",
+        "captures.chunked_file",
+        "captures.indexed",
+        "captures.reader",
+        "captures.writer",
+    ),
     ("analyzer",),  # files, grammar_file, version
     ("analyzer.transport",),
     ("analyzer.taps",),
@@ -68,7 +75,6 @@ HOMES = {
     "mcap": ("captures/",),
     "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
-    "rich_click": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.
     "pytest": (
@@ -389,7 +395,7 @@ BROKEN = [
     (library_away_from_home, "analyzer/decode/session.py", "from mcap.reader import make_reader"),
     (library_away_from_home, "analyzer/decode/session.py", "import numpy as np"),
     (library_away_from_home, "spec/explain.py", "from rich.table import Table"),
-    (library_away_from_home, "captures/info.py", "import rich_click as click"),
+    (library_away_from_home, "captures/info.py", "import click"),
     (library_away_from_home, "captures/info.py", "def f():\n    import click"),
     (library_away_from_home, "conformance/pytest_plugin/bench.py", "def f():\n    import pytest"),
     (relative, "spec/codec.py", "from . import fields"),
@@ -443,7 +449,7 @@ KEPT = [
     (library_away_from_home, "spec/codec.py", "from construct import ConstructError"),
     (library_away_from_home, "analyzer/transport/ports.py", "import serial.tools.list_ports"),
     (library_away_from_home, "captures/reader.py", "import mcap.reader"),
-    (library_away_from_home, "analyzer/cli/text_commands.py", "import rich.table, rich_click"),
+    (library_away_from_home, "analyzer/cli/text_commands.py", "import rich.table, click"),
     (library_away_from_home, "conformance/pytest_plugin/case_item.py", "import pytest"),
     (
         relative,

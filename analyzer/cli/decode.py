@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from io import FileIO
 from pathlib import Path
 from typing import Literal
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
-from bilprov.analyzer.replay.capture_session import capture_session, said_about
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.storage.records import MAGIC
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -54,36 +51,40 @@ def decode(
     test = compiled(expression, protocol)
     if not words and sys.stdin.isatty():
         raise click.UsageError("what is to be decoded? Give HEX, a FILE or - for standard input")
-    session, events = _input(words or ("-",), sender, protocol)
+    decoder, events = _input(words or ("-",), sender, protocol)
     out = Shown(stream_output(style), test)
-    for event in events:
-        for record in session.feed(event):
-            out.show(record)
-    for record in session.finish():
-        out.show(record)
+    for batch in events:
+        for part in decoder.feed(batch):
+            out.show(part)
+    for part in decoder.finish():
+        out.show(part)
 
 
 def _input(
     words: tuple[str, ...], sender: Direction, protocol: Protocol
-) -> tuple[Session, Iterator[Chunk | Line]]:
-    """The session and the events to decode, from hex words, a file, or standard input."""
-    session = Session(protocol, heard=frozenset({sender}))
+) -> tuple[StreamDecoder, Iterable[Sequence[Chunk | Line]]]:
+    """The decoder and the events to decode, from hex words, a file, or standard input."""
+    decoder = StreamDecoder(protocol, heard=frozenset({sender}))
     if words == ("-",):
-        return session, _pieces(None, sender)
+        return decoder, _pieces(None, sender)
     path = Path(words[0])
     if len(words) == 1 and _is_file(path):
         if _begins_like_a_capture(path):
+            from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
+            from bilprov.analyzer.replay.playback import batches
+            from bilprov.captures.reader import open_capture
+
             capture = open_capture(path)
             for sentence in said_about(capture, protocol):
                 note(sentence)
-            return capture_session(capture, protocol), capture.events()
-        return session, _pieces(path, sender)
+            return capture_decoder(capture, protocol), batches(capture.events(), at_once=True)
+        return decoder, _pieces(path, sender)
     try:
         data = bytes_from_hex(" ".join(words))
     except ValueError as error:
         files = "there is no such file, and " if len(words) == 1 else ""
         raise click.ClickException(f"{files}{error}") from None
-    return session, iter([Chunk(0, sender, data)])
+    return decoder, [[Chunk(0, sender, data)]]
 
 
 def _is_file(path: Path) -> bool:
@@ -94,6 +95,8 @@ def _is_file(path: Path) -> bool:
 
 
 def _begins_like_a_capture(path: Path) -> bool:
+    from bilprov.captures.storage.records import MAGIC
+
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -101,13 +104,13 @@ def _begins_like_a_capture(path: Path) -> bool:
         raise _unreadable(path, error) from error
 
 
-def _pieces(path: Path | None, sender: Direction) -> Iterator[Chunk]:
+def _pieces(path: Path | None, sender: Direction) -> Iterator[list[Chunk]]:
     """Yield the bytes of a file, or of standard input as they come, as chunks."""
     try:
         # Unbuffered, so that bytes from a pipe are shown at once.
         with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
             while data := file.read(PIECE):
-                yield Chunk(0, sender, data)
+                yield [Chunk(0, sender, data)]
     except OSError as error:
         raise _unreadable(path or Path("standard input"), error) from error
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import traceback
 
 import click
 from click import exceptions
@@ -27,6 +26,8 @@ def report(error: BaseException) -> int:
     elif isinstance(error, OSError) and error.strerror:  # a full disk, no more descriptors
         say(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
     else:
+        import traceback
+
         traceback.print_exception(error)
         say("this is a bug in bilprov, not in the device; please report it with the lines above")
     return 2

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, TypeVar
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import line_options, note
 from bilprov.analyzer.grammar_file import load_protocol

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     compiled,
@@ -20,6 +19,7 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import (
     Anomaly,
     FaultRecord,
@@ -32,24 +32,32 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import Format, Output, Shown, chosen_format, opened_output
+from bilprov.analyzer.output.outputs import (
+    Format,
+    Output,
+    Shown,
+    Window,
+    chosen_format,
+    opened_output,
+)
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_session import (
+    capture_decoder,
     capture_line,
-    capture_session,
     capture_timeout,
     heard,
     said_about,
 )
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
-from bilprov.analyzer.replay.playback import interruptible, paced, played
+from bilprov.analyzer.replay.playback import batches, interruptible, paced, played
+from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.replay.target import Target, scaled_timeout
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture
-from bilprov.captures.schemas import MS, Chunk, Look
+from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.protocol import Protocol
@@ -114,11 +122,13 @@ def replay(
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
     test = compiled(expression, protocol)
-    capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
-        note(sentence)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
-    window = _Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
+    capture = opened.capture
+    for sentence in (*said_about(capture, protocol), opened.note):
+        if sentence:
+            note(sentence)
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
@@ -130,9 +140,8 @@ def replay(
         if port is not None:
             settings = line_settings(protocol, baud, parity, stopbits)
             frame_pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
-            opened = open_port(port, settings)
-            target = stack.enter_context(Target(protocol, opened, frame_pause, stopper))
-        session = capture_session(capture, protocol, timeout)
+            wire = open_port(port, settings)
+            target = stack.enter_context(Target(protocol, wire, frame_pause, stopper))
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
         title = f"replay of {printable(capture.path.name)}"
         output = opened_output(chosen_format(style), protocol, statistics, title)
@@ -141,53 +150,46 @@ def replay(
         if judged:
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        pipeline = Pipeline(
-            session, statistics, Shown(output, test), wanted=window.holds, judge=judge
-        )
+        shown = Shown(output, test, window=window)
+        pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
         if target is not None:
             return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
-        _show(capture, pipeline, rate, window, stopper, judge)
+        events = capture.sights() if judge else opened.events()
+        _show(events, pipeline, rate, window, stopper, judge)
     return tell_findings(judge.finish(), chosen_format(style)) if judge else 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Window:
-    """The time window that is shown and sent: its first ns, and the first ns after it, or None."""
-
-    first: int | None
-    after: int | None
-
-    def has(self, t: int) -> bool:
-        """Whether a time (ns) is inside the window."""
-        first, after = self.first, self.after
-        return (first is None or t >= first) and (after is None or t < after)
-
-    def holds(self, record: Record) -> bool:
-        """Whether a record is inside the window; for a frame its first byte counts."""
-        return self.has(record.t)
+def _opened(
+    path: str, protocol: Protocol, timeout: int | None, window: Window, *, whole: bool
+) -> Opened:
+    """Open the capture; not from its beginning on if `whole` is false and the window is later."""
+    if window.first is not None and not whole:
+        return opened_at(path, protocol, window.first, timeout)
+    capture = open_capture(path)
+    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events)
 
 
 def _show(
-    capture: Capture,
+    events: Iterable[Chunk | Line | Look],
     pipeline: Pipeline,
     rate: float,
-    window: _Window,
+    window: Window,
     stopper: Stopper,
     judge: PassiveJudge | None,
 ) -> None:
     now = 0
     # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
-    events = capture.sights() if judge else capture.events()
-    for event in played(events, rate, sleep=sleep, start=window.first, end=window.after):
+    playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
+    for batch in batches(playing, at_once=not rate and judge is None):
         if stopper.stopped:
             return
-        now = event.t
-        if not isinstance(event, Look):
-            pipeline.event(event)
+        now = batch[-1].t
+        pipeline.events([event for event in batch if not isinstance(event, Look)])
         pipeline.advance(now)
-        if judge and isinstance(event, Look) and window.has(event.t):
-            judge.look(event)
+        for event in batch:
+            if judge and isinstance(event, Look) and window.has(event.t):
+                judge.look(event)
     pipeline.finish()
 
 
@@ -198,7 +200,7 @@ def _send(
     output: Output,
     target: Target,
     rate: float,
-    window: _Window,
+    window: Window,
     stopper: Stopper,
 ) -> int:
     """Send the host bytes of the window, compare the answers, and return the exit code."""
@@ -208,14 +210,14 @@ def _send(
     for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
         if stopper.stopped:
             break
-        records = pipeline.event(event)
+        records = _records(pipeline.events([event]))
         _note_all(recorded, records)
         if rate and isinstance(event, Chunk) and event.direction == "host":
             target.send(event.data)
         if not rate:
             _send_frames(target, records)
         pipeline.advance(event.t)
-    rest = pipeline.finish()
+    rest = _records(pipeline.finish())
     _note_all(recorded, rest)
     if not rate and not stopper.stopped:
         _send_frames(target, rest)
@@ -224,6 +226,10 @@ def _send(
         note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
         return 0
     return _compare(protocol, recorded, target.run, output)
+
+
+def _records(parts: Iterable[Part]) -> list[Record]:
+    return [record for part in parts for record in part.records()]
 
 
 def _send_frames(target: Target, records: Iterable[Record]) -> None:
@@ -248,6 +254,6 @@ def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Ou
         about = difference.instruction
         t = 0 if about is None else recorded.frames[about].t
         fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
-        output.show(FaultRecord(fault, written_state(protocol.power_on)))
+        output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
     note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
     return 1 if found else 0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
+from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import stream_output
 from bilprov.analyzer.replay.target import Target
@@ -58,9 +59,12 @@ def send(
     opened = open_port(port, settings)
     with opened:
         confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
+        output = stream_output(style)
         with (
             Stopper() as stopper,
-            Target(protocol, opened, timeout, stopper, stream_output(style).show) as target,
+            Target(
+                protocol, opened, timeout, stopper, lambda record: output.show(Records([record]))
+            ) as target,
         ):
             target.begin()
             for what in steps:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+import gc
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import (
     Command,
@@ -17,12 +20,22 @@ from bilprov.analyzer.cli.options import (
     session_format_option,
     timeout_option,
 )
-from bilprov.analyzer.decode.session import BOTH, SKEW, Session
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import Format, Shown, chosen_format, opened_output
+from bilprov.analyzer.output.outputs import (
+    Format,
+    NoOutput,
+    Output,
+    Shown,
+    StreamOutput,
+    chosen_format,
+    opened_output,
+)
 from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
@@ -31,6 +44,8 @@ from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_n
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
 
+COLLECT_EVERY = 1.0  # s
+PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
@@ -51,6 +66,7 @@ def tap_options(command: Command) -> Command:
 @session_format_option
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after S seconds.")
+@click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
 @judge_option
 @line_options
 @timeout_option
@@ -66,6 +82,7 @@ def sniff(
     style: Format | None,
     count: int | None,
     duration: float | None,
+    quiet: bool,
     judged: bool,
     baud: int | None,
     parity: str | None,
@@ -84,6 +101,7 @@ def sniff(
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
     """
+    style = chosen_format(style)
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     test = compiled(expression, protocol)
@@ -115,12 +133,17 @@ def sniff(
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        output = opened_output(
-            chosen_format(style), protocol, statistics, f"{title} {settings}", _kept(recorder)
-        )
+        output: Output = NoOutput()
+        queue = None
+        if not quiet:
+            queue = stack.enter_context(TextQueue(sys.stdout))
+            shown_as = f"{title} {settings}"
+            output = opened_output(
+                style, protocol, statistics, shown_as, _kept(recorder), queue.write
+            )
         stack.callback(output.close)
         pipeline = Pipeline(
-            Session(
+            StreamDecoder(
                 protocol,
                 timeout=timeout,
                 heard=source.heard,
@@ -130,14 +153,15 @@ def sniff(
             statistics,
             Shown(output, test, count),
             recorder,
-            judge=judge,
+            judge,
+            0 if isinstance(output, StreamOutput) else PATIENCE,
         )
-        pipeline.event(Line(0, "open", "", title))
+        pipeline.events([Line(0, "open", "", title)])
         lost = _listen(source, pipeline, stopper, duration)
-        pipeline.event(Line(source.now(), "close"))
+        pipeline.events([Line(source.now(), "close")])
         pipeline.finish()
-    _tell(statistics, recorder, live=chosen_format(style) == "live")
-    code = tell_findings(judge.finish(), chosen_format(style)) if judge else 0
+    _tell(statistics, recorder, queue, always=quiet or style == "live")
+    code = tell_findings(judge.finish(), style) if judge else 0
     if lost:
         kept = f"; what was captured is kept in {path}" if path else ""
         raise LinkError(lost + kept)
@@ -145,34 +169,74 @@ def sniff(
 
 
 def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> str:
-    """Process events until the end; return a sentence about a lost port, or an empty string."""
+    """Process events until the end; return a sentence about lost bytes or a lost port, or ""."""
     end = None if duration is None else round(duration * 1e9)
-    while not stopper.stopped and not pipeline.shown.full:
-        now = source.now()
-        pipeline.advance(now)
-        if end is not None and now >= end:
-            break
-        due = [at for at in (pipeline.session.deadline, end) if at is not None]
-        wait = min([LONGEST_WAIT, *((at - now) / 1e9 for at in due)])
-        lost = ""
-        for event in source.poll(max(0.0, wait), [stopper.fileno()]):
-            pipeline.event(event)
-            if isinstance(event, Line) and event.event == "unplugged":
-                lost = event.detail
-        if lost:
-            return lost
-    return ""
+    overrun, waited = "", 0
+    with collecting_when_idle() as collect:
+        while not stopper.stopped and not pipeline.shown.full:
+            now = source.now()
+            pipeline.advance(now)
+            if end is not None and now >= end:
+                break
+            wait = LONGEST_WAIT
+            for at in (pipeline.deadline, end):
+                if at is not None:
+                    wait = min(wait, max(0.0, (at - now) / 1e9))
+            events = source.poll(wait, [stopper.fileno()])
+            if not events:
+                collect()
+                continue
+            if pipeline.recorder and pipeline.recorder.waited_ns > waited:
+                more, waited = pipeline.recorder.waited_ns - waited, pipeline.recorder.waited_ns
+                detail = f"nothing was read for {more / 1e9:.3f} s: the capture file was too slow"
+                events.insert(0, Line(events[0].t, "waited", "", detail))
+            pipeline.events(events)
+            for event in events:
+                if isinstance(event, Line) and event.event == "unplugged":
+                    return event.detail
+                if isinstance(event, Line) and event.event == "overrun":
+                    overrun = f"bytes of the {event.tap} were lost on the way: {event.detail}"
+    return overrun
+
+
+@contextmanager
+def collecting_when_idle() -> Iterator[Callable[[], None]]:
+    """Collect no garbage by itself in the block; it gets a function to call when nothing is due.
+
+    The collector would stop the reader in the midst of traffic.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    collected = time.monotonic()
+
+    def collect() -> None:
+        nonlocal collected
+        if time.monotonic() - collected > COLLECT_EVERY:
+            gc.collect()
+            collected = time.monotonic()
+
+    try:
+        yield collect
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 def _kept(recorder: Recorder | None) -> Callable[[], str]:
     return lambda: f"{recorder.path.name} {recorder.bytes} B" if recorder else ""
 
 
-def _tell(statistics: Statistics, recorder: Recorder | None, *, live: bool) -> None:
-    """Print the totals in one line, after a live view or if a capture was recorded."""
-    if live or recorder:
-        where = f" in {recorder.path}" if recorder else ""
-        note(
-            f"{statistics.instructions} instructions, {statistics.responses} answers, "
-            f"{statistics.fault_count} faults{where}"
-        )
+def _tell(
+    statistics: Statistics, recorder: Recorder | None, queue: TextQueue | None, *, always: bool
+) -> None:
+    """Print the totals in one line, if a capture was recorded or else `always`."""
+    if not always and not recorder:
+        return
+    where = f" in {recorder.path}" if recorder else ""
+    waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
+    late = f"; the reader waited {waited / 1e9:.3f} s for slow output" if waited else ""
+    note(
+        f"{statistics.instructions} instructions, {statistics.responses} answers, "
+        f"{statistics.fault_count} faults{where}{late}"
+    )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.output.console import show_as
+from bilprov.analyzer.output.help import Group
 
 
-@click.group()
+@click.group(cls=Group)
 def spec() -> None:
     """Show the protocol, how its document is read, and where it is wrong; write it for others."""
 

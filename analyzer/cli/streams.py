@@ -18,8 +18,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from bilprov.analyzer.cli.failures import say
 
@@ -68,8 +67,7 @@ class _Descriptor(io.FileIO):
         return f"{self.called}: {self.broke.strerror if self.broke else ''}"
 
 
-@dataclass(frozen=True, slots=True)
-class Streams:
+class Streams(NamedTuple):
     """The standard output and standard error of a running command, if they are real streams."""
 
     streams: list[TextIO]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import sender_option, text_format_option
 from bilprov.analyzer.output.console import show, show_as, show_json

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -62,6 +61,8 @@ def _takes(spec: InstructionSpec) -> str:
 
 def meant(word: str, names: Iterable[str]) -> str:
     """A question after the name that `word` may stand for, in any case; "" if there is none."""
+    from difflib import get_close_matches
+
     by_lower = {name.lower(): name for name in names}
     close = get_close_matches(word.lower(), by_lower, n=1)
     return f", did you mean {by_lower[close[0]]}?" if close else ""

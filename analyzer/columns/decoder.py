@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LEAST = 512
 """Bytes from which on events are decoded into columns; fewer are decoded faster by a Session."""
 
+FIRST = 1 << 15
+"""Bytes that a Session decodes before columns are used: to load numpy takes as long as that."""
+
 # After an event that is not regular, so many go through the Session; more and more if none of
 # those that follow is regular, so that an irregular line costs little more than a Session alone.
 _FEWEST, _MOST = 1, 1024
@@ -40,9 +43,22 @@ class Records:
         """How many host frames there are."""
         return sum(1 for record in self.listed if type(record) is HostRecord)
 
+    @property
+    def rows(self) -> int:
+        """How many records there are."""
+        return len(self.listed)
+
     def records(self) -> Iterator[Record]:
         """Yield them in order."""
         return iter(self.listed)
+
+    def newest(self, most: int) -> Sequence[Record]:
+        """The last records, at most so many."""
+        return self.listed[-most:]
+
+    def newest_faulty(self, most: int) -> Sequence[Record]:
+        """The last records with anomalies, at most so many."""
+        return [record for record in self.listed if record.faults][-most:]
 
 
 Part: TypeAlias = "Stretch | Records"
@@ -76,6 +92,7 @@ class StreamDecoder:
         self._carry: Carry | None = None  # what the last stretch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
+        self._fed = 0
 
     @property
     def deadline(self) -> int | None:
@@ -87,7 +104,9 @@ class StreamDecoder:
     def feed(self, events: Sequence[Chunk | Line]) -> list[Part]:
         """Take the next events and return what they complete."""
         parts: list[Part] = []
-        if sum(len(event.data) for event in events if type(event) is Chunk) < LEAST:
+        size = sum(len(event.data) for event in events if type(event) is Chunk)
+        self._fed += size
+        if size < LEAST or self._fed < FIRST:
             self._feed_session(events, parts)
             return parts
         at = 0

@@ -138,10 +138,15 @@ class RegularDecoder:
         chunks, answers = np.searchsorted(host.event, cut), np.searchsorted(device.event, cut)
         rows = int(come[chunks - 1]) if chunks else carried
         given = int(device.bytes[answers - 1]) if answers else 0
+        kept_frames = frames.rows(slice(rows))
+        last = rest.state
+        if rows > carried:
+            new_frames = kept_frames.rows(slice(carried, None))
+            last = written(*tables.last_state(data, new_frames, values_of(rest.state)))
         stretch = Stretch(
             decoding=self._decoding,
             data=data,
-            frames=frames.rows(slice(rows)),
+            frames=kept_frames,
             carried=carried,
             sequence=rest.sequence - carried,
             start=_starts(before, host, offset, bounds)[: rows - carried],
@@ -149,6 +154,7 @@ class RegularDecoder:
             byte=device.data[:given],
             t=answer_t[:given],
             before=rest.state,
+            last=last,
             lines=tuple(replace(line, t=int(t[at])) for at, line in lines if at < cut),
             spans=tuple(_spans(cut, host, device, lines, [carried, *come.tolist()])),
         )
@@ -162,7 +168,6 @@ class RegularDecoder:
         kept = given if self._decoding.paired else rows
         low = int(frames.offset[kept]) if kept < rows else begun
         left = frames.rows(slice(kept, rows))
-        state = tables.last_state(data, stretch.new, values_of(rest.state))
         carry = Carry(
             data=data[low:said],
             frames=left._replace(offset=left.offset - low),
@@ -172,7 +177,7 @@ class RegularDecoder:
                 rest,
                 time=int(t[cut - 1]),
                 sequence=rest.sequence + rows - carried,
-                state=written(*state) if rows > carried else rest.state,
+                state=last,
                 frame_start=rest.frame_start
                 if begun < len(before.data)
                 else int(host.t[begun_in])

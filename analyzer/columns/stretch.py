@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import count
-from typing import Any, Literal, NamedTuple
+from functools import cached_property, lru_cache
+from itertools import chain, count, islice, repeat
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,19 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.decoder import unpaired_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    serious_faults,
+)
 from bilprov.captures.schemas import Line, State
+from bilprov.spec.codec import Judgement
 from bilprov.spec.motion import VARIABLES, is_moving
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Steps
-from bilprov.spec.tables import MOTIONS, FrameColumns, FrameTables, StateColumns
+from bilprov.spec.steps import ShortFrames, Steps
+from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns, moving
 
 
 class Span(NamedTuple):
@@ -35,7 +43,26 @@ class Span(NamedTuple):
     after: int
 
 
-@dataclass(frozen=True, slots=True)
+class Answer(NamedTuple):
+    """One device row: its byte and time (ns), and the instruction it answers.
+
+    That is its number, its bytes and when they ended (ns). `fits` tells whether the answer is the
+    expected one and in time. Where nothing is paired the number is -1.
+    """
+
+    byte: int
+    t: int
+    sequence: int
+    frame: bytes
+    end: int
+    fits: bool
+
+
+Rows: TypeAlias = "slice | NDArray[np.int64]"
+"""Some rows, in order."""
+
+
+@dataclass(frozen=True)
 class Decoding:
     """What decoding into columns rests on: the protocol, its tables, and the session's settings.
 
@@ -50,6 +77,11 @@ class Decoding:
     skew: int
     late: int
 
+    @cached_property
+    def short(self) -> ShortFrames:
+        """The frames of at most one data byte, ready made."""
+        return ShortFrames(self.protocol, self.steps)
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -59,7 +91,8 @@ class Stretch:
     before and only wait for an answer, and row 0 has the number `sequence`. `frames` and `end` (ns,
     of the last byte) have all of them, `start` (ns, of the first byte) and `states` the new ones.
     Device row j (`byte`, `t` in ns) answers host row j, or none if nothing is paired. `before` is
-    the state before the new rows, `lines` are the line events, and `spans` tells the order.
+    the state before the new rows and `last` that after them, `lines` are the line events, and
+    `spans` tells the order.
     """
 
     decoding: Decoding
@@ -72,6 +105,7 @@ class Stretch:
     byte: NDArray[np.uint8]
     t: NDArray[np.int64]
     before: State
+    last: State
     lines: tuple[Line, ...]
     spans: tuple[Span, ...]
 
@@ -110,90 +144,243 @@ class Stretch:
     def fits(self) -> NDArray[np.bool_]:
         """Which device rows have no anomaly: expected and in time, or if unpaired a known code."""
         if not self.decoding.paired:
-            return np.isin(self.byte, list(self.decoding.protocol.codes))
+            return self.decoding.tables.used.take(self.byte)
         return self.agrees & (self.latency <= self.decoding.late)
 
-    def frame(self, row: int) -> bytes:
-        """The bytes of a host row."""
-        at = int(self.frames.offset[row])
-        return self.data[at : at + int(self.size[row])].tobytes()
+    @cached_property
+    def earliest(self) -> int:
+        """The earliest time (ns) of a record; of a frame its first byte's."""
+        times = [line.t for line in self.lines[:1]]
+        times += [int(t) for t in (*self.start[:1], *self.t[:1])]
+        return min(times, default=0)
+
+    @cached_property
+    def latest(self) -> int:
+        """The latest time (ns) of a record; of a frame its first byte's."""
+        times = [line.t for line in self.lines[-1:]]
+        times += [int(t) for t in (*self.start[-1:], *self.t[-1:])]
+        return max(times, default=0)
+
+    @property
+    def rows(self) -> int:
+        """How many records there are."""
+        return len(self.start) + len(self.t) + len(self.lines)
+
+    @cached_property
+    def faulty(self) -> NDArray[np.bool_]:
+        """Whether each new host row is faulty."""
+        return np.not_equal(self.new.verdict, VALID)
+
+    @cached_property
+    def odd(self) -> NDArray[np.bool_]:
+        """Whether each device row has an anomaly."""
+        return ~self.fits
+
+    @cached_property
+    def fault_counts(self) -> dict[str, int]:
+        """The number of anomalies by kind, without those of severity info.
+
+        The kinds of a frame depend on whether it is faulty, and those of an answer on its byte, the
+        expected one and whether it is late; so one row of each sort tells.
+        """
+        counts: Counter[str] = Counter()
+        sorts: list[tuple[Record, int]] = [(self.line(at, 0), 1) for at in range(len(self.lines))]
+        faulty = np.flatnonzero(self.faulty)
+        for frame in self.frame_bytes(faulty[:1] + self.carried):
+            judgement = self.decoding.steps[frame].judgement
+            host = HostRecord(0, 0, 0, "instruction", frame, judgement, 0, self.before)
+            sorts.append((host, len(faulty)))
+        odd = np.flatnonzero(self.odd)
+        sort = self.byte.take(odd).astype(np.int64)
+        if self.decoding.paired:
+            expected = self.decoding.tables.codes.take(self.frames.verdict.take(odd))
+            sort += expected.astype(np.int64) << 8
+            sort += (self.latency.take(odd) > self.decoding.late).astype(np.int64) << 16
+        _, first, number = np.unique(sort, return_index=True, return_counts=True)
+        for place, amount in zip(odd[first], number.tolist(), strict=True):
+            (answer,) = self.answers(np.array([place]))
+            sorts.append((self.device_record(answer, self.before), amount))
+        for record, amount in sorts:
+            counts.update({fault.kind: amount for fault in serious_faults(record)})
+        return dict(counts)
+
+    def frame_counts(self) -> Iterator[tuple[int, int]]:
+        """Yield the times (ns) at which frames were complete, and how many were."""
+        times, counts = np.unique(self.end[self.carried :], return_counts=True)
+        return zip(times.tolist(), counts.tolist(), strict=True)
+
+    def newest(self, most: int) -> list[Record]:
+        """The last records, at most so many."""
+        host, device = np.zeros(len(self.start), np.bool_), np.zeros(len(self.t), np.bool_)
+        host[-most:] = device[-most:] = True
+        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
+
+    def newest_faulty(self, most: int) -> list[Record]:
+        """The last records with anomalies, at most so many."""
+        host, device = (
+            np.isin(np.arange(len(mask)), np.flatnonzero(mask)[-most:])
+            for mask in (self.faulty, self.odd)
+        )
+        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
+
+    @property
+    def after(self) -> int:
+        """The number of host rows: those that wait, and the new ones."""
+        return len(self.end)
 
     def state(self, after: int) -> State:
         """The state once the first `after` host rows have taken effect."""
         if after <= self.carried:
             return self.before
+        if after == self.after:
+            return self.last
         return written(*(int(column[after - self.carried - 1]) for column in self.states))
 
     def records(self) -> Iterator[Record]:
         """Yield the records in order, as a Session decodes them."""
+        hosts = self.hosts(slice(self.carried, None))
+        devices = self._devices()
         for side, start, stop, after in self.spans:
             if side == "host":
-                yield from self.host_records(start, stop)
+                yield from islice(hosts, stop - start)
             elif side == "device":
-                yield from self.device_records(start, stop, after)
+                yield from islice(devices, stop - start)
             else:
-                yield from self.line_records(start, stop, after)
+                yield self.line(start, after)
 
-    def line_records(self, start: int, stop: int, after: int) -> Iterator[LineRecord]:
-        """Yield the records of line events, after the first `after` host rows."""
-        for line in self.lines[start:stop]:
-            found = anomalies.of_line(line, lost=False)
-            yield LineRecord(line, False, self.state(after), found)
+    def chosen(
+        self, host: NDArray[np.bool_], device: NDArray[np.bool_], lines: Sequence[bool]
+    ) -> Iterator[Record]:
+        """Yield the records of the new host rows, device rows and line events where it says so."""
+        hosts = self.hosts(np.flatnonzero(host) + self.carried)
+        answers = self.answers(np.flatnonzero(device))
+        before = np.append(0, np.cumsum(host)).tolist()
+        given = np.append(0, np.cumsum(device)).tolist()
+        for side, start, stop, after in self.spans:
+            if side == "host":
+                start, stop = start - self.carried, stop - self.carried
+                yield from islice(hosts, before[stop] - before[start])
+            elif side == "device":
+                state = self.state(after)
+                for answer in islice(answers, given[stop] - given[start]):
+                    yield self.device_record(answer, state)
+            elif lines[start]:
+                yield self.line(start, after)
 
-    def frame_bytes(self, start: int, stop: int) -> Iterator[bytes]:
-        """Yield the bytes of host rows, which must be one or more."""
-        offset, size = self.frames.offset[start:stop], self.size[start:stop]
-        low, high = int(offset[0]), int(offset[-1] + size[-1])
-        data = self.data[low:high].tobytes()
-        offset = offset - low
-        return (
-            data[at:end] for at, end in zip(offset.tolist(), (offset + size).tolist(), strict=True)
+    def frame_bytes(self, rows: Rows) -> list[bytes]:
+        """The bytes of host rows."""
+        short = self.decoding.short.frames
+        frames: list[Any] = list(map(short.__getitem__, self.frames.key[rows].tolist()))
+        for place, frame in self._long_frames(rows):
+            frames[place] = frame
+        return frames
+
+    def judgements(self, rows: Rows) -> list[Judgement]:
+        """The judgements of host rows."""
+        short, steps = self.decoding.short.judgements, self.decoding.steps
+        judged: list[Any] = list(map(short.__getitem__, self.frames.key[rows].tolist()))
+        for place, frame in self._long_frames(rows):
+            judged[place] = steps[frame].judgement
+        return judged
+
+    def _long_frames(self, rows: Rows) -> Iterator[tuple[int, bytes]]:
+        """The frames of more than one data byte among host rows, each with its place there."""
+        size, offset = self.size[rows], self.frames.offset[rows]
+        places = np.flatnonzero(size > _SHORT)
+        if not len(places):
+            return iter(())
+        start = offset.take(places)
+        end, low = start + size.take(places), int(start[0])
+        data = self.data[low : int(end[-1])].tobytes()
+        slices = map(slice, (start - low).tolist(), (end - low).tolist())
+        return zip(places.tolist(), map(data.__getitem__, slices), strict=True)
+
+    def answers(self, rows: Rows) -> Iterator[Answer]:
+        """Yield device rows one by one."""
+        byte, t = self.byte[rows].tolist(), self.t[rows].tolist()
+        if not self.decoding.paired:
+            return map(Answer, byte, t, repeat(-1), repeat(b""), repeat(0), repeat(False))
+        given = slice(len(self.t))
+        sequence = (np.arange(self.sequence, self.sequence + len(self.t)))[rows].tolist()
+        frames = self.frame_bytes(np.arange(len(self.t))[rows])
+        end, fits = self.end[given][rows].tolist(), self.fits[rows].tolist()
+        return map(Answer, byte, t, sequence, frames, end, fits)
+
+    def line(self, place: int, after: int) -> LineRecord:
+        """The record of a line event, after the first `after` host rows."""
+        line = self.lines[place]
+        return LineRecord(line, False, self.state(after), anomalies.of_line(line, lost=False))
+
+    def device_record(self, answer: Answer, state: State) -> DeviceRecord:
+        """The record of a device row."""
+        byte, t, sequence, frame, end, fits = answer
+        protocol = self.decoding.protocol
+        if not self.decoding.paired:
+            return unpaired_record(protocol, Held(t, byte), anomalies.ALONE, state)
+        judgement = self.decoding.steps[frame].judgement
+        if fits:
+            return DeviceRecord(
+                t, byte, judgement.response, judgement, sequence, t - end, True, state
+            )
+        return self._odd_answer(Waiting(sequence, end, end, judgement), Held(t, byte), state)
+
+    def hosts(self, rows: Rows) -> Iterator[HostRecord]:
+        """Yield the records of new host rows (of all host rows, counted from 0)."""
+        rows = np.arange(self.after)[rows]
+        new = rows - self.carried
+        end = _objects(self.end[rows])
+        motion, speed, steering, led = (column[new] for column in self.states)
+        states = map(
+            State,
+            _NAMES[motion].tolist(),
+            speed.tolist(),
+            steering.tolist(),
+            led.tolist(),
+            moving(motion, speed).tolist(),
+        )
+        return map(
+            HostRecord,
+            _objects(self.start[new]),
+            end,
+            end,
+            repeat("instruction"),
+            self.frame_bytes(rows),
+            self.judgements(rows),
+            (rows + self.sequence).tolist(),
+            states,
         )
 
-    def host_records(self, start: int, stop: int) -> Iterator[HostRecord]:
-        """Yield the records of new host rows."""
-        steps, new = self.decoding.steps, slice(start - self.carried, stop - self.carried)
-        last: list[int] = []
-        state = self.before
-        for sequence, frame, begun, ended, *values in zip(
-            count(self.sequence + start),
-            self.frame_bytes(start, stop),
-            self.start[new].tolist(),
-            self.end[start:stop].tolist(),
-            *(column[new].tolist() for column in self.states),
-            strict=False,
-        ):
-            if values != last:
-                last = values
-                state = written(*values)
-            judgement = steps[frame].judgement
-            yield HostRecord(begun, ended, ended, "instruction", frame, judgement, sequence, state)
-
-    def device_records(self, start: int, stop: int, after: int) -> Iterator[DeviceRecord]:
-        """Yield the records of device rows, after the first `after` host rows."""
-        state, protocol = self.state(after), self.decoding.protocol
+    def _devices(self) -> Iterator[DeviceRecord]:
+        """Yield the records of all device rows."""
+        spans = [span for span in self.spans if span.side == "device"]
+        states = (repeat(self.state(span.after), span.stop - span.start) for span in spans)
+        state = chain.from_iterable(states)
         if not self.decoding.paired:
-            for byte, t in zip(
-                self.byte[start:stop].tolist(), self.t[start:stop].tolist(), strict=True
-            ):
-                yield unpaired_record(protocol, Held(t, byte), anomalies.ALONE, state)
-            return
-        for sequence, frame, byte, t, end, fits in zip(
-            count(self.sequence + start),
-            self.frame_bytes(start, stop),
-            self.byte[start:stop].tolist(),
-            self.t[start:stop].tolist(),
-            self.end[start:stop].tolist(),
-            self.fits[start:stop].tolist(),
-            strict=False,
-        ):
-            judgement = self.decoding.steps[frame].judgement
-            if fits:
-                yield DeviceRecord(
-                    t, byte, judgement.response, judgement, sequence, t - end, True, state
-                )
-            else:
-                yield self._odd_answer(Waiting(sequence, end, end, judgement), Held(t, byte), state)
+            return map(self.device_record, self.answers(slice(None)), state)
+        byte = self.byte.tolist()
+        usual = map(
+            DeviceRecord,
+            _objects(self.t),
+            byte,
+            map(self.decoding.protocol.codes.get, byte),
+            self.judgements(slice(len(self.t))),
+            count(self.sequence),
+            _objects(self.latency),
+            repeat(True),
+            state,
+        )
+        return self._with_odd(usual) if self.odd.any() else usual
+
+    def _with_odd(self, usual: Iterator[DeviceRecord]) -> Iterator[DeviceRecord]:
+        """Yield device records, those with an anomaly as they should be."""
+        odd = np.flatnonzero(self.odd)
+        answers = self.answers(odd)
+        at = 0
+        for row in odd.tolist():
+            yield from islice(usual, row - at)
+            yield self.device_record(next(answers), next(usual).state)
+            at = row + 1
+        yield from usual
 
     def _odd_answer(self, waiting: Waiting, held: Held, state: State) -> DeviceRecord:
         """The record of an answer that is not the expected one, or that is late."""
@@ -212,10 +399,25 @@ class Stretch:
         )
 
 
+_SHORT = 2  # bytes of a frame that `ShortFrames` has
+_NAMES = np.array([motion.value for motion in MOTIONS], object)
+_moving = lru_cache(maxsize=4096)(is_moving)
+
+
 def written(motion: int, speed: int, steering: int, led: int) -> State:
     """The state of a row of StateColumns, as it is written."""
-    name = MOTIONS[motion].value
-    return State(name, speed, steering, led, is_moving(name, speed))
+    name = _NAMES[motion]
+    return State(name, speed, steering, led, _moving(name, speed))
+
+
+def _objects(values: NDArray[np.int64]) -> list[int]:
+    """Numbers as a list, in which neighbours that are equal are one object."""
+    if not len(values):
+        return []
+    first = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    runs = np.diff(first, append=len(values))
+    listed: list[int] = np.repeat(values[first].astype(object), runs).tolist()
+    return listed
 
 
 def values_of(state: State) -> tuple[Any, ...]:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.decoder import Part
-from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
 from bilprov.analyzer.columns.latencies import Latencies, Spread
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
@@ -108,8 +107,7 @@ class Totals:
         return {**found, **{f"unused {code}": int(self._answers[code]) for code in unused}}
 
     def _add_stretch(self, stretch: Stretch) -> None:
-        # None of their states is asked for, so that no state is ever worked out.
-        self._add_records(list(stretch.line_records(0, len(stretch.lines), stretch.carried)))
+        self.faults.update(stretch.fault_counts)
         new, rows = stretch.new, stretch.host_rows
         if rows:
             self._headers += np.bincount(new.key >> 8, minlength=256)
@@ -119,12 +117,10 @@ class Totals:
             end = stretch.end[stretch.carried :]
             self._heard(int(stretch.start[0]), int(end[-1]))
             self._ended(end)
-            self._count(host_kinds(stretch))
         answers = len(stretch.byte)
         if answers:
             self._answers += np.bincount(stretch.byte, minlength=256)
             self._heard(int(stretch.t[0]), int(stretch.t[-1]))
-            self._count(device_kinds(stretch))
             if stretch.decoding.paired:
                 agreeing = int(np.count_nonzero(stretch.agrees))
                 self.agreeing += agreeing
@@ -150,13 +146,6 @@ class Totals:
                 self._second, self._in_second = second, 0
             self._in_second += count
             self.peak = max(self.peak, self._in_second)
-
-    def _count(self, found: Kinds) -> None:
-        if any(found.kinds):
-            counts = np.bincount(found.code, minlength=len(found.kinds)).tolist()
-            for kinds, count in zip(found.kinds, counts, strict=True):
-                for kind in kinds if count else ():
-                    self.faults[kind] += count
 
     def _heard(self, first: int, last: int) -> None:
         self.first = first if self.first is None else min(self.first, first)

@@ -7,6 +7,8 @@ decoded, everything due up to its time comes out, in the order in which it was d
 
 from __future__ import annotations
 
+from typing import TypedDict
+
 import msgspec
 
 from bilprov.analyzer.decode import anomalies
@@ -22,6 +24,15 @@ SKEW = 20 * MS
 """Ns by which two taps through USB may timestamp an answer before its instruction."""
 
 BOTH: frozenset[Direction] = frozenset({"host", "device"})
+
+
+class SessionSettings(TypedDict, total=False):
+    """The settings of a Session, by name."""
+
+    timeout: int | None
+    heard: frozenset[Direction]
+    skew: int
+    attached: bool
 
 
 class Session:

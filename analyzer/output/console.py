@@ -1,16 +1,17 @@
-"""Prints text, tables and JSON to standard output: styled on a terminal, plain lines in a pipe."""
+"""Prints text, tables and JSON to standard output: styled on a terminal, plain lines in a pipe.
+
+Each function imports rich itself: many commands print JSON or nothing but plain words.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import msgspec
-from rich.console import Console, RenderableType
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.text import Text
 
 # Wide enough that nothing wraps: in a pipe each fact stays on one line, so that grep finds it.
 _PIPE_WIDTH = 100_000
@@ -18,6 +19,8 @@ _PIPE_WIDTH = 100_000
 
 def show(*parts: RenderableType) -> None:
     """Print the parts to the terminal's width; in a pipe unwrapped and without trailing blanks."""
+    from rich.console import Console
+
     console = Console(highlight=False, markup=False, emoji=False)
     if console.is_terminal:
         for part in parts:
@@ -35,6 +38,8 @@ def show(*parts: RenderableType) -> None:
 
 def show_json(value: Any) -> None:
     """Print one value as indented JSON."""
+    import msgspec
+
     text = msgspec.json.format(msgspec.json.encode(value), indent=2).decode()
     sys.stdout.write(text + "\n")
 
@@ -51,11 +56,17 @@ def show_as(
 
 def heading(text: str) -> Text:
     """A bold title for a table or a block."""
+    from rich.text import Text
+
     return Text(text, style="bold")
 
 
 def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> RenderableType:
     """A grid of labels and their values; rows with an empty value are left out."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
@@ -67,6 +78,10 @@ def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> Renderable
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: str = "") -> RenderableType:
     """A table with a header line. The columns named in `right` are aligned to the right."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
     drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in columns:
         side: Literal["left", "right"] = "right" if name in right.split() else "left"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ast
 import warnings
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, NoReturn, get_args
 
 from bilprov.analyzer.output.filter_tree import (
@@ -233,6 +232,8 @@ class _Compiler:
             return name
         if dotted in self._words:
             return Constant("text", dotted)
+        from difflib import get_close_matches
+
         near = get_close_matches(dotted, [*self._names, *self._words], n=3)
         meant = f", did you mean {' or '.join(near)}?" if near else ";"
         return self._refuse(node, f"is no name here{meant} --help says which there are")

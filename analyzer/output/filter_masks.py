@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.kinds import device_kinds, host_kinds
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.output.filter_tree import (
@@ -30,8 +29,7 @@ from bilprov.analyzer.output.filter_tree import (
     getter,
 )
 from bilprov.analyzer.output.json_lines import json_line
-from bilprov.spec.motion import is_moving
-from bilprov.spec.tables import MOTIONS, OUTCOMES
+from bilprov.spec.tables import MOTIONS, OUTCOMES, moving
 
 Mask: TypeAlias = NDArray[np.bool_]
 
@@ -185,19 +183,26 @@ class _HostRows(_Rows):
         super().__init__(stretch, stretch.host_rows)
 
     def records(self) -> Iterable[HostRecord]:
-        carried = self._stretch.carried
-        return self._stretch.host_records(carried, carried + self._count)
+        return self._stretch.hosts(slice(self._stretch.carried, None))
 
     @cached_property
     def _faults(self) -> Coded:
-        return Coded(*host_kinds(self._stretch))
+        verdict = self._stretch.new.verdict
+        words: list[tuple[str, ...]] = [()] * len(OUTCOMES)
+        for place in np.flatnonzero(np.bincount(verdict)).tolist():
+            row = self._stretch.carried + int(np.argmax(verdict == place))
+            (frame,) = self._stretch.frame_bytes(np.array([row]))
+            judgement = self._stretch.decoding.steps[frame].judgement
+            # Neither times nor the state matter: the stretch need not work out its states.
+            before = self._stretch.before
+            words[place] = _kinds(HostRecord(0, 0, 0, "instruction", frame, judgement, 0, before))
+        return Coded(verdict, words)
 
     @cached_property
     def _frames(self) -> tuple[NDArray[np.int64], list[bytes]]:
         """The place of each row's bytes among all that differ."""
         places: dict[bytes, int] = {}
-        carried = self._stretch.carried
-        frames = self._stretch.frame_bytes(carried, carried + self._count)
+        frames = self._stretch.frame_bytes(slice(self._stretch.carried, None))
         code = (places.setdefault(frame, len(places)) for frame in frames)
         return np.fromiter(code, np.int64, self._count), list(places)
 
@@ -220,7 +225,7 @@ class _HostRows(_Rows):
     def _state(self, variable: str) -> Column:
         states = self._stretch.states
         if variable == "moving":
-            return Coded(_moving(states.motion, states.speed), (False, True))
+            return Coded(moving(states.motion, states.speed).view(np.uint8), (False, True))
         column = getattr(states, variable)
         return _motion_words(column) if variable == "motion" else Numbers(_floats(column))
 
@@ -271,9 +276,11 @@ class _DeviceRows(_Rows):
         self._paired = stretch.decoding.paired
 
     def records(self) -> Iterable[DeviceRecord]:
-        for side, start, stop, after in self._stretch.spans:
-            if side == "device":
-                yield from self._stretch.device_records(start, stop, after)
+        stretch = self._stretch
+        host, device = np.zeros(stretch.host_rows, np.bool_), np.ones(self._count, np.bool_)
+        for record in stretch.chosen(host, device, [False] * len(stretch.lines)):
+            if isinstance(record, DeviceRecord):
+                yield record
 
     @cached_property
     def _odd(self) -> tuple[NDArray[np.int64], list[DeviceRecord]]:
@@ -281,7 +288,7 @@ class _DeviceRows(_Rows):
         stretch = self._stretch
         rows = np.flatnonzero(~stretch.fits)
         return rows, [
-            next(stretch.device_records(row, row + 1, stretch.carried)) for row in rows.tolist()
+            stretch.device_record(answer, stretch.before) for answer in stretch.answers(rows)
         ]
 
     def _of_odd(self, usual: Any, get: Callable[[DeviceRecord], Any]) -> Coded:
@@ -294,7 +301,7 @@ class _DeviceRows(_Rows):
 
     @cached_property
     def _faults(self) -> Coded:
-        return Coded(*device_kinds(self._stretch))
+        return self._of_odd((), _kinds)
 
     @cached_property
     def _after(self) -> NDArray[np.int64]:
@@ -312,7 +319,7 @@ class _DeviceRows(_Rows):
             motion, speed = self._state("motion"), self._state("speed")
             assert isinstance(motion, Coded)
             assert isinstance(speed, Numbers)
-            return Coded(_moving(motion.code, speed.value), (False, True))
+            return Coded(moving(motion.code, speed.value).view(np.uint8), (False, True))
         column: NDArray[Any] = getattr(self._stretch.states, variable)
         first = getattr(before, variable)
         if variable == "motion":
@@ -376,11 +383,9 @@ def _constant(word: str) -> Coded:
     return Coded(np.zeros((), np.int64), (word,))
 
 
-def _moving(motion: NDArray[np.integer], speed: NDArray[Any]) -> NDArray[np.integer]:
-    """`is_moving` of each row, as 0 and 1."""
-    drives = np.array([is_moving(motion.value, 1) for motion in MOTIONS])
-    moving: Mask = drives.take(motion) & np.greater(speed, 0)
-    return moving.astype(np.int64)
+def _kinds(record: HostRecord | DeviceRecord) -> tuple[str, ...]:
+    line = json_line(record)
+    return line.faults if line else ()
 
 
 def _number(value: float | str) -> Numbers:

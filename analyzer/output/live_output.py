@@ -14,7 +14,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.live import Live
 
-from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.columns.decoder import Part
 from bilprov.analyzer.output.live_view import View, live_view
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.spec.protocol import Protocol
@@ -59,8 +59,8 @@ class LiveOutput:
         self._thread = threading.Thread(target=self._draw, name="live view", daemon=True)
         self._thread.start()
 
-    def show(self, record: Record) -> None:
-        """Do nothing: the statistics hold the record already, and the next drawing shows it."""
+    def show(self, part: Part) -> None:
+        """Do nothing: the statistics get the part too, and the next drawing shows it."""
 
     def tick(self, now: int) -> None:
         """Start a drawing, unless the last one is too recent or still in progress.

@@ -1,41 +1,63 @@
-"""The outputs for decoded records: text lines, JSON lines, live view.
+"""The outputs for decoded traffic: text lines, JSON lines, live view, nothing.
 
-Each line is flushed at once, so that the reader of a pipe gets it without delay.
+What comes together is written and flushed at once, so that a pipe's reader gets it without delay.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
 
+from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import Record, is_frame
-from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
-from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
-from bilprov.spec.protocol import Protocol
+from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
+    from bilprov.analyzer.output.statistics import Statistics
+
+_NEVER = (1 << 63) - 1  # ns
 
 Format = Literal["live", "lines", "jsonl"]
 
 
+class TextForm(Protocol):
+    """A form of text for records: `records` and `stretch` give whole lines."""
+
+    def records(self, records: Iterable[Record], /) -> str:
+        """The lines of the records."""
+
+    def stretch(self, stretch: Stretch, /) -> str:
+        """The lines of all records of a stretch."""
+
+
 class StreamOutput:
-    """Writes what `line` makes of each record as a line of text; None stands for no line."""
+    """Writes records as lines of text, those that come together in one piece.
 
-    def __init__(self, stream: TextIO, line: Callable[[Record], str | None]) -> None:
-        self._stream = stream
-        self._line = line
+    `write` takes the text and sees to it that it gets out.
+    """
 
-    def show(self, record: Record) -> None:
-        """Print the record's line."""
-        line = self._line(record)
-        if line is not None:
-            self._stream.write(line + "\n")
-            self._stream.flush()
+    def __init__(self, write: Callable[[str], object], form: TextForm) -> None:
+        self._write = write
+        self._form = form
+
+    def show(self, part: Part) -> None:
+        """Print the lines of all records of a part."""
+        form = self._form
+        text = form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
+        if text:
+            self._write(text)
 
     def tick(self, now: int) -> None:
         """Nothing waits here."""
@@ -44,40 +66,56 @@ class StreamOutput:
         """Nothing is held."""
 
 
-Output: TypeAlias = "StreamOutput | LiveOutput"
-"""Takes each record once, in order (`show`), and is informed of the time (`tick`)."""
+class NoOutput:
+    """Shows nothing."""
+
+    def show(self, part: Part) -> None:
+        """Show nothing."""
+
+    def tick(self, now: int) -> None:
+        """Nothing waits here."""
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
-def stream_output(style: Literal["lines", "jsonl"]) -> Output:
+Output: TypeAlias = "StreamOutput | LiveOutput | NoOutput"
+"""Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
+
+
+def write_out(text: str) -> None:
+    """Write text to standard output, and hand it on at once."""
+    sys.stdout.write(text)
+    sys.stdout.flush()
+
+
+def stream_output(
+    style: Literal["lines", "jsonl"], write: Callable[[str], object] = write_out
+) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
     Lines of text have colours on a terminal only, unless NO_COLOR is set.
     """
     if style == "jsonl":
-        return StreamOutput(sys.stdout, _json_text)
+        return StreamOutput(write, JsonText())
     arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
-    renderer = LineRenderer(colour=_wants_colour(sys.stdout), arrows=arrows)
-    return StreamOutput(sys.stdout, renderer.line)
+    return StreamOutput(write, LineRenderer(colour=_wants_colour(sys.stdout), arrows=arrows))
 
 
 def opened_output(
     style: Format,
-    protocol: Protocol,
+    protocol: spec.Protocol,
     statistics: Statistics,
     title: str,
     captured: Callable[[], str] = lambda: "",
+    write: Callable[[str], object] = write_out,
 ) -> Output:
     """Open the output of the format `style` on standard output; see LiveOutput."""
     if style != "live":
-        return stream_output(style)
+        return stream_output(style, write)
     from bilprov.analyzer.output.live_output import LiveOutput
 
     return LiveOutput(protocol, statistics, title, captured)
-
-
-def _json_text(record: Record) -> str | None:
-    line = json_line(record)
-    return None if line is None else encode(line).decode()
 
 
 def chosen_format(asked: Format | None) -> Format:
@@ -87,9 +125,35 @@ def chosen_format(asked: Format | None) -> Format:
     return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
 
 
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A window of time: its first ns, and the first ns after it; None where it has no bound."""
+
+    first: int | None = None
+    after: int | None = None
+
+    def has(self, t: int) -> bool:
+        """Whether a time (ns) is inside the window."""
+        return (self.first is None or t >= self.first) and (self.after is None or t < self.after)
+
+    def masks(self, stretch: Stretch) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which new host rows and which device rows of a stretch are inside."""
+        first, after = self.first or 0, _NEVER if self.after is None else self.after
+        start, t = stretch.start, stretch.t
+        return (start >= first) & (start < after), (t >= first) & (t < after)
+
+    def covers(self, part: Part) -> bool:
+        """Whether all records of a part are inside; for a frame its first byte counts."""
+        if self.first is None and self.after is None:
+            return True
+        if isinstance(part, Records):
+            return all(self.has(record.t) for record in part.listed)
+        return self.has(part.earliest) and self.has(part.latest)
+
+
 @dataclass(slots=True)
 class Shown:
-    """Passes records through a filter to an output, and counts the frames that were shown.
+    """Passes records inside a window through a filter to an output, and counts the frames.
 
     Without a filter (`test` is None) all records pass; one without a JSON line passes no filter.
     `left` is how many frames more are shown, None for no limit; at 0 `full` is true and nothing
@@ -97,26 +161,53 @@ class Shown:
     """
 
     output: Output
-    test: Callable[[JsonLine], bool] | None = None
+    test: Filter | None = None
     left: int | None = None
+    window: Window = Window()
 
     @property
     def full(self) -> bool:
         """Whether the requested number of frames was shown."""
         return self.left == 0
 
-    def show(self, record: Record) -> bool:
-        """Show the record if it passes; return whether it did."""
-        if self.full:
+    def show(self, part: Part) -> Part:
+        """Show what passes of a part, and return it."""
+        if self.test is not None or self.left is not None or not self.window.covers(part):
+            part = Records(list(self._passing(part)))
+        self.output.show(part)
+        return part
+
+    def _passing(self, part: Part) -> Iterator[Record]:
+        chosen = (
+            filter(self._passes, part.listed) if isinstance(part, Records) else self._chosen(part)
+        )
+        for record in chosen:
+            if self.full:
+                return
+            if self.left is not None and is_frame(record):
+                self.left -= 1
+            yield record
+
+    def _passes(self, record: Record) -> bool:
+        if not self.window.has(record.t):
             return False
+        if self.test is None:
+            return True
+        line = json_line(record)
+        return line is not None and self.test(line)
+
+    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
+        """Yield the records of a stretch that pass; no others are made."""
+        host, device = self.window.masks(stretch)
         if self.test is not None:
-            line = json_line(record)
-            if line is None or not self.test(line):
-                return False
-        self.output.show(record)
-        if self.left is not None and is_frame(record):
-            self.left -= 1
-        return True
+            passing = self.test.masks(stretch)
+            host, device = host & passing[0], device & passing[1]
+        lines = [
+            self._passes(stretch.line(span.start, span.after))
+            for span in stretch.spans
+            if span.side == "line"
+        ]
+        return stretch.chosen(host, device, lines)
 
 
 def _wants_colour(stream: TextIO) -> bool:

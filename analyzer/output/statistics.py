@@ -1,13 +1,16 @@
 """Counts, rates and latencies of a session, and frozen snapshots of them.
 
-`record` is cheap, since it is called for each record; `snapshot` sorts and sums, for the screen.
+`part` is cheap, since all traffic passes through it; `snapshot` sorts and sums, for the screen.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -18,6 +21,9 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import Chunk, Line, State
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.columns.stretch import Stretch
 
 KEPT_RECORDS = 100
 KEPT_FAULTS = 20
@@ -75,8 +81,9 @@ class Statistics:
         self._latencies: deque[int] = deque(maxlen=KEPT_LATENCIES)
         self._longest = 0
         self._faults: Counter[str] = Counter()
-        self._recent: deque[Record] = deque(maxlen=KEPT_RECORDS)
-        self._recent_faults: deque[Anomaly] = deque(maxlen=KEPT_FAULTS)
+        # The newest parts that were shown, and those with anomalies: as many as a view may need.
+        self._recent = _Newest(KEPT_RECORDS)
+        self._faulty = _Newest(KEPT_FAULTS)
         self._state = written_state(protocol.power_on)
 
     @property
@@ -84,29 +91,66 @@ class Statistics:
         """The number of anomalies, without those of severity info."""
         return self._faults.total()
 
-    def event(self, event: Chunk | Line) -> None:
-        """Count the bytes of an event."""
-        if isinstance(event, Chunk):
-            self._bytes[event.direction] += len(event.data)
-            self._byte_rates[event.direction].add(event.t, len(event.data))
+    def events(self, events: Iterable[Chunk | Line]) -> None:
+        """Count the bytes of events."""
+        for event in events:
+            if isinstance(event, Chunk):
+                self._bytes[event.direction] += len(event.data)
+                self._byte_rates[event.direction].add(event.t, len(event.data))
 
-    def record(self, record: Record, *, shown: bool = True) -> None:
-        """Count a record; only one that is `shown` (a filter may hide it) is listed."""
-        self._state = record.state
-        if isinstance(record, HostRecord):
-            self.instructions += record.judgement is not None
-            self._frames.add(record.end, 1)
-        elif isinstance(record, DeviceRecord):
-            self.responses += 1
-            latency = record.latency
-            if latency is not None:
-                self._latencies.append(latency)
-                self._longest = max(self._longest, latency)
-        if shown:
-            self._recent.append(record)
-        for fault in serious_faults(record) if record.faults else ():
-            self._faults[fault.kind] += 1
-            self._recent_faults.append(fault)
+    def part(self, part: Part, shown: Part) -> None:
+        """Count a part; only what is `shown` of it (a filter may hide some) is listed."""
+        self._recent.add(shown, shown.rows)
+        if isinstance(part, Records):
+            self._records(part.listed)
+        else:
+            self._stretch(part)
+
+    def _records(self, records: Sequence[Record]) -> None:
+        """Count records; this is done for each frame of a line that is not very busy."""
+        frames, latencies = 0, []
+        faulty: list[Record] = []
+        for record in records:
+            if type(record) is DeviceRecord:
+                self.responses += 1
+                if record.latency is not None:
+                    latencies.append(record.latency)
+                if record.faults:
+                    faulty.append(record)
+            elif type(record) is HostRecord:
+                frames += 1
+                self.instructions += record.sequence is not None
+                if record.reason:
+                    faulty.append(record)
+            else:
+                faulty.append(record)
+        if not records:
+            return
+        self._state = records[-1].state
+        if frames:
+            self._frames.add(records[-1].t, frames)
+        if latencies:
+            self._latencies.extend(latencies)
+            self._longest = max(self._longest, *latencies)
+        for record in faulty:
+            found = serious_faults(record)
+            if found:
+                self._faults.update(fault.kind for fault in found)
+                self._faulty.add(Records([record]), len(found))
+
+    def _stretch(self, stretch: Stretch) -> None:
+        self._state = stretch.last
+        self.instructions += stretch.host_rows
+        for t, frames in stretch.frame_counts():
+            self._frames.add(t, frames)
+        self.responses += len(stretch.t)
+        if stretch.decoding.paired and len(stretch.t):
+            self._latencies.extend(stretch.latency[-KEPT_LATENCIES:].tolist())
+            self._longest = max(self._longest, int(stretch.latency.max()))
+        found = stretch.fault_counts
+        if found:
+            self._faults.update(found)
+            self._faulty.add(stretch, sum(found.values()))
 
     def snapshot(self, now: int) -> Snapshot:
         """Return the statistics at `now` (ns since the start)."""
@@ -122,10 +166,14 @@ class Statistics:
             loads=(rates[0] * self._byte_time / 1e9, rates[1] * self._byte_time / 1e9),
             latencies=self._latency_values(),
             faults=tuple(self._faults.most_common()),
-            recent=tuple(self._recent),
-            recent_faults=tuple(self._recent_faults),
+            recent=self._recent.records(),
+            recent_faults=self._anomalies(),
             state=self._state,
         )
+
+    def _anomalies(self) -> tuple[Anomaly, ...]:
+        found = [fault for record in self._faulty.faulty() for fault in serious_faults(record)]
+        return tuple(found[-KEPT_FAULTS:])
 
     def _latency_values(self) -> Latencies | None:
         if not self._latencies:
@@ -136,6 +184,31 @@ class Statistics:
             ninety_fifth=ordered[len(ordered) * 95 // 100],
             longest=self._longest,
         )
+
+
+class _Newest:
+    """The newest parts that together have at least `most` of what is counted."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._parts: deque[tuple[Part, int]] = deque()
+        self._count = 0
+
+    def add(self, part: Part, count: int) -> None:
+        self._parts.append((part, count))
+        self._count += count
+        while self._count - self._parts[0][1] >= self._most:
+            self._count -= self._parts.popleft()[1]
+
+    def records(self) -> tuple[Record, ...]:
+        """The newest records."""
+        listed = [record for part, _ in self._parts for record in part.newest(self._most)]
+        return tuple(listed[-self._most :])
+
+    def faulty(self) -> Iterator[Record]:
+        """The newest records with anomalies."""
+        for part, _ in self._parts:
+            yield from part.newest_faulty(self._most)
 
 
 class _Rate:

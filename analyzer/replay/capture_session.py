@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TypedDict
 
-from bilprov.analyzer.decode.session import BOTH, SKEW, Session
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import BOTH, SKEW, Session, SessionSettings
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Direction
@@ -17,30 +17,30 @@ from bilprov.spec.protocol import Protocol
 _LONGEST = 60_000.0  # ms that a file may ask for
 
 
-class Settings(TypedDict):
-    """What a Session or a StreamDecoder is told about the recording; see there."""
-
-    timeout: int
-    heard: frozenset[Direction]
-    skew: int
-    attached: bool
-
-
-def capture_settings(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Settings:
+def capture_settings(
+    capture: Capture, protocol: Protocol, timeout: int | None = None
+) -> SessionSettings:
     """The settings of the recording session; `timeout` is as in `capture_timeout`."""
     skew = _nanoseconds(capture, "skew_ms")
-    return Settings(
-        timeout=capture_timeout(capture, protocol, timeout),
-        heard=heard(capture),
-        skew=SKEW if skew is None else skew,
+    return {
+        "timeout": capture_timeout(capture, protocol, timeout),
+        "heard": heard(capture),
+        "skew": SKEW if skew is None else skew,
         # Without this entry the first byte need not be a header.
-        attached=capture.metadata.get("attached") != "no",
-    )
+        "attached": capture.metadata.get("attached") != "no",
+    }
 
 
 def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
     """A session with the settings of the recording one; `timeout` is as in `capture_timeout`."""
     return Session(protocol, **capture_settings(capture, protocol, timeout))
+
+
+def capture_decoder(
+    capture: Capture, protocol: Protocol, timeout: int | None = None
+) -> StreamDecoder:
+    """A decoder with the settings of the recording one; `timeout` is as in `capture_timeout`."""
+    return StreamDecoder(protocol, **capture_settings(capture, protocol, timeout))
 
 
 def capture_timeout(capture: Capture, protocol: Protocol, timeout: int | None = None) -> int:

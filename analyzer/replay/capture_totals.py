@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.columns.totals import Totals
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
@@ -24,7 +23,7 @@ def capture_totals(
     `progress` is told the number of bytes of each batch. Raises CaptureError as `Capture.events`.
     """
     totals = Totals(protocol)
-    decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
+    decoder = capture_decoder(capture, protocol)
     for events, size in _batches(capture.events()):
         for part in decoder.feed(events):
             totals.add(part)

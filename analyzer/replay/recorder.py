@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Final
 
-from bilprov.analyzer.decode.records import Anomaly, DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, Severity
+from bilprov.analyzer.replay.throttle import Throttle
 from bilprov.analyzer.version import kit_version
-from bilprov.captures.schemas import MS, Chunk, Direction, Line, Log, State, Time
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.closing import Closing
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, State, Time
+from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
+
+# A call comes some 50 ms or a read later than what it is due at: so a little less than 1 s, 64 KiB.
+CHECKPOINT_AFTER: Final = 900 * MS
+CHECKPOINT_BYTES: Final = 60 * 1024
+CHECKPOINT_STATE: Final = 30_000  # characters; what is longer would not fit into a message
 
 
 def session_metadata(
@@ -43,37 +53,150 @@ def session_metadata(
     }
 
 
-class Recorder(CaptureWriter):
-    """Writes events and records into a capture; a context manager that finishes the file.
+class RecordWriter(CaptureWriter):
+    """Writes events and all records into a capture, in the thread that calls it.
 
     Raises CaptureError where the file cannot be written.
     """
 
     def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
         super().__init__(path, start_wall=start_wall, metadata=metadata, version=kit_version())
-        self.bytes = 0
         self._state: State | None = None
 
     def event(self, event: Chunk | Line) -> None:
         """Write a raw event, before it is decoded."""
         if isinstance(event, Chunk):
             self.chunk(event)
-            self.bytes += len(event.data)
         else:
             self.write(event, event.t)
 
     def record(self, record: Record) -> None:
         """Write a decoded record: the frame, the state when it changes, and the anomalies."""
+        for value, t in _values(record, self._state, self._start):
+            self.write(value, t)
         if isinstance(record, HostRecord):
-            self.write(record.value, record.t)
-            if record.state != self._state:
-                self._state = record.state
-                self.write(record.state, record.end)
-        elif isinstance(record, DeviceRecord):
-            self.write(record.value, record.t)
-        for fault in record.faults:
-            self.write(self._log(fault), fault.t)
+            self._state = record.state
 
-    def _log(self, fault: Anomaly) -> Log:
-        seconds, nanoseconds = divmod(self._start + fault.t, 1_000_000_000)
-        return Log(Time(seconds, nanoseconds), int(fault.severity), fault.reason, fault.kind)
+
+class Checkpoints:
+    """Makes a checkpoint at least every 64 KiB of raw bytes, and every second with traffic.
+
+    `grammar` is the sha256 of the grammar that decodes.
+    """
+
+    def __init__(self, grammar: str) -> None:
+        self._grammar = grammar
+        self._bytes = 0
+        self._t = 0
+
+    def made(self, t: int, total: int, save: Callable[[], str | None]) -> Checkpoint | None:
+        """The checkpoint at `t` (ns), after `total` raw bytes; None if none is due, or can be.
+
+        `save` gives the decoder's state as JSON text, or None if it cannot be told now.
+        """
+        fresh = total - self._bytes
+        if fresh < CHECKPOINT_BYTES and not (fresh and t - self._t >= CHECKPOINT_AFTER):
+            return None
+        state = save()
+        if state is None:
+            return None
+        self._bytes, self._t = total, t
+        return Checkpoint.of(t, self._grammar, state) if len(state) <= CHECKPOINT_STATE else None
+
+
+class Recorder(Closing):
+    """Records a live session, in a thread behind the reader of the line (`BackgroundWriter`).
+
+    The decoded topics stop while traffic is over 2,000 frames/s, and `/faults` says when
+    (`Throttle`); the raw events are always written. A checkpoint is due every 64 KiB of raw bytes
+    and every second with traffic. `bytes` is how many raw bytes were handed over. Times are ns
+    since the session's start; the grammar's hash is the one in `metadata`.
+
+    A context manager that finishes the file. Every method raises CaptureError once the file could
+    not be written.
+    """
+
+    def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
+        self.bytes = 0
+        self._start = start_wall
+        self._writer = BackgroundWriter(
+            path, start_wall=start_wall, metadata=metadata, version=kit_version()
+        )
+        self.path = self._writer.path
+        self._throttle = Throttle()
+        self._state: State | None = None
+        self._checkpoints = Checkpoints(metadata["grammar_sha256"])
+
+    @property
+    def waited_ns(self) -> int:
+        """How long the reader has waited in all for a file that was too slow."""
+        return self._writer.waited_ns
+
+    def events(self, events: Iterable[Chunk | Line]) -> None:
+        """Write raw events, before they are decoded."""
+        writer = self._writer
+        for event in events:
+            if isinstance(event, Chunk):
+                writer.chunk(event)
+                self.bytes += len(event.data)
+            else:
+                writer.write(event, event.t)
+
+    def decoded(self, frames: int, now: int, records: Callable[[], Iterable[Record]]) -> None:
+        """Write a decoded batch, which has so many host frames; `records` is called if it is due.
+
+        Call it once for each batch, with 0 frames too.
+        """
+        self._count(frames, now)
+        if not self._throttle.stopped:
+            for record in records():
+                self._write(record)
+
+    def checkpoint(self, t: int, save: Callable[[], str | None]) -> None:
+        """Write a checkpoint at `t` if one is due; call it when all events so far are decoded.
+
+        `save` gives the decoder's state as JSON text, and is called only if it is due. Where it
+        gives None, the next call tries again.
+        """
+        made = self._checkpoints.made(t, self.bytes, save)
+        if made:
+            self._writer.write(made, t)
+
+    def tick(self, now: int) -> None:
+        """Let time pass to `now`."""
+        self._writer.check()
+        self._count(0, now)
+
+    def close(self) -> None:
+        """Finish the file; further calls do nothing."""
+        self._writer.close()
+
+    def _count(self, frames: int, now: int) -> None:
+        change = self._throttle.count(frames, now)
+        if change:
+            name, why = change
+            self._state = None  # so that the first state is written when they resume
+            self._writer.write(Log(_wall(self._start + now), Severity.INFO, why, name), now)
+
+    def _write(self, record: Record) -> None:
+        for value, t in _values(record, self._state, self._start):
+            self._writer.write(value, t)
+        if isinstance(record, HostRecord):
+            self._state = record.state
+
+
+def _values(record: Record, state: State | None, start: int) -> Iterator[tuple[Written, int]]:
+    """Yield the messages of a record with their times; `state` is the last one that was written."""
+    if isinstance(record, HostRecord):
+        yield record.value, record.value.t
+        if record.state != state:
+            yield record.state, record.value.end
+    elif isinstance(record, DeviceRecord):
+        yield record.value, record.value.t
+    for fault in record.faults:
+        log = Log(_wall(start + fault.t), int(fault.severity), fault.reason, fault.kind)
+        yield log, fault.t
+
+
+def _wall(time: int) -> Time:
+    return Time(*divmod(time, 1_000_000_000))

@@ -92,7 +92,7 @@ class Source(Closing):
     def _read(self, tap: Direction, events: Events) -> bytes:
         """Append the next chunk of one side, or its `unplugged`; return the chunk's bytes."""
         try:
-            data = self._ports[tap].read()
+            data = self._ports[tap].read(ready=True)
         except LinkError as error:
             del self._ports[tap]
             events.append(Line(self.now(), "unplugged", tap, str(error)))
@@ -183,8 +183,8 @@ class Bridge(Source):
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
-        ready, _ = wait_readable([self._port], timeout_s, [self._pty.master, *also])
-        said = self._pty.read()
+        ready, others = wait_readable([self._port], timeout_s, [self._pty.master, *also])
+        said = self._pty.read() if self._pty.master in others else b""
         if said:
             events.append(Chunk(self.now(), "host", said))
         self._hand_on(self._to_device, said, "host", events)
@@ -197,6 +197,8 @@ class Bridge(Source):
         super().close()
 
     def _hand_on(self, forward: Forward, data: bytes, tap: Direction, events: Events) -> None:
+        if not data and not forward.owed:
+            return
         dropped = forward.push(data, self.now())
         if dropped:
             events.append(Line(self.now(), "gap", tap, dropped))

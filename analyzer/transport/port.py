@@ -20,6 +20,7 @@ from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
+_MORE_COMES = 2048  # bytes: a shorter read has emptied a terminal's or a socket's buffer
 _TIOCGICOUNT = 0x545D
 # Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
 # buf_overrun, then room for more.
@@ -56,25 +57,26 @@ class Port(Closing):
         there = "://" in self.name or os.path.realpath(self.name).startswith("/dev/pts/")
         return 0 if there else self.settings.byte_time
 
-    def read(self) -> bytes:
+    def read(self, *, ready: bool = False) -> bytes:
         """Return the available bytes, at most 64 KiB, without waiting; b"" if there are none now.
 
-        Raises LinkError at the end of the line (unplugged, closed by the other side), but only
-        after all bytes that came before the end have been returned.
+        `ready` is true if `wait_readable` has just said that the port is readable. Raises LinkError
+        at the end of the line (unplugged, closed by the other side), but only after all bytes that
+        came before the end have been returned.
         """
         self._require_open()
-        taken = bytearray()
+        taken = b""
         while len(taken) < _READ_LIMIT:
             try:
-                data = self._take()
+                data = self._take(ready and not taken)
             except FAULTS as error:
                 if taken:  # return these bytes first; the next read meets the same fault again
                     break
                 raise link_lost(self.name, error) from error
-            if not data:
-                break
             taken += data
-        return bytes(taken)
+            if len(data) < _MORE_COMES:
+                break
+        return taken
 
     def write_some(self, data: bytes | memoryview) -> int:
         """Write as many bytes as the port takes without waiting, and return their number.
@@ -163,9 +165,9 @@ class Port(Closing):
         except FAULTS as error:
             raise link_lost(self.name, error) from error
 
-    def _take(self) -> bytes:
+    def _take(self, ready: bool) -> bytes:
         if self._direct and self._fd is not None:
-            if not select.select([self._fd], [], [], 0)[0]:
+            if not ready and not select.select([self._fd], [], [], 0)[0]:
                 return b""
             try:
                 data = os.read(self._fd, _READ_LIMIT)

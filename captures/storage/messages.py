@@ -9,10 +9,17 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedReader
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.records import MESSAGE_BYTES
+from bilprov.captures.storage.records import (
+    ATTACHMENT_BYTES,
+    MAGIC,
+    MESSAGE_BYTES,
+    RECORD_HEAD,
+    AttachmentRecord,
+    Damaged,
+)
 from bilprov.captures.storage.recovery import SKIPPED, RecordFile
 
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
@@ -100,7 +107,7 @@ def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored
 
     Raises Damaged if the file has changed since the survey.
     """
-    in_file_order = _in_file_order(file, contents)
+    in_file_order = _in_file_order(_spans(file, contents), contents.counted)
     if contents.own:
         yield from in_file_order
         return
@@ -110,27 +117,73 @@ def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored
     yield from window.rest()
 
 
-def _in_file_order(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+class Place(NamedTuple):
+    """The place of a message: offset of its chunk, its end in the unpacked chunk, its sequence."""
+
+    chunk: int
+    end: int
+    sequence: int
+
+
+def messages_after(
+    file: BufferedReader, contents: Contents, place: Place | None
+) -> Iterator[Stored]:
+    """Yield the messages of an own file that was not surveyed, in file order, after that `place`.
+
+    None stands for the start. A damaged part of the file is left out, as a survey would do.
+    """
+    expected = 0 if place is None else place.sequence + 1
+    return _in_file_order(_spans_after(file, contents, place), counted=True, expected=expected)
+
+
+_Spans: TypeAlias = tuple[bytes, list[tuple[int, int]], str]
+"""A chunk's bytes, where the content of each message starts and ends, and what is lost before."""
+
+
+def _in_file_order(chunks: Iterator[_Spans], counted: bool, expected: int = 0) -> Iterator[Stored]:
     unpack = records.MESSAGE_HEAD.unpack_from
     head = records.MESSAGE_HEAD.size
-    expected = 0
     lost = ""
-    for content, start, end, where in _spans(file, contents):
+    for content, spans, where in chunks:
         if where:
             lost = where
-        if end - start - head > MESSAGE_BYTES:
-            lost = "a message that is too long is left out here"
+        for start, end in spans:
+            data = content[start + head : end]
+            if len(data) > MESSAGE_BYTES:
+                lost = "a message that is too long is left out here"
+                continue
+            channel, sequence, log_time, _ = unpack(content, start)
+            if counted:
+                missing = (sequence - expected) & 0xFFFF_FFFF
+                expected = (sequence + 1) & 0xFFFF_FFFF
+                lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
+            yield Stored(log_time, sequence, channel, data, lost)
+            lost = ""
+
+
+def _spans_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[_Spans]:
+    source = RecordFile(file, contents.size)
+    source.own = True
+    offset = len(MAGIC) if place is None else place.chunk
+    passed = 0 if place is None else place.end
+    while offset < contents.size:
+        try:
+            found = source.record(offset)
+            if found.opcode == records.CHUNK:
+                spans = records.messages_in(found.content)
+                yield found.content, [span for span in spans if span[0] >= passed], ""
+        except Damaged:
+            resumed = source.next_chunk(offset + 1)
+            if resumed is None:
+                return
+            offset, passed = resumed, 0
             continue
-        channel, sequence, log_time, _ = unpack(content, start)
-        if contents.counted:
-            missing = (sequence - expected) & 0xFFFF_FFFF
-            expected = (sequence + 1) & 0xFFFF_FFFF
-            lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
-        yield Stored(log_time, sequence, channel, content[start + head : end], lost)
-        lost = ""
+        if found.opcode == records.DATA_END:
+            return
+        offset, passed = found.end, 0
 
 
-def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, int, int, str]]:
+def _spans(file: BufferedReader, contents: Contents) -> Iterator[_Spans]:
     # The survey has checked each record of these regions; here they only must still be complete.
     source = RecordFile(file, contents.size)
     source.past_data = True
@@ -141,15 +194,38 @@ def _spans(file: BufferedReader, contents: Contents) -> Iterator[tuple[bytes, in
             found = source.record(offset)
             offset = found.end
             if found.opcode == records.CHUNK:
-                for opcode, start, end in records.records_in(found.content):
-                    if opcode == records.MESSAGE:
-                        yield found.content, start, end, where
-                        where = ""
+                spans = records.messages_in(found.content)
+                yield found.content, spans, where
+                if spans:
+                    where = ""
             elif found.opcode == records.MESSAGE:
-                yield found.content, 0, len(found.content), where
+                yield found.content, [(0, len(found.content))], where
                 where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"
             elif found.opcode == records.FOOTER:
                 return
         where = "the file is damaged here"
+
+
+def attachments(file: BufferedReader, contents: Contents) -> Iterator[AttachmentRecord]:
+    """Yield the complete attachments of an open file, in file order; nothing else is read.
+
+    Raises Damaged if the file has changed since the survey.
+    """
+    for at, region_end in contents.regions:
+        offset = at
+        while offset < region_end:
+            file.seek(offset)
+            head = file.read(RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:
+                raise Damaged("it has another size")
+            opcode, length = RECORD_HEAD.unpack(head)
+            offset += RECORD_HEAD.size + length
+            if opcode == records.FOOTER:
+                return
+            if opcode == records.ATTACHMENT and length <= ATTACHMENT_BYTES + MESSAGE_BYTES:
+                try:
+                    yield records.attachment_record(file.read(length), contents.own)
+                except Damaged:  # nobody looked at those of foreign files
+                    continue

@@ -60,6 +60,16 @@ class ChannelRecord:
     metadata: dict[str, str]
 
 
+@dataclass(frozen=True, slots=True)
+class AttachmentRecord:
+    """A file that is attached to a capture; `log_time` in ns. Its text is foreign."""
+
+    name: str
+    media_type: str
+    log_time: int
+    data: bytes = field(repr=False)
+
+
 @dataclass(slots=True)
 class Cursor:
     """Reads the little-endian fields of a record in order; raises Damaged if they end early."""
@@ -131,21 +141,19 @@ def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, s
     return name, pairs
 
 
-def attachment_record(content: bytes, own: bool = True) -> tuple[str, bytes]:
-    """Parse an attachment into its name and data.
-
-    Raises Damaged if its fields or its checksum are wrong.
-    """
+def attachment_record(content: bytes, own: bool = True) -> AttachmentRecord:
+    """Parse an attachment. Raises Damaged if its fields or its checksum are wrong."""
     cursor = Cursor(content)
-    cursor.block(16)
+    log_time = cursor.number(_U64)
+    cursor.number(_U64)
     name = cursor.text()
-    cursor.text()
+    media_type = cursor.text()
     data = cursor.block(cursor.number(_U64))
     crc = cursor.number(_U32)
     _ends(cursor, own)
     if (crc or own) and crc != zlib.crc32(memoryview(content)[:-4]):
         raise Damaged("the checksum (CRC) of an attachment is wrong")
-    return name, data
+    return AttachmentRecord(name, media_type, log_time, data)
 
 
 def check_schema(content: bytes, own: bool) -> None:
@@ -211,6 +219,14 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         if opcode == MESSAGE and length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
+
+
+def messages_in(content: bytes) -> list[tuple[int, int]]:
+    """The start and the end of the content of each message in a chunk's unpacked bytes.
+
+    Raises Damaged if a record is inconsistent.
+    """
+    return [(start, end) for opcode, start, end in records_in(content) if opcode == MESSAGE]
 
 
 def _ends(cursor: Cursor, own: bool) -> None:

@@ -10,12 +10,10 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from importlib.metadata import version
 from typing import Any, TypeVar
 
+import click
 import msgspec
-import rich_click as click
-from rich.console import Console
 
 from bilprov.analyzer.cli.options import confirm_motion, line_options, note
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -48,7 +46,6 @@ from bilprov.conformance.cli.outputs import (
     output_options,
     require_writable,
 )
-from bilprov.conformance.cli.progress import Progress
 from bilprov.conformance.dut.port_link import by_command
 from bilprov.conformance.dut.probes import PROBES, asks_person
 from bilprov.conformance.dut.target import (
@@ -62,9 +59,7 @@ from bilprov.conformance.dut.target import (
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile import profile_text
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.summary import show
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.conformance.runner.listeners.recorder import open_recorder
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -187,6 +182,7 @@ def conform(
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
     virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
+
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. Where a file or something for the screen could not be written,
     the run goes on to its end and the exit code is 2.
@@ -235,6 +231,10 @@ def conform(
         try:
             deliver(outputs, [report], protocol)
         finally:
+            from rich.console import Console
+
+            from bilprov.conformance.report.summary import show
+
             console = Console(stderr=onto_stdout, highlight=False, soft_wrap=True)
             show(report, console, everything=verbose)
     if fresh is not None and not report.unusable:
@@ -255,6 +255,8 @@ def _tested(
 
     Gives the report, and why the recording ended before the run did, None if it did not.
     """
+    from bilprov.conformance.cli.progress import Progress
+
     start = time.monotonic()
     with ExitStack() as stack:
         stopper = stack.enter_context(closing(Stopper()))
@@ -269,6 +271,8 @@ def _tested(
         stack.enter_context(stopper)
         listeners: list[RunListener] = []
         if record is not None:
+            from bilprov.conformance.runner.listeners.recorder import open_recorder
+
             recorder = open_recorder(record, target, options.truncation_timeout)
             listeners.append(stack.enter_context(recorder))
         progress = Progress(count, shown=not asks_person(robot.probe))
@@ -282,6 +286,8 @@ def _tested(
 
 def _dated(report: Report, start: float) -> Report:
     """The report of a run that ends now, with begin, duration, host and versions added."""
+    from importlib.metadata import version
+
     took = time.monotonic() - start
     versions = {"Python": platform.python_version(), "platform": platform.platform()}
     return msgspec.structs.replace(

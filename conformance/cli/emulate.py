@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.grammar_file import load_protocol

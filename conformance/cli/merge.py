@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import click
 import msgspec
-import rich_click as click
-from rich.console import Console
 
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -30,7 +29,6 @@ from bilprov.conformance.report.merge import (
     require_together,
     shard_from,
 )
-from bilprov.conformance.report.summary import show, visible_report
 
 
 @click.command(name="merge")
@@ -52,6 +50,10 @@ def merge_reports(
     seed and options; the devices may be several of a kind. The cases that open each run count once.
     Exit code: as conform; 3 also when a shard is missing and nothing failed.
     """
+    from rich.console import Console
+
+    from bilprov.conformance.report.summary import show, visible_report
+
     promise_verdict()
     require_writable(outputs, inputs=files)
     protocol = load_protocol(grammar)

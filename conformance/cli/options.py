@@ -1,4 +1,7 @@
-"""Options that several commands share: `--fault`, `--variant`, profile, expected failures."""
+"""Options that several commands share: `--fault`, `--variant`, profile, expected failures.
+
+What makes and selects cases is imported by the functions that need it: `simulate` needs none.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,20 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import note
-from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.text import printable
-from bilprov.conformance.api import Options, suite_ids
-from bilprov.conformance.cases.levels import DEEP
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation.catalogue import find_fault, find_variant
-from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.profile import profile_from
-from bilprov.conformance.report.expected_file import ExpectedFile
-from bilprov.conformance.report.run_report import Report
-from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.transport.line_settings import LineSettings
+    from bilprov.conformance.api import Options
+    from bilprov.conformance.dut.fault import Fault
+    from bilprov.conformance.report.expected_file import ExpectedFile
+    from bilprov.conformance.report.run_report import Report
+    from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -45,6 +46,8 @@ def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> 
     """The device that the options name, None for none. Raises UsageError, in one sentence."""
     if fault is not None and variant is not None:
         raise click.UsageError("--fault and --variant are two devices: give one of them")
+    from bilprov.conformance.mutation.catalogue import find_fault, find_variant
+
     try:
         if variant is not None:
             return find_variant(protocol, variant)
@@ -60,6 +63,9 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
     """
     if path is None:
         return ""
+    from bilprov.conformance.oracle.choices import parse_allowed
+    from bilprov.conformance.oracle.profile import profile_from
+
     file = Path(path)
     try:
         if not file.exists() and file.absolute().parent.is_dir():
@@ -104,6 +110,10 @@ def expected_file(
         if update:
             raise click.UsageError("--update-expected needs --expect-failures FILE to write")
         return None
+    from bilprov.conformance.api import suite_ids
+    from bilprov.conformance.cases.levels import DEEP
+    from bilprov.conformance.report.expected_file import ExpectedFile
+
     known = suite_ids(protocol, replace(options, level=DEEP.name), line)
     suite = suite_ids(protocol, options, line)
     return ExpectedFile(path, dict.fromkeys(known), dict.fromkeys(suite), update=update)

@@ -7,7 +7,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.files import why_not_writable, write_whole
 from bilprov.analyzer.transport.signals import undisturbed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict

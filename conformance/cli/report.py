@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import rich_click as click
-from rich.console import Console
+import click
 
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -16,7 +15,6 @@ from bilprov.conformance.cli.outputs import (
 )
 from bilprov.conformance.report.formats import SEVERAL
 from bilprov.conformance.report.json_report import ReportError, read_report
-from bilprov.conformance.report.summary import show, show_compared, visible_report
 
 *_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
 _HELP = f"""Write pages from what conform --json wrote, several runs side by side.
@@ -47,6 +45,10 @@ def report(
     protocol = load_protocol(grammar)
     deliver(outputs, reports, protocol)
     if not outputs:
+        from rich.console import Console
+
+        from bilprov.conformance.report.summary import show, show_compared, visible_report
+
         console = Console(highlight=False, soft_wrap=True)
         if len(reports) == 1:
             show(visible_report(reports[0]), console, everything=verbose)

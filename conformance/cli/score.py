@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
+import click
 import msgspec
-import rich_click as click
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cases.levels import LEVELS
@@ -20,8 +18,11 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
-from bilprov.conformance.cli.progress import bar
 from bilprov.conformance.mutation.score import Score, chosen_faults, score
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 _SHOWN = 4  # faults named behind a case group
 
@@ -59,6 +60,10 @@ def command(
     of cases catches alone. A random fault that cannot show at all does not count. Exit code: 0 all
     is caught that must be, 1 something is not.
     """
+    from rich.console import Console
+
+    from bilprov.conformance.cli.progress import bar
+
     protocol = load_protocol(grammar)
     unknown = [level for level in at if level not in LEVELS]
     if unknown:
@@ -90,6 +95,8 @@ def _as_json(found: Score, path: str) -> str:
 
 
 def _show(found: Score, console: Console) -> None:
+    from rich.text import Text
+
     console.print(_matrix(found))
     last = found.levels[-1]
     survivors = found.survivors(last)
@@ -122,6 +129,8 @@ def _show(found: Score, console: Console) -> None:
 
 
 def _matrix(found: Score) -> Table:
+    from rich.table import Table
+
     table = Table("family", *found.levels)
     for column in table.columns[1:]:
         column.justify = "right"

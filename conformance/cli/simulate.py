@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import rich_click as click
+import click
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.server import serve

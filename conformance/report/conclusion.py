@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 STYLES = {
     Verdict.PASS: "green",
@@ -23,6 +26,8 @@ EXIT_VERDICTS = {0: Verdict.PASS, 1: Verdict.FAIL, 2: Verdict.ERROR, 3: Verdict.
 
 def conclusion(report: Report) -> Text:
     """The line that says how the run ended, in the colour of its verdict."""
+    from rich.text import Text
+
     if report.unusable:
         return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
     counts = {name: count for name, count in report.counts.items() if count}

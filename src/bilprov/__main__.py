@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NamedTuple
 
-import rich_click as click
+import click
 from click import exceptions
+
+from bilprov.analyzer.output.help import Group, with_pages
 
 
 class Row(NamedTuple):
@@ -37,6 +39,12 @@ COMMANDS = {
         "bilprov.analyzer.cli.stats",
         "stats",
         "Count what captures hold: frames, answers.",
+    ),
+    "convert": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.convert",
+        "convert",
+        "Write a capture anew, all of it decoded.",
     ),
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
@@ -93,17 +101,24 @@ COMMANDS = {
 }
 
 
-class FrontDoor(click.RichGroup):
+class FrontDoor(Group):
     """Lists the subcommands without importing them, and imports the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Every subcommand's name, in the order of the table."""
         return list(COMMANDS)
 
+    def panels(self, ctx: click.Context) -> dict[str, list[str]]:
+        """The subcommands of each panel, in the order of the table."""
+        names: dict[str, list[str]] = {}
+        for name, row in COMMANDS.items():
+            names.setdefault(row.panel, []).append(name)
+        return names
+
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Only the subcommand's line in the list: its name and one sentence."""
         row = COMMANDS.get(cmd_name)
-        return click.RichCommand(name=cmd_name, help=row.help) if row else None
+        return click.Command(name=cmd_name, help=row.help) if row else None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -118,7 +133,7 @@ class FrontDoor(click.RichGroup):
         if name is None or listed is None:  # completion asks for what does not exist
             return name, listed, rest
         row = COMMANDS[name]
-        return name, getattr(import_module(row.module), row.attribute), rest
+        return name, with_pages(getattr(import_module(row.module), row.attribute)), rest
 
 
 def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
@@ -129,24 +144,7 @@ def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> No
         ctx.exit()
 
 
-PANELS = [
-    click.RichCommandPanel(panel, commands=[n for n, row in COMMANDS.items() if row.panel == panel])
-    for panel in dict.fromkeys(row.panel for row in COMMANDS.values())
-]
-
-
-HELP_STYLE = {
-    "theme": "nu",
-    "commands_before_options": True,
-    "text_paragraph_linebreaks": "\n\n",
-    "options_table_column_types": ["opt_short", "opt_long_metavar", "help"],
-    "options_table_help_sections": ["required", "help", "default", "range"],
-    # Left alone, rich-click puts colours into any pipe on GitHub's runners.
-    "force_terminal": None,
-}
-
-
-@click.command(cls=FrontDoor, panels=PANELS, context_settings={"rich_help_config": HELP_STYLE})
+@click.command(cls=FrontDoor)
 @click.option(
     "--grammar",
     metavar="FILE.py",

@@ -25,6 +25,7 @@ from tests.support.traffic import ACTS, SETTINGS, Act, played, records_of, told
 def _few_bytes_are_enough() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(columns, "LEAST", 0)
+        patch.setattr(columns, "FIRST", 0)
         yield
 
 
@@ -80,6 +81,19 @@ def test_columns_and_a_session_fall_due_at_the_same_time(
     assert decoder.deadline == due
     if due is not None:
         assert records_of(decoder.advance(due)) == session.advance(due)
+
+
+def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: Protocol) -> None:
+    header = protocol.lengths.index(protocol.longest_frame - 1)
+    decoder = StreamDecoder(protocol)
+
+    decoder.feed([Chunk(0, "host", bytes([header])), Chunk(7 * MS, "host", b"\0")])
+    decoder.feed([Chunk(9 * MS, "device", b"")])
+
+    assert decoder.deadline == 57 * MS
+    assert decoder.advance(57 * MS - 1) == []
+    (part,) = decoder.advance(57 * MS)
+    assert part.host_rows == 1
 
 
 def some_state(protocol: Protocol) -> DecoderState:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.live_view import View, live_view
 from bilprov.analyzer.output.statistics import Snapshot, Statistics
@@ -34,9 +35,9 @@ TALK = [
 def _snapshot(protocol: Protocol, talk: list[tuple[bytes, bytes]] = TALK) -> Snapshot:
     session, statistics = Session(protocol), Statistics(protocol, 86_806)
     for event in conversation(talk):
-        statistics.event(event)
-        for record in session.feed(event):
-            statistics.record(record)
+        statistics.events([event])
+        part = Records(session.feed(event))
+        statistics.part(part, part)
     return statistics.snapshot(200 * MS)
 
 

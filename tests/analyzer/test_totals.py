@@ -26,6 +26,7 @@ from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_
 def _few_bytes_are_enough() -> Any:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(columns, "LEAST", 0)
+        patch.setattr(columns, "FIRST", 0)
         yield
 
 

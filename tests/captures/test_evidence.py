@@ -13,11 +13,12 @@ import pytest
 from mcap.reader import make_reader
 
 from bilprov.captures import topics
+from bilprov.captures.chunked_file import SEAL_NAME
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
 from bilprov.captures.reader import open_capture
 from bilprov.captures.storage.records import ATTACHMENT_BYTES
-from bilprov.captures.writer import SEAL_NAME, CaptureWriter
+from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol

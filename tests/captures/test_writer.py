@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import msgspec
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -21,6 +23,7 @@ from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import (
     Asked,
     CaseMark,
+    Checkpoint,
     Chunk,
     Instruction,
     Line,
@@ -51,6 +54,7 @@ ONE_OF_EACH: list[topics.Written] = [
     Look(15, None),
     Asked(16, "look", 14),
     Asked(17, "interrupt", None, "interrupted", False, True),
+    Checkpoint.of(18, "0" * 64, '{"framer":"a\\u00e5"}'),
 ]
 
 
@@ -316,6 +320,61 @@ def test_the_official_reader_reads_all_with_checksums_on(tmp_path: Path) -> None
         assert message.log_time == message.publish_time == START + message.sequence // 2
 
 
+def test_the_summary_and_the_indexes_say_what_is_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    times = [5, 3, 9, 4_000, 7]  # in file order, which need not be the order of times
+    with writer(path) as capture:
+        for n, t in enumerate(times * 900):
+            capture.chunk(Chunk(t, "device" if n % 3 else "host", b"x" * (n % 5)))
+        capture.attach("a.txt", "text/plain", b"attached", 6)
+        capture.chunk(Chunk(8, "host", b"the last"))
+    content = path.read_bytes()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        (attachment,) = reader.iter_attachments()
+    assert (attachment.name, attachment.data, attachment.log_time) == (
+        "a.txt",
+        b"attached",
+        START + 6,
+    )
+    assert summary is not None
+    counted = summary.statistics
+    assert counted is not None
+    assert (counted.message_count, counted.channel_message_counts) == (4_501, {1: 1_501, 2: 3_000})
+    assert (counted.message_start_time, counted.message_end_time) == (START + 3, START + 4_000)
+    assert (counted.chunk_count, counted.attachment_count, counted.metadata_count) == (4, 1, 2)
+    assert (counted.channel_count, counted.schema_count) == (11, 9)
+    indexed = 0
+    for chunk in summary.chunk_indexes:
+        packed = content[chunk.chunk_start_offset :][: chunk.chunk_length][-chunk.compressed_size :]
+        unpacked = zstandard.decompress(packed)
+        assert len(unpacked) == chunk.uncompressed_size
+        for channel, at in chunk.message_index_offsets.items():
+            opcode, _, of, size = struct.unpack_from("<BQHI", content, at)
+            assert (opcode, of) == (7, channel)
+            for n in range(size // 16):
+                time, place = struct.unpack_from("<QQ", content, at + 15 + 16 * n)
+                kind, _, sender, _, log_time = struct.unpack_from("<BQHIQ", unpacked, place)
+                assert (kind, sender, log_time) == (5, channel, time)
+                assert chunk.message_start_time <= time <= chunk.message_end_time
+                indexed += 1
+    assert indexed == 4_501
+
+
+def test_a_chunk_holds_little_more_than_256_kib(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path) as capture:
+        for _ in range(20):
+            capture.chunk(Chunk(0, "host", bytes(60_000)))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    sizes = [chunk.uncompressed_size for chunk in summary.chunk_indexes]
+    assert len(sizes) == 4
+    assert max(sizes) < (256 + 64) * 1024
+
+
 def assert_plain(schema: dict[str, Any]) -> None:
     """What Foxglove's schema parser takes: one type each, objects that name their properties."""
     assert schema["type"] == "object"
@@ -359,4 +418,22 @@ def test_topics_encodings_and_schema_names_are_the_contract() -> None:
         ("/conformance/cases", "json", "bilprov.CaseMark"),
         ("/conformance/looks", "json", "bilprov.Look"),
         ("/conformance/asks", "json", "bilprov.Asked"),
+        ("/checkpoint", "json", "bilprov.Checkpoint"),
     ]
+    assert [t.channel for t in topics.TOPICS] == list(range(1, 12))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"t": 6}, {"grammar": "h"}, {"decoder": "[1]"}, {"crc": 0}],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_checkpoint_with_any_part_changed_is_not_whole(change: dict[str, Any]) -> None:
+    whole = Checkpoint.of(5, "g", "[]")
+    assert whole.whole
+    assert not msgspec.structs.replace(whole, **change).whole
+
+
+@pytest.mark.parametrize("decoder", ["", "{", "[1,]", "[" * 100_000, "\ud800"])
+def test_a_checkpoint_whose_state_is_not_json_is_not_whole(decoder: str) -> None:
+    assert not Checkpoint.of(5, "g", decoder).whole

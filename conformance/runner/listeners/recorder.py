@@ -15,7 +15,7 @@ import msgspec
 
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.closing import Closing
@@ -75,7 +75,7 @@ class RunRecorder(Closing, RunListener):
         self, path: str, session: Session, start_wall: int, metadata: Mapping[str, str]
     ) -> None:
         self._session = session
-        self._file = Recorder(path, start_wall, metadata)
+        self._file = RecordWriter(path, start_wall, metadata)
         self._now = 0
         self._event(Line(0, "open"))
 

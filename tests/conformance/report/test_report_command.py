@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, get_args
 from xml.etree.ElementTree import fromstring
 
+import click
 import pytest
-import rich_click as click
 from markdown_it import MarkdownIt
 from msgspec.structs import replace
 

@@ -1,0 +1,122 @@
+"""Help pages of the commands: as wide as the terminal, commands by panel, colours on a terminal."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+
+import click
+
+_WIDEST = 120  # columns; longer lines of prose are hard to read
+_TERM_WIDEST = 30  # columns of an option and its value; the help of a longer one begins below it
+_SHORT = re.compile(r"-\w")  # how an option begins that has a short spelling
+_NAMES = re.compile(r"(?<!\S)--?\w[\w-]*|^\s*\w+")  # an option's spellings, or the first word
+
+
+class Page(click.HelpFormatter):
+    """Formats one help page. Where there is no terminal, click.echo drops its colours.
+
+    Unlike click's own it is never wider than the terminal, and breaks no line at a hyphen: names of
+    options and their values can be searched for and copied.
+    """
+
+    def __init__(self, width: int | None = None, max_width: int | None = None) -> None:
+        super().__init__(width=width or min(_columns(), _WIDEST))
+
+    def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
+        """Write the usage line."""
+        self._write(f"{prog} {args}", f"{prefix or 'Usage:'} ", bold=True)
+
+    def write_heading(self, heading: str) -> None:
+        """Write the heading of a panel."""
+        self._write("", f"{heading}:", bold=True)
+
+    def write_text(self, text: str) -> None:
+        """Write prose; its paragraphs stay, and each is wrapped anew."""
+        for number, paragraph in enumerate(re.split(r"\n\s*\n", text)):
+            self.write("\n" if number else "")
+            self._write(" ".join(paragraph.split()), " " * self.current_indent)
+
+    def write_dl(
+        self, rows: Iterable[tuple[str, str]], col_max: int = _TERM_WIDEST, col_spacing: int = 2
+    ) -> None:
+        """Write options or commands with their help beside them, the long options in one column."""
+        # The range itself stands in brackets behind the help.
+        terms, texts = zip(
+            *((term.removesuffix(" RANGE"), text) for term, text in rows), strict=True
+        )
+        if any(map(_SHORT.match, terms)):
+            terms = tuple(term if _SHORT.match(term) else f"    {term}" for term in terms)
+        widest = min(col_max, self.width // 2 - 4)
+        column = max((len(term) for term in terms if len(term) <= widest), default=widest)
+        margin = " " * self.current_indent
+        for term, text in zip(terms, texts, strict=True):
+            if len(term) > widest:
+                self._write("", margin + term)
+                term = ""
+            self._write(text, margin + term.ljust(column + col_spacing))
+
+    def _write(self, text: str, lead: str, *, bold: bool = False) -> None:
+        """Write `lead`, its names in colour or bold, and the text wrapped to the right of it."""
+        from textwrap import fill
+
+        indent = " " * len(lead)
+        wrapped = fill(
+            text,
+            self.width,
+            initial_indent=indent,
+            subsequent_indent=indent,
+            break_on_hyphens=False,
+        )
+        # https://no-color.org: any value that is not empty.
+        if not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb":
+            fg = None if bold else "cyan"
+            lead = _NAMES.sub(lambda name: click.style(name[0], fg=fg, bold=bold or None), lead)
+        self.write(f"{lead}{wrapped[len(indent) :]}\n")
+
+
+class PageContext(click.Context):
+    """The context of a command whose help is a Page."""
+
+    formatter_class = Page
+
+
+class Group(click.Group):
+    """A group of commands whose help lists them before the options, by panel and unabridged."""
+
+    context_class = PageContext
+    group_class = type  # the groups below it are of this class too
+
+    def panels(self, ctx: click.Context) -> Mapping[str, Sequence[str]]:
+        """The names of the commands to list, by the heading above them."""
+        return {"Commands": self.list_commands(ctx)}
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the panels of commands, then the options."""
+        for heading, names in self.panels(ctx).items():
+            commands = ((name, self.get_command(ctx, name)) for name in names)
+            with formatter.section(heading):
+                formatter.write_dl(
+                    [(name, one.get_short_help_str(limit=1000)) for name, one in commands if one]
+                )
+        click.Command.format_options(self, ctx, formatter)
+
+
+def with_pages(command: click.Command) -> click.Command:
+    """Let the help of a command, and of all commands below it, be a Page; returns the command."""
+    command.context_class = PageContext
+    for below in command.commands.values() if isinstance(command, click.Group) else ():
+        with_pages(below)
+    return command
+
+
+def _columns() -> int:
+    """The width that COLUMNS or the terminal tells, else 80; importing shutil for it takes long."""
+    with suppress(ValueError):
+        if (columns := int(os.environ.get("COLUMNS", ""))) > 0:
+            return columns
+    with suppress(OSError):
+        return os.get_terminal_size().columns or 80
+    return 80

@@ -1,0 +1,81 @@
+"""Writes a capture anew with all that can be decoded from its bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import Checkpoint, Chunk, Line
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
+
+
+def write_decoded(
+    capture: Capture, protocol: Protocol, path: str | Path, go_on: Callable[[], bool]
+) -> bool:
+    """Write a new capture with what was recorded, and every record that is decoded from it.
+
+    Raw chunks, line events, what a conformance run noted, attachments and metadata are the same;
+    where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `go_on` is
+    called before each message: once it is false, the new file is removed and the result is false.
+
+    Raises CaptureError if the old file cannot be read, which leaves no new one, or the new file
+    cannot be written.
+    """
+    out = _new_file(capture, protocol, path)
+    done = False
+    try:
+        done = _write(capture, protocol, out, go_on)
+        out.close()
+    finally:
+        if not done and not out.failed:
+            out.close()
+            out.path.unlink(missing_ok=True)
+    return done
+
+
+def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordWriter:
+    metadata = {key: text for key, text in capture.metadata.items() if key != topics.START_KEY}
+    # The new file's records are those of this grammar, whatever the old one's were.
+    metadata["grammar_name"] = protocol.name
+    metadata["grammar_version"] = protocol.version
+    metadata["grammar_sha256"] = protocol.sha256
+    try:
+        return RecordWriter(path, capture.start, metadata)
+    except ValueError as error:
+        raise CaptureError(f"{printable(capture.path)} cannot be written anew: {error}") from error
+
+
+def _write(
+    capture: Capture, protocol: Protocol, out: RecordWriter, go_on: Callable[[], bool]
+) -> bool:
+    session = capture_session(capture, protocol)
+    checkpoints, size = Checkpoints(protocol.sha256), 0
+
+    def saved() -> str | None:
+        state = session.saved()
+        return None if state is None else checkpoint.encoded(state)
+
+    for file in capture.attachments():
+        out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+    for value in capture.recorded():
+        if not go_on():
+            return False
+        if isinstance(value, Chunk | Line):
+            out.event(value)
+            for record in session.feed(value):
+                out.record(record)
+            size += len(value.data) if isinstance(value, Chunk) else 0
+            if made := checkpoints.made(value.t, size, saved):
+                out.write(made, value.t)
+        elif not isinstance(value, Checkpoint):
+            out.write(value, value.t)
+    for record in session.finish():
+        out.record(record)
+    return True

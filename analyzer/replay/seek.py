@@ -1,0 +1,69 @@
+"""Opens a capture at a moment: from the last checkpoint before it on, where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.captures.indexed import IndexedCapture, open_indexed
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.text import printable
+from bilprov.captures.topics import CHECKPOINT
+from bilprov.spec.protocol import Protocol
+
+
+class Opened(NamedTuple):
+    """A capture, a decoder, and the events that the decoder needs from where it stands on.
+
+    `note` is a sentence for the user, "" if there is none.
+    """
+
+    capture: Capture
+    decoder: StreamDecoder
+    events: Callable[[], Iterator[Chunk | Line]]
+    note: str = ""
+
+
+def opened_at(
+    path: str | Path, protocol: Protocol, start: int, timeout: int | None = None
+) -> Opened:
+    """Open a capture to decode what comes from `start` (ns since its start) on.
+
+    `timeout` is as in `capture_timeout`. A checkpoint that does not fit this protocol or these
+    settings is not used. Raises CaptureError as `open_capture` does.
+    """
+    indexed = open_indexed(path)
+    if indexed is not None:
+        opened = _from_checkpoint(indexed, protocol, start, timeout)
+        if opened is not None:
+            return opened
+    capture = open_capture(path)
+    note = ""
+    if not capture.contents.counts.get(CHECKPOINT):
+        note = (
+            f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
+            "which is slow in a long capture"
+        )
+    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events, note)
+
+
+def _from_checkpoint(
+    capture: IndexedCapture, protocol: Protocol, start: int, timeout: int | None
+) -> Opened | None:
+    stored = capture.checkpoint_before(start, protocol.sha256)
+    if stored is None:
+        return None
+    state = checkpoint.decoded(stored.value.decoder, protocol)
+    if state is None or state.time > stored.value.t:
+        return None
+    decoder = capture_decoder(capture, protocol, timeout)
+    try:
+        decoder.resume(state)
+    except ValueError:  # it was saved with other settings
+        return None
+    return Opened(capture, decoder, lambda: capture.events(stored))

@@ -1,0 +1,188 @@
+"""The command: measures every row beside its peers in one run, and writes what came out.
+
+`python -m benchmarks.bench [--quick] [--only NAME] [--seconds N] [-o FOLDER] [--publish]`.
+FOLDER gets bench.json, bench.md and performance.svg. With --publish a run of all rows also renews
+the README's table and docs/performance.svg. It ends with 1 if a row failed; no figure is asserted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path
+
+from benchmarks import captures, decoding, first_lines, latency, live
+from benchmarks.commands import ROOT, Skipped
+from benchmarks.plot import as_svg
+from benchmarks.report import (
+    Machine,
+    Row,
+    as_json,
+    as_markdown,
+    between_markers,
+    figure,
+    machine,
+    reach,
+    times,
+)
+from benchmarks.setting import FULL, QUICK, Setting, Work
+
+_FOLDER = ROOT / "build/bench"
+_README, _PLOT = ROOT / "README.md", ROOT / "docs/performance.svg"
+BOTH_WAYS = "both directions"
+WORKS = (
+    Work("columns", "bytes to verdict and state columns", decoding.columns),
+    Work("records", "the same to Python records, one by one, cold", decoding.records),
+    Work(
+        "capture-4k",
+        f"`sniff -w`'s path, {BOTH_WAYS}, reads of 4 KiB",
+        partial(
+            captures.sniffed, read=4096, times_construct=300, most_bytes=2, byte_time=captures.FAST
+        ),
+    ),
+    Work(
+        "capture-16",
+        f"`sniff -w`'s path, {BOTH_WAYS}, reads of 16 bytes",
+        partial(captures.sniffed, read=16, times_construct=20, most_bytes=8),
+    ),
+    Work("replay-statistics", "capture to statistics", captures.to_statistics),
+    Work("replay-jsonl", "capture to `jsonl`", captures.to_jsonl),
+    Work("seek", "`replay --start` near the end, to the first line", first_lines.seek),
+    Work(
+        "line-jsonl",
+        "a full line, `jsonl`",
+        partial(live.full_line, style="jsonl", write=False, percent=6),
+    ),
+    Work(
+        "line-write",
+        "a full line, `jsonl` and `-w`",
+        partial(live.full_line, style="jsonl", write=True, percent=10),
+    ),
+    Work(
+        "line-screen",
+        "a full line, live screen and `-w`",
+        partial(live.full_line, style="live", write=True, percent=15),
+    ),
+    Work(
+        "fast-quiet",
+        "1.2 MB/s, `-w` and `--quiet`",
+        partial(live.fast_line, style="quiet", percent=40),
+    ),
+    Work(
+        "fast-screen",
+        "1.2 MB/s, `-w` and the live screen",
+        partial(live.fast_line, style="live", percent=60),
+    ),
+    Work("latency", "byte to JSON line", latency.to_json_line),
+    Work("bridge", "round trip added by a bridge", latency.through_a_bridge),
+    Work("help", "`--help`", partial(first_lines.start, words=["--help"], over=60)),
+    Work(
+        "decode",
+        "`decode 2111` to its line",
+        partial(first_lines.start, words=["decode", "2111"], over=100),
+    ),
+)
+
+
+def main() -> int:
+    """Measure the rows that are asked for; returns 1 if one failed, 130 if it was interrupted."""
+    options = _options()
+    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background job ignores the first
+        signal.signal(number, signal.default_int_handler)
+    works = [work for work in WORKS if fnmatch(work.name, options.only)]
+    sizes = QUICK if options.quick else FULL
+    seconds = options.seconds or (2 if options.quick else 60)
+    mode = "quick" if options.quick else "full"
+    on, rows, interrupted = machine(), [], False
+    with tempfile.TemporaryDirectory(prefix="bilprov-bench-") as folder:
+        setting = Setting(Path(folder), sizes, seconds)
+        try:
+            for work in works:
+                rows.append(_measured(setting, work))
+        except KeyboardInterrupt:
+            interrupted = True
+            _tell("interrupted: the rows that were measured are written")
+    _write(options.folder, rows, on, mode)
+    if options.publish and not interrupted and len(rows) == len(WORKS):
+        _publish(rows, on, mode)
+    if interrupted:
+        return 130
+    return int(any(row.state == "failed" for row in rows))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small sizes, under a minute")
+    parser.add_argument("--only", default="*", metavar="NAME", help="rows by name, * for any")
+    parser.add_argument("--seconds", type=float, metavar="N", help="on the fast line (60)")
+    parser.add_argument(
+        "-o", dest="folder", type=Path, default=ROOT / "build/bench", metavar="FOLDER"
+    )
+    parser.add_argument("--publish", action="store_true", help="renew the README and its plot")
+    options = parser.parse_args()
+    if not any(fnmatch(work.name, options.only) for work in WORKS):
+        parser.error(f"no row is {options.only}: there are {', '.join(w.name for w in WORKS)}")
+    return options
+
+
+def _measured(setting: Setting, work: Work) -> Row:
+    """Measure one row and tell it; what is missing or breaks ends that row alone."""
+    begun = time.monotonic()
+    try:
+        row = work.measure(setting, work)
+    except Skipped as reason:
+        row = Row(work.name, work.words, note=str(reason), state="skipped")
+    except Exception as error:  # the other rows are still worth their time
+        told = f"{type(error).__name__}: {error}"
+        row = Row(work.name, work.words, note=told, state="failed")
+    _tell(f"{work.name:18} {_in_words(row)} [{time.monotonic() - begun:.1f} s]")
+    return row
+
+
+def _in_words(row: Row) -> str:
+    if row.ours is None:
+        return f"{row.state}: {row.note}"
+    parts = [figure(row.ours, row.unit)]
+    parts += [figure(value, name) for name, value in row.figures.items()]
+    ratios = row.ratios
+    parts += [
+        f"{name} {figure(value, row.unit)} ({times(ratios[name])})"
+        for name, value in row.peers.items()
+        if name in ratios
+    ]
+    parts += [f"beside {figure(value, name)}" for name, value in row.beside.items()]
+    parts += [reach(goal) for goal in row.goals]
+    return "; ".join(parts) + (f" ({row.note})" if row.note else "")
+
+
+def _write(folder: Path, rows: Sequence[Row], on: Machine, mode: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    told = json.dumps(as_json(rows, on, mode), indent=1, ensure_ascii=False)
+    (folder / "bench.json").write_text(told + "\n", encoding="utf-8")
+    (folder / "bench.md").write_text(as_markdown(rows, on, mode), encoding="utf-8")
+    (folder / "performance.svg").write_text(as_svg(rows), encoding="utf-8")
+    _tell(f"written: bench.json, bench.md and performance.svg in {folder}")
+
+
+def _publish(rows: Sequence[Row], on: Machine, mode: str) -> None:
+    text = _README.read_text(encoding="utf-8")
+    told = between_markers(text, as_markdown(rows, on, mode))
+    _README.write_text(told, encoding="utf-8")
+    _PLOT.write_text(as_svg(rows), encoding="utf-8")
+    _tell(f"renewed: the table in {_README} and {_PLOT}")
+
+
+def _tell(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""Bytes to columns and to records, beside construct interpreted and the C loop."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from benchmarks import product
+from benchmarks.ceiling import Judged
+from benchmarks.commands import medians, run, timed
+from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
+from benchmarks.setting import Setting, Work
+
+
+class Disagree(Exception):
+    """Raised where two decoders do not say the same of the same bytes: no figure counts then."""
+
+
+def columns(setting: Setting, work: Work) -> Row:
+    """Host bytes to a verdict and a state for each frame."""
+    decode, said = product.decoded_columns(setting.protocol), setting.said
+
+    def judged(data: bytes) -> Judged:
+        return product.judged_columns(decode(data), setting.protocol)
+
+    if judged(said.host).codes != said.device:
+        raise Disagree("the columns' verdicts are not those of the frames that were drawn")
+    few, sample = setting.sample.host, _frames(setting)
+    _require_same("columns", judged(few), CONSTRUCT, setting.construct.judged(few))
+    works = {
+        "bilprov": lambda: said.frames / timed(lambda: decode(said.host)),
+        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
+    }
+    if setting.has_ceiling():
+        _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
+        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
+    rates = medians(setting.sizes.rounds, works)
+    ours = rates.pop("bilprov")
+    least = {CONSTRUCT: 400, C_LOOP: 0.12}
+    return Row(
+        work.name,
+        f"{work.words}, {len(said.host) / 1e6:.3g} MB",
+        "frames/s",
+        ours,
+        rates,
+        goals=tuple(
+            Goal(f"{least[name]:g} x {name}", ours / rate, least[name])
+            for name, rate in rates.items()
+        ),
+    )
+
+
+def records(setting: Setting, work: Work) -> Row:
+    """Host bytes to a list of records, one by one: the first call in a process of its own."""
+    file = setting.new_file("records.bytes")
+    said = setting.said.first(setting.protocol, setting.sizes.records)
+    file.write_bytes(said.host)
+    judge = setting.ceiling if setting.has_ceiling() else setting.construct
+    expected = judge.judged(said.host).summary()
+    sample = _frames(setting)
+
+    def ours() -> float:
+        told = run([sys.executable, "-m", "benchmarks.product", str(file)], keep=True)
+        took, judged = json.loads(told.output)
+        if judged != expected:
+            raise Disagree(f"records: {judged}; {type(judge).__name__}: {expected}")
+        return said.frames / float(took)
+
+    works = {
+        "bilprov": ours,
+        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
+    }
+    if setting.has_ceiling():
+        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
+    rates = medians(min(3, setting.sizes.rounds), works)
+    rate = rates.pop("bilprov")
+    return Row(
+        work.name,
+        f"{work.words}, {len(said.host) / 1e6:.3g} MB",
+        "frames/s",
+        rate,
+        rates,
+        goals=(Goal(f"40 x {CONSTRUCT}", rate / rates[CONSTRUCT], 40),),
+    )
+
+
+def _frames(setting: Setting) -> list[bytes]:
+    return [frame.data for frame in setting.construct.frames(setting.sample.host)]
+
+
+def _require_same(one: str, judged: Judged, other: str, also: Judged) -> None:
+    if judged.summary() != also.summary():
+        raise Disagree(f"{one}: {judged.summary()}; {other}: {also.summary()}")

@@ -1,0 +1,74 @@
+"""How long a command takes to its first line: a replay from the middle, and the shortest ones."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+
+from benchmarks import captures, peers, product
+from benchmarks.commands import Skipped, bilprov_words, first_line, medians, timed
+from benchmarks.report import Goal, Row
+from benchmarks.setting import Made, Setting, Work
+
+_BEFORE_THE_END = 5_000_000  # ns
+_SEEK, _LONGEST = 150, 6  # ms; times the patience of a row
+_PYTHON = [sys.executable, "-c", "print()"]
+
+
+def seek(setting: Setting, work: Work) -> Row:
+    """`replay --start` shortly before the end of the small and of the big capture."""
+    few, made = captures.small(setting), captures.big(setting)
+    patience = _LONGEST * setting.sizes.patience + 5
+    first_line(_seeking(few), patience)
+    try:
+        first_line(_seeking(made), patience)
+    except Skipped as slow:
+        took = first_line(_seeking(few), patience)
+        told = f"near the end of {made.frames} frames {slow}, of {few.frames} {took * 1e3:.0f} ms"
+        raise Skipped(told) from None
+    start = product.capture_start(made.path) + made.end - _BEFORE_THE_END
+    found = medians(
+        setting.sizes.rounds,
+        {
+            "bilprov": lambda: first_line(_seeking(made)) * 1e3,
+            "small": lambda: first_line(_seeking(few)) * 1e3,
+            "python alone": lambda: first_line(_PYTHON) * 1e3,
+            "the mcap library's index alone": lambda: (
+                timed(partial(peers.first_after, made.path, start)) * 1e3
+            ),
+        },
+    )
+    ours, little = found.pop("bilprov"), found.pop("small")
+    over = ours - found["python alone"]
+    return Row(
+        work.name,
+        f"{work.words}, {made.frames / 1e6:.3g} M frames",
+        "ms",
+        ours,
+        found,
+        {"ms over python": over, f"ms with {few.frames / 1e6:.3g} M frames": little},
+        goals=(Goal(f"python + {_SEEK} ms", over, _SEEK, at_most=True),),
+        note=made.note,
+    )
+
+
+def _seeking(made: Made) -> list[str]:
+    seconds = (made.end - _BEFORE_THE_END) / 1e9
+    return bilprov_words(*product.replayed_from(made.path, seconds))
+
+
+def start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row:
+    """A command to its first line, which may take so many ms longer than Python alone."""
+    command = bilprov_words(*words)
+    first_line(command)  # its files are compiled and cached now
+    found = medians(
+        setting.sizes.starts,
+        {
+            "bilprov": lambda: first_line(command) * 1e3,
+            "python alone": lambda: first_line(_PYTHON) * 1e3,
+        },
+    )
+    ours = found.pop("bilprov")
+    more = ours - found["python alone"]
+    goal = Goal(f"python + {over:g} ms", more, over, at_most=True)
+    return Row(work.name, work.words, "ms", ours, found, {"ms over python": more}, goals=(goal,))

@@ -1,0 +1,204 @@
+"""Every call of the product that the bench measures, in one place: adapt it here alone."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import bilprov
+from benchmarks.ceiling import Judged
+from benchmarks.commands import Skipped, bilprov_words, run
+from bilprov.analyzer.cli.sniff import PATIENCE
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.output.outputs import NoOutput, Shown
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.protocol import Protocol
+
+OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
+
+_PART = 1 << 18  # bytes that are decoded at once, so that the arrays of a part fit into a cache
+
+Words = list[str]
+
+
+class Columns(NamedTuple):
+    """The columns of one part: an array of verdicts (places in `OUTCOMES`), and the states.
+
+    The states are an array for each variable, by its name.
+    """
+
+    verdict: Any
+    state: Any
+
+
+def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
+    """The function from whole host frames to columns. Raises Skipped where the kit has none."""
+    try:
+        tables, numpy = import_module("bilprov.spec.tables"), import_module("numpy")
+    except ImportError as error:
+        raise Skipped(f"there are no columns here: {error}") from None
+    found = tables.frame_tables(protocol)
+
+    def decode(data: bytes) -> list[Columns]:
+        buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
+        state = [getattr(protocol.power_on, name) for name in VARIABLES]
+        while at < len(data):
+            part = buffer[at : at + _PART]
+            offsets, used = found.offsets(part)
+            frames = found.frames(part, offsets)
+            columns.append(Columns(frames.verdict, found.states(part, frames, state)))
+            state = [int(column[-1]) for column in columns[-1].state]
+            at += used or len(data)
+        return columns
+
+    return decode
+
+
+def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
+    """The columns' response codes and last state, to compare with those of the peers."""
+    codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES).ljust(256, b"\0")
+    last = {name: int(getattr(columns[-1].state, name)[-1]) for name in VARIABLES}
+    state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
+    verdicts = b"".join(part.verdict.tobytes() for part in columns)
+    return Judged(verdicts.translate(codes), state)
+
+
+def decoded_records(path: Path) -> tuple[float, Judged]:
+    """The time (s) that `bilprov.decode` takes for the file's bytes, the first call in a process.
+
+    What it says of the frames is worked out after the time was taken.
+    """
+    data, protocol = path.read_bytes(), bilprov.load_protocol()
+    begun = time.perf_counter()
+    records = bilprov.decode(data)
+    took = time.perf_counter() - begun
+    codes = {spec.name: code for code, spec in protocol.codes.items()}
+    values = [r.value for r in records if hasattr(r.value, "judgement")]
+    state = records[-1].state
+    return took, Judged(
+        bytes(codes[value.judgement] for value in values if value.judgement is not None),
+        tuple(getattr(state, name) for name in VARIABLES),
+    )
+
+
+@contextmanager
+def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
+    """What `sniff -w` does with each chunk that was read; nothing is shown."""
+    settings = line_settings(protocol)
+    decoder = StreamDecoder(protocol, skew=0)
+    statistics = Statistics(protocol, settings.byte_time)
+    with Recorder(path, time.time_ns(), _metadata(protocol)) as recorder:
+        shown = Shown(NoOutput())
+        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
+        pipeline.events([Line(0, "open")])
+
+        def take(chunk: Chunk) -> None:
+            pipeline.events([chunk])
+            pipeline.advance(chunk.t)
+
+        yield take
+        pipeline.finish()
+
+
+@contextmanager
+def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
+    """A capture of the raw bytes alone, for a file that `sniffing` would take too long to make."""
+    words = _metadata(protocol)
+    with CaptureWriter(path, start_wall=time.time_ns(), metadata=words, version="bench") as writer:
+
+        def take(chunk: Chunk) -> None:
+            writer.chunk(chunk)
+            writer.tick(chunk.t)
+
+        yield take
+
+
+def _metadata(protocol: Protocol) -> dict[str, str]:
+    return session_metadata(
+        protocol,
+        ports={"host": "bench", "device": "bench"},
+        line=str(line_settings(protocol)),
+        timeout=timeout_in_ns(protocol, None),
+        skew=0,
+        heard=BOTH,
+    )
+
+
+def captured(path: Path) -> dict[Direction, int]:
+    """How many raw bytes of each direction a capture holds."""
+    sizes = open_capture(path).contents.sizes
+    return {"host": sizes.get(HOST_RAW, 0), "device": sizes.get(DEVICE_RAW, 0)}
+
+
+def capture_start(path: Path) -> int:
+    """The wall clock (ns) from which the capture's times count."""
+    return open_capture(path).start
+
+
+def statistics(path: Path) -> Words:
+    """The command that prints a capture's statistics. Raises Skipped where there is none."""
+    return _known("stats", "--json", "stats", str(path), "--json", "-")
+
+
+def replayed(path: Path) -> Words:
+    """The command that prints a capture's frames as JSON lines, as fast as it goes."""
+    return ["replay", str(path), "--rate", "0", "--format", "jsonl"]
+
+
+def replayed_from(path: Path, seconds: float) -> Words:
+    """The same from so many seconds on."""
+    return [*replayed(path), "--start", f"{seconds:.6f}"]
+
+
+def sniffed(host: str, device: str, style: str, capture: Path | None = None) -> Words:
+    """The command that listens to two lines; `style` is a format, or `quiet`."""
+    taps = ["sniff", host, device] + (["-w", str(capture)] if capture else [])
+    if style == "quiet":
+        return _known("sniff", "--quiet", *taps, "--quiet")
+    return [*taps, "--format", style]
+
+
+def bridged(port: str) -> Words:
+    """The command that sits between; it prints the pty to open on standard error."""
+    return ["sniff", "--bridge", port, "--format", "jsonl"]
+
+
+def _known(command: str, option: str, *words: str) -> Words:
+    if option not in _help(command):
+        raise Skipped(f"there is no `bilprov {command} {option}` yet")
+    return list(words)
+
+
+@cache
+def _help(command: str) -> str:
+    try:
+        return run(bilprov_words(command, "--help"), keep=True).output
+    except RuntimeError:
+        return ""
+
+
+def main() -> None:
+    """Decode a file in this process, which has decoded nothing yet."""
+    took, judged = decoded_records(Path(sys.argv[1]))
+    json.dump([took, judged.summary()], sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

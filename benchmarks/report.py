@@ -1,0 +1,204 @@
+"""The bench's result: rows with their peers and goals, as JSON and as a Markdown table."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+CONSTRUCT = "construct"
+C_LOOP = "C loop"
+
+_LIBRARIES = ("construct", "mcap", "numpy", "msgspec", "zstandard", "click", "rich")
+_BEGIN, _END = "<!-- bench -->", "<!-- /bench -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """One thing to reach: `got` is at least `limit`, or at most it with `at_most`."""
+
+    text: str
+    got: float
+    limit: float
+    at_most: bool = False
+
+    @property
+    def reached(self) -> bool:
+        """Whether it is reached."""
+        return self.got <= self.limit if self.at_most else self.got >= self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One work, measured beside its peers in the same rounds.
+
+    `unit` is that of `ours` and of the `peers` (name -> figure). `figures` are others of ours,
+    `beside` others of the peers, their unit in the name. A row that is `skipped` or `failed` says
+    why in `note`.
+    """
+
+    name: str
+    work: str
+    unit: str = ""
+    ours: float | None = None
+    peers: dict[str, float] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+    beside: dict[str, float] = field(default_factory=dict)
+    goals: tuple[Goal, ...] = ()
+    note: str = ""
+    state: Literal["measured", "skipped", "failed"] = "measured"
+
+    @property
+    def base(self) -> float:
+        """The figure of construct, to which the plot's ratios are; 0 where it is no peer."""
+        found = (value for name, value in self.peers.items() if name.startswith(CONSTRUCT))
+        return next(found, 0)
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Our figure as a multiple of each peer's."""
+        if self.ours is None:
+            return {}
+        return {name: self.ours / figure for name, figure in self.peers.items() if figure}
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Where and with what it was measured; `load` is the load average before it began."""
+
+    cpu: str
+    cores: int
+    system: str
+    python: str
+    compiler: str
+    load: float
+    libraries: dict[str, str]
+    begun: str
+
+
+def machine() -> Machine:
+    """This machine, now."""
+    cpus = re.findall(r"^model name\s*: (.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
+    return Machine(
+        cpu=cpus[0] if cpus else platform.machine(),
+        cores=len(os.sched_getaffinity(0)),
+        system=f"{platform.system()} {platform.release()}",
+        python=platform.python_version(),
+        compiler=_compiler(),
+        load=round(os.getloadavg()[0], 2),
+        libraries={name: found for name in _LIBRARIES if (found := _version(name))},
+        begun=time.strftime("%Y-%m-%d %H:%M:%S %z"),
+    )
+
+
+def as_json(rows: Sequence[Row], on: Machine, mode: str) -> dict[str, Any]:
+    """The whole result as an object of JSON."""
+    return {
+        "mode": mode,
+        "machine": asdict(on),
+        "rows": [
+            {
+                **{name: value for name, value in asdict(row).items() if name != "goals"},
+                "ratios": row.ratios,
+                "goals": [{**asdict(goal), "reached": goal.reached} for goal in row.goals],
+            }
+            for row in rows
+        ],
+    }
+
+
+def as_markdown(rows: Sequence[Row], on: Machine, mode: str) -> str:
+    """The table with ratios, and a line about the machine."""
+    lines = [
+        "| work | bilprov | beside it, same run | bilprov is | reach |",
+        "|---|---|---|---|---|",
+        *(_table_row(row) for row in rows),
+    ]
+    libraries = ", ".join(f"{name} {number}" for name, number in on.libraries.items())
+    about = (
+        f"Measured {on.begun} ({mode}): {on.cpu}, {on.cores} cores, {on.system}, load {on.load:g} "
+        f"before; Python {on.python}, {libraries}, {on.compiler or 'no C compiler'}."
+    )
+    return "\n".join([*lines, "", about, ""])
+
+
+def _table_row(row: Row) -> str:
+    if row.ours is None:
+        return f"| {row.work} | | | | {row.state}: {_cell(row.note)} |"
+    ours = "; ".join([figure(row.ours, row.unit), *_figures(row.figures)])
+    peers = [f"{name} {figure(value, row.unit)}" for name, value in row.peers.items()]
+    beside = "; ".join([*peers, *_figures(row.beside)])
+    ratios = "; ".join(f"{times(ratio)} {name}" for name, ratio in row.ratios.items())
+    goals = "; ".join(reach(goal) for goal in row.goals)
+    told = f" ({_cell(row.note)})" if row.note else ""
+    return f"| {row.work}{told} | {ours} | {beside} | {ratios} | {goals} |"
+
+
+def _figures(figures: dict[str, float]) -> list[str]:
+    return [figure(value, name) for name, value in figures.items()]
+
+
+def reach(goal: Goal) -> str:
+    """A goal, and whether it is reached: `400 x construct: no, 2.1`."""
+    return f"{goal.text}: {'yes' if goal.reached else '**no**'}, {_short(goal.got)}"
+
+
+def times(ratio: float) -> str:
+    """A ratio in words: `612 x`."""
+    return f"{_short(ratio)} x"
+
+
+def figure(value: float, unit: str) -> str:
+    """A figure with its unit: `28.8 k frames/s`."""
+    for limit, letter in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
+        if abs(value) >= limit:
+            return f"{_short(value / (1e3 if letter == 'k' else limit))} {letter} {unit}"
+    return f"{_short(value)} {unit}"
+
+
+def _short(value: float) -> str:
+    """Three digits, more only where they stand before the point."""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def between_markers(text: str, table: str) -> str:
+    """The README's text with the table between its markers. Raises ValueError without them."""
+    head, begin, rest = text.partition(_BEGIN)
+    _, end, tail = rest.partition(_END)
+    if not begin or not end:
+        raise ValueError(f"there is no {_BEGIN} ... {_END} to write the table into")
+    return f"{head}{begin}\n{table}{end}{tail}"
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def _compiler() -> str:
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        return ""
+    told = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False)
+    return told.stdout.partition("\n")[0]
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,112 @@
+"""What the rows of the bench share: sizes, rounds, the protocol, the peers and a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.ceiling import Ceiling
+from benchmarks.commands import Skipped
+from benchmarks.peers import Construct
+from benchmarks.report import Row
+from benchmarks.traffic import Traffic, traffic
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.spec.protocol import Protocol
+
+
+class Sizes(NamedTuple):
+    """How much is measured: bytes of the host, frames, rounds, seconds."""
+
+    columns: int  # bytes to columns
+    records: int  # bytes to records
+    sample: int  # bytes for construct
+    rounds: int
+    capture: int  # bytes through the path of `sniff -w`
+    patience: float  # s for each of a row's slow parts
+    replay: int  # bytes of the big capture
+    replay_sample: int  # bytes of the small capture
+    line: float  # s on a full line
+    exchanges: int  # frames one by one
+    starts: int  # starts of a command
+
+
+FULL = Sizes(26_000_000, 1_700_000, 40_000, 5, 8_000_000, 5, 17_000_000, 340_000, 8, 1000, 21)
+QUICK = Sizes(2_600_000, 50_000, 5_000, 2, 300_000, 0.5, 200_000, 20_000, 1.5, 100, 5)
+
+
+class Made(NamedTuple):
+    """A capture that was made: how many frames it has, its last time (ns), what to know of it."""
+
+    path: Path
+    frames: int
+    end: int
+    note: str
+
+
+@dataclass
+class Setting:
+    """One run of the bench. `seconds` is how long the fast line is; `folder` is a temporary one."""
+
+    folder: Path
+    sizes: Sizes
+    seconds: float
+    made: dict[str, Made] = field(default_factory=dict)
+
+    @cached_property
+    def protocol(self) -> Protocol:
+        """The kit's own protocol."""
+        return load_protocol()
+
+    @cached_property
+    def byte_time(self) -> int:
+        """Ns of a byte on the protocol's own line."""
+        return line_settings(self.protocol).byte_time
+
+    @cached_property
+    def construct(self) -> Construct:
+        """construct, interpreted."""
+        return Construct(self.protocol)
+
+    @cached_property
+    def said(self) -> Traffic:
+        """The traffic that the rows take their bytes from."""
+        return traffic(self.protocol, self.sizes.columns)
+
+    @cached_property
+    def sample(self) -> Traffic:
+        """Traffic for what is slow."""
+        return traffic(self.protocol, 1, seed=2).first(self.protocol, self.sizes.sample)
+
+    @cached_property
+    def ceiling(self) -> Ceiling:
+        """The C loop. Raises Skipped without a compiler."""
+        most = len(self.said.host)
+        try:
+            return Ceiling(self.protocol, self.folder, most)
+        except (FileNotFoundError, ValueError) as error:
+            raise Skipped(str(error)) from None
+
+    def has_ceiling(self) -> bool:
+        """Whether the C loop can be measured."""
+        try:
+            return bool(self.ceiling)
+        except Skipped:
+            return False
+
+    def new_file(self, name: str) -> Path:
+        """A path at which there is no file."""
+        path = self.folder / name
+        path.unlink(missing_ok=True)
+        return path
+
+
+class Work(NamedTuple):
+    """One row to measure: its name, what it is in words, and the function that measures it."""
+
+    name: str
+    words: str
+    measure: Callable[[Setting, Work], Row]

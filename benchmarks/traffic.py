@@ -1,0 +1,142 @@
+"""Seeded traffic for the bench: random frames of any grammar, a share of them faulty, and answers.
+
+Which frames are drawn, and which answer each gets, is said here from the kind of frame that was
+drawn; no judge is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from random import Random
+
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.codec import bad_data, raw_frame
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
+
+FAULTY = 0.05  # share of the frames
+_BLOCK = 20_000  # frames drawn at once; the share of faulty ones is exact in each block
+_VALID = 5_000  # distinct valid frames at most
+_ANSWERED = 100_000  # ns from a read of the host's bytes to that of the device's
+
+Exchange = tuple[bytes, bytes]
+"""A frame and the answer of a conforming device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What a host and a conforming device have said: whole frames, and one answer byte for each."""
+
+    host: bytes
+    device: bytes
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return len(self.device)
+
+    def first(self, protocol: Protocol, size: int) -> Traffic:
+        """The first frames that have at least `size` host bytes together."""
+        end = frames = 0
+        while end < min(size, len(self.host)):
+            end += 1 + protocol.lengths[self.host[end]]
+            frames += 1
+        return Traffic(self.host[:end], self.device[:frames])
+
+
+def blocks(protocol: Protocol, seed: int) -> Iterator[list[Exchange]]:
+    """Yield blocks of random exchanges without end; the same seed gives the same.
+
+    Each instruction is as likely as any other, and so is each value of a field. The faulty frames
+    are in equal parts unused IDs, wrong lengths and data out of range, as far as the grammar has
+    such.
+    """
+    draw = Random(seed)
+    ok = _answer(protocol, Outcome.VALID)
+    valid = [(_valid(protocol, draw), ok) for _ in range(_VALID)]
+    kinds = _faults(protocol)
+    share = round(_BLOCK * FAULTY) if kinds else 0
+    while True:
+        block = draw.choices(valid, k=_BLOCK)
+        for place in draw.sample(range(_BLOCK), share):
+            block[place] = draw.choice(kinds)(draw)
+        yield block
+
+
+def traffic(protocol: Protocol, size: int, seed: int = 1) -> Traffic:
+    """Traffic of at least `size` host bytes, in whole blocks."""
+    host, device = bytearray(), bytearray()
+    for block in blocks(protocol, seed):
+        frames, answers = zip(*block, strict=True)
+        host += b"".join(frames)
+        device += b"".join(answers)
+        if len(host) >= size:
+            break
+    return Traffic(bytes(host), bytes(device))
+
+
+def reads(
+    said: Traffic, protocol: Protocol, size: int, byte_time: int, start: int = 0
+) -> Iterator[Chunk]:
+    """Yield the traffic as it is read: `size` host bytes at a time, then their frames' answers.
+
+    `byte_time` is how long a byte takes on the line, in ns; the line is never silent from `start`
+    (ns) on.
+    """
+    lengths = protocol.lengths
+    host, end, answered = said.host, 0, 0
+    for at in range(0, len(host), size):
+        last = min(at + size, len(host))
+        t = start + last * byte_time
+        yield Chunk(t, "host", host[at:last])
+        before = answered
+        while end < last and (after := end + 1 + lengths[host[end]]) <= last:
+            end = after
+            answered += 1
+        if answered > before:
+            yield Chunk(t + min(_ANSWERED, byte_time), "device", said.device[before:answered])
+
+
+def _answer(protocol: Protocol, outcome: Outcome) -> bytes:
+    return bytes([protocol.answers[outcome].code])
+
+
+def _valid(protocol: Protocol, draw: Random) -> bytes:
+    spec = draw.choice(protocol.instructions)
+    data = b"".join(part.build(draw.randint(part.low, part.high)) for part in spec.fields)
+    return raw_frame(protocol, spec.id, spec.length, data)
+
+
+def _faults(protocol: Protocol) -> list[Callable[[Random], Exchange]]:
+    """A function for each kind of faulty frame that the grammar has; it draws one."""
+    unused = [
+        (identity, length)
+        for identity, length in protocol.header_bytes
+        if identity in protocol.unused_ids
+    ]
+    wrong = [
+        (spec, length)
+        for spec in protocol.instructions
+        for length in protocol.data_lengths
+        if length != spec.length and (spec.id, length) in protocol.header_bytes
+    ]
+    bad = [(spec, data) for spec in protocol.instructions for data in bad_data(spec)]
+
+    def unused_id(draw: Random) -> Exchange:
+        identity, length = draw.choice(unused)
+        frame = raw_frame(protocol, identity, length, draw.randbytes(length))
+        return frame, _answer(protocol, Outcome.UNKNOWN_ID)
+
+    def wrong_length(draw: Random) -> Exchange:
+        spec, length = draw.choice(wrong)
+        outcome = Outcome.TOO_MANY if length > spec.length else Outcome.TOO_FEW
+        frame = raw_frame(protocol, spec.id, length, draw.randbytes(length))
+        return frame, _answer(protocol, outcome)
+
+    def out_of_range(draw: Random) -> Exchange:
+        spec, data = draw.choice(bad)
+        return raw_frame(protocol, spec.id, spec.length, data), _answer(protocol, Outcome.BAD_DATA)
+
+    kinds = ((unused, unused_id), (wrong, wrong_length), (bad, out_of_range))
+    return [kind for found, kind in kinds if found]

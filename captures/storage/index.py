@@ -1,0 +1,193 @@
+"""Reads the index at the end of a finished capture of bilprov, in place of walking its data.
+
+Nothing is believed that does not fit: the summary's checksum, the order and the places of its
+chunks, its counts and its channels. Whatever does not fit means that there is no index.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BufferedReader
+from struct import Struct
+from struct import error as StructError
+from typing import Final
+
+from bilprov.captures import topics
+from bilprov.captures.storage import records
+from bilprov.captures.storage.messages import Contents
+from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged
+from bilprov.captures.storage.recovery import RecordFile
+
+SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
+
+_CHUNK_INDEX: Final = 0x08
+_STATISTICS: Final = 0x0B
+_PASSED: Final = {records.SCHEMA, 0x0A, 0x0D, 0x0E}  # indexes of attachments and metadata, offsets
+
+_DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)
+_FOOTER = Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
+_END = _FOOTER.size + len(MAGIC)
+_ENTRY = Struct("<BQQQQQI")  # opcode, length; times, offset and length of the chunk; map's length
+_MAP_ITEM = Struct("<H8x")  # a channel that the chunk has messages of, and where their index is
+_COUNTS = Struct("<QHIIIIQQI")
+_COUNT = Struct("<HQ")
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedChunk:
+    """A chunk as the index describes it: its first log time (ns), offset and size in the file."""
+
+    first: int
+    offset: int
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """The contents of a file as its index tells them, without bytes by topic; and its chunks.
+
+    `data_end` is the offset after the last chunk and attachment.
+    """
+
+    contents: Contents
+    data_end: int
+    summary: bytes = field(repr=False)
+    entries: list[int] = field(repr=False)  # the offset of each chunk's entry in the summary
+
+    def chunks_before(self, time: int, channel: int) -> Iterator[IndexedChunk]:
+        """Yield the chunks with messages on `channel` that begin before the log time `time` (ns).
+
+        The last one in the file comes first.
+        """
+        for at in reversed(self.entries):
+            _, length, first, _, offset, size, map_length = _ENTRY.unpack_from(self.summary, at)
+            start = at + _ENTRY.size
+            if first >= time or start + map_length > at + RECORD_HEAD.size + length:
+                continue
+            if map_length % 10 == 0 and channel in {
+                of for (of,) in _MAP_ITEM.iter_unpack(self.summary[start : start + map_length])
+            }:
+                yield IndexedChunk(first, offset, size)
+
+
+def read_index(file: BufferedReader, size: int) -> Index | None:
+    """Read the index of an open file of `size` bytes, whose magic at the start was checked before.
+
+    None if the file is foreign or unfinished, has no index, or has one that does not fit.
+    """
+    try:
+        return _read_index(file, size)
+    except (Damaged, StructError):
+        return None
+
+
+def _read_index(file: BufferedReader, size: int) -> Index:
+    library, metadata, data_start = _front(file, size)
+    summary_start, summary = _end(file, size)
+    counted: tuple[int, ...] = ()
+    counts: dict[int, int] = {}
+    channels: list[records.ChannelRecord] = []
+    entries: list[int] = []
+    firsts: list[int] = []
+    latest = 0
+    data_end = summary_start - len(_DATA_END)
+    at, end, reached = 0, len(summary) - _END, data_start
+    entry = _ENTRY.unpack_from
+    while at < end:
+        # The footer behind the records makes this front complete for the shortest record too.
+        opcode, length, first, last, offset, chunk, _ = entry(summary, at)
+        if opcode == _CHUNK_INDEX:
+            if offset < reached or last < first or length < 64:
+                raise Damaged("a chunk's entry does not fit")
+            reached = offset + chunk
+            entries.append(at)
+            firsts.append(first)
+            if last > latest:
+                latest = last
+        elif opcode == records.CHANNEL:
+            if len(channels) >= records.CHANNELS or length > records.RECORD_BYTES:
+                raise Damaged("there are too many channels")
+            channels.append(records.channel_record(summary[at + 9 : at + 9 + length], own=True))
+        elif opcode == _STATISTICS:
+            counted, counts = _statistics(summary[at + 9 : at + 9 + min(length, 4096)])
+        elif opcode not in _PASSED:
+            raise Damaged("what stands there is no record of a summary")
+        at += 9 + length
+    told = (sum(counts.values()), len(channels), len(entries), min(firsts, default=0), latest)
+    known = {topic.channel: (topic.name, topic.encoding) for topic in topics.TOPICS}
+    table = {channel.id: (channel.topic, channel.encoding) for channel in channels}
+    start = metadata.get(topics.START_KEY)
+    if (
+        at != end
+        or reached > data_end
+        or told != counted
+        # Each message has 16 bytes in an index of messages.
+        or 16 * told[0] > data_end - data_start
+        or not counts.keys() <= table.keys()
+        or not table.items() <= known.items()
+        or {channel.metadata.get(topics.CHANNEL_START_KEY) for channel in channels} != {start}
+    ):
+        raise Damaged("the index does not fit")
+    contents = Contents(
+        size=size,
+        regions=((len(MAGIC), size),),
+        own=True,
+        counted=True,
+        library=library,
+        metadata=metadata,
+        starts=() if start is None else (start,),
+        channels=table,
+        first=told[3],
+        last=latest,
+        counts={topic: counts.get(channel, 0) for channel, (topic, _) in table.items()},
+        sizes={},
+        unfinished=False,
+        damage=(),
+    )
+    return Index(contents, data_end, summary, entries)
+
+
+def _front(file: BufferedReader, size: int) -> tuple[str, dict[str, str], int]:
+    """The library, the metadata `bilprov`, and the offset behind them. Raises Damaged."""
+    source = RecordFile(file, size)
+    source.own = True
+    header = source.record(len(MAGIC))
+    about = source.record(header.end)
+    if (header.opcode, about.opcode) != (records.HEADER, records.METADATA):
+        raise Damaged("the file does not begin as bilprov's do")
+    library = records.header_library(header.content)
+    name, metadata = records.metadata_record(about.content)
+    if not library.startswith(records.OWN_LIBRARY) or name != topics.METADATA_NAME:
+        raise Damaged("the file does not begin as bilprov's do")
+    return library, metadata, about.end
+
+
+def _end(file: BufferedReader, size: int) -> tuple[int, bytes]:
+    """Where the summary begins, and its bytes with the footer and the magic. Raises Damaged."""
+    file.seek(max(0, size - _END))
+    footer = file.read(_END)
+    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
+    if (opcode, length, footer[-len(MAGIC) :]) != (records.FOOTER, records.FOOTER_BYTES, MAGIC):
+        raise Damaged("the file is not finished")
+    data_end = start - len(_DATA_END)
+    if not len(MAGIC) <= data_end <= size - _END or size - data_end > SUMMARY_BYTES:
+        raise Damaged("the summary does not begin where it can")
+    file.seek(data_end)
+    content = file.read(size - data_end)
+    covered = memoryview(content)[len(_DATA_END) : 4 - _END + 21]
+    if len(content) != size - data_end or not content.startswith(_DATA_END):
+        raise Damaged("the data do not end before the summary")
+    if zlib.crc32(covered) != crc:
+        raise Damaged("the summary's checksum is wrong")
+    return start, content[len(_DATA_END) :]
+
+
+def _statistics(content: bytes) -> tuple[tuple[int, ...], dict[int, int]]:
+    """What a statistics record tells: messages, channels, chunks, times; messages by channel id."""
+    messages, _, channels, _, _, chunks, first, last, length = _COUNTS.unpack_from(content)
+    if length % _COUNT.size or len(content) != _COUNTS.size + length:
+        raise Damaged("the statistics are not as long as they should be")
+    counts = dict(_COUNT.iter_unpack(content[_COUNTS.size :]))
+    return (messages, channels, chunks, first, last), counts

@@ -1,0 +1,364 @@
+"""`bilprov convert --decoded`: a new capture holds what the old one does, and all that it means."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from bilprov.analyzer.api import read_capture
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.records import HostRecord
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.conversion import write_decoded
+from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
+from bilprov.analyzer.replay.seek import opened_at
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.codec import all_data, raw_frame
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import Done, command
+from tests.support.recordings import attachments_of
+from tests.support.traffic import records_of
+
+SAMPLES = ROOT / "captures" / "samples"
+START = 1_790_000_000_000_000_000
+DECODED = ("/host/instructions", "/device/responses", "/state", "/faults")
+PATIENCE = 60.0  # s
+
+
+def converted(path: Path, *before: str) -> tuple[Path, Done]:
+    new = path.with_name("new.mcap")
+    done = command(*before, "convert", "--decoded", str(path), str(new))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == b""
+    return new, done
+
+
+def by_topic(path: Path) -> dict[str, list[tuple[int, object]]]:
+    """The times and values of the messages, by topic."""
+    found: dict[str, list[tuple[int, object]]] = {topic.name: [] for topic in topics.TOPICS}
+    for message in open_capture(path).messages():
+        found.setdefault(message.topic, []).append((message.t, message.value))
+    return found
+
+
+def metadata(protocol: Protocol) -> dict[str, str]:
+    return session_metadata(
+        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
+    )
+
+
+def recorded(path: Path) -> dict[str, Any]:
+    """The messages by topic, but for checkpoints, which an older kit did not make."""
+    return {topic: held for topic, held in by_topic(path).items() if topic != "/checkpoint"}
+
+
+def heavy(protocol: Protocol, path: Path, frames: int, decoded: bool = True) -> tuple[Path, Path]:
+    """A live recording in which the decoded topics stop, and one in which they do not."""
+    whole = path.with_name("whole.mcap")
+    kinds = [
+        raw_frame(protocol, spec.id, spec.length, data)
+        for spec in protocol.instructions
+        for data in list(all_data(spec))[:3]
+    ]
+    ok = bytes([protocol.responses[0].code])
+    session = Session(protocol, timeout=50 * MS, skew=0)
+    with (
+        Recorder(path, START, metadata(protocol)) as live,
+        RecordWriter(whole, START, metadata(protocol)) as run,
+    ):
+        for n in range(frames // 50):
+            t = n * 10 * MS
+            sent = b"".join(kinds[(n + k) % len(kinds)] for k in range(50))
+            for event in (Chunk(t, "host", sent), Chunk(t + MS, "device", ok * (49 + n % 3))):
+                live.events([event])
+                run.event(event)
+                records = session.feed(event) if decoded else []
+                count = sum(isinstance(record, HostRecord) for record in records)
+                live.decoded(count, event.t, lambda records=records: records)  # type: ignore[misc]
+                for record in records:
+                    run.record(record)
+    return path, whole
+
+
+@pytest.mark.parametrize("sample", ["examples.mcap", "older/conform.mcap.gz"])
+def test_a_sample_has_the_topics_that_it_had(sample: str, tmp_path: Path) -> None:
+    content = (SAMPLES / sample).read_bytes()
+    path = tmp_path / "old.mcap"
+    path.write_bytes(gzip.decompress(content) if sample.endswith(".gz") else content)
+    new, done = converted(path)
+    assert recorded(new) == recorded(path)
+    assert open_capture(new).metadata == open_capture(path).metadata
+    assert attachments_of(new) == attachments_of(path)
+    assert (open_capture(new).damage, open_capture(new).unfinished) == ((), False)
+    assert done.stderr.decode() == f"{path} is in {new}, with all that is decoded from it\n"
+    if "conform" in sample:
+        assert command("recheck", str(new)).stdout.startswith(b"the same: 26 cases, verdict pass")
+
+
+def test_raw_bytes_alone_become_a_full_capture(tmp_path: Path) -> None:
+    raw = tmp_path / "raw.mcap"
+    sample = open_capture(SAMPLES / "examples.mcap")
+    about = {key: text for key, text in sample.metadata.items() if key != topics.START_KEY}
+    with CaptureWriter(raw, start_wall=sample.start, metadata=about, version="1") as writer:
+        for event in sample.events():
+            if isinstance(event, Chunk):
+                writer.chunk(event)
+            else:
+                writer.write(event, event.t)
+    assert not by_topic(raw)["/host/instructions"]
+    new, _ = converted(raw)
+    assert recorded(new) == recorded(SAMPLES / "examples.mcap")
+
+
+def test_topics_that_stopped_while_recording_are_complete_afterwards(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    live, whole = heavy(protocol, tmp_path / "live.mcap", 6_000)
+    new, _ = converted(live)
+    was, full, now = by_topic(live), by_topic(whole), by_topic(new)
+    assert 0 < len(was["/host/instructions"]) < len(full["/host/instructions"]) == 6_000
+    assert {topic: now[topic] for topic in DECODED} == {topic: full[topic] for topic in DECODED}
+    for topic in ("/host/raw", "/device/raw", "/line"):
+        assert now[topic] == was[topic]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [1_200, 2_500, 3_900])
+def test_the_new_file_has_checkpoints_to_go_on_from(
+    protocol: Protocol, tmp_path: Path, start: int
+) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+    new, _ = converted(live)
+    opened = opened_at(new, protocol, start * MS)
+
+    assert opened.decoder.saved() != StreamDecoder(protocol).saved()
+    from_there = records_of(opened.decoder.feed(list(opened.events())) + opened.decoder.finish())
+    assert from_there == list(read_capture(new, protocol))[-len(from_there) :]
+
+
+@pytest.mark.slow
+def test_damage_becomes_a_gap(protocol: Protocol, tmp_path: Path) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+    with live.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    content = bytearray(live.read_bytes())
+    chunks = summary.chunk_indexes
+    content[chunks[len(chunks) // 2].chunk_start_offset + 33] ^= 255  # in the checksum
+    live.write_bytes(bytes(content))
+    new, done = converted(live)
+    assert b"is damaged" in done.stderr
+    assert list(open_capture(new).events()) == list(open_capture(live).events())
+    assert [e.event for e in open_capture(new) if isinstance(e, Line)] == ["gap"]
+    assert open_capture(new).damage == ()
+
+
+def test_an_unfinished_capture_is_finished(protocol: Protocol, tmp_path: Path) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+    os.truncate(live, live.stat().st_size * 2 // 3)
+    new, done = converted(live)
+    assert b"was never finished" in done.stderr
+    assert list(open_capture(new).events()) == list(open_capture(live).events())
+    assert not open_capture(new).unfinished
+
+
+def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="other")
+        names = (topics.DEVICE_RAW, "/camera\x1b[2J", topics.HOST_RAW)
+        device, camera, host = (writer.register_channel(name, "x", 0) for name in names)
+        writer.add_message(device, START + 5, b"\0", 0)
+        writer.add_message(host, START, b"\x81\x05", 0)
+        writer.add_message(camera, START + 1, b"picture", 0)
+        writer.finish()
+    new, done = converted(path)
+    assert b"left out, since they are none of bilprov's topics: /camera\\x1b[2J" in done.stderr
+    assert list(open_capture(new).events()) == [
+        Chunk(0, "host", b"\x81\x05"),
+        Chunk(5, "device", b"\0"),
+    ]
+    found = by_topic(new)
+    assert [len(found[topic]) for topic in DECODED[:2]] == [1, 1]
+
+
+def test_another_grammar_decodes_and_is_named_in_the_new_capture(
+    grammar_text: str, tmp_path: Path
+) -> None:
+    grammar = tmp_path / "other.py"
+    grammar.write_text(grammar_text + "\n")
+    path = tmp_path / "old.mcap"
+    path.write_bytes((SAMPLES / "examples.mcap").read_bytes())
+    new, done = converted(path, "--grammar", str(grammar))
+    assert b"was recorded with another grammar" in done.stderr
+    shown = command("--grammar", str(grammar), "info", str(new), "--format", "json")
+    assert msgspec.json.decode(shown.stdout)["same_grammar"] is True
+
+
+def test_a_capture_is_never_overwritten(tmp_path: Path) -> None:
+    new = tmp_path / "new.mcap"
+    new.write_bytes(b"precious")
+    done = command("convert", "--decoded", str(SAMPLES / "examples.mcap"), str(new))
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert b"exists and captures are never overwritten" in done.stderr
+    assert new.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("{old}", "{new}"), "say what OUT is to hold"),
+        (("--decoded", "{old}"), "missing argument"),
+        (("--decoded", "{none}", "{new}"), "does not exist"),
+        (("--decoded", "{text}", "{new}"), "is not MCAP"),
+        (("--decoded", "{old}", "{none}/new.mcap"), "cannot be made"),
+    ],
+)
+def test_wrong_use_is_one_sentence(
+    tmp_path: Path, arguments: tuple[str, ...], sentence: str
+) -> None:
+    names = {name: str(tmp_path / name) for name in ("new", "none", "text")}
+    Path(names["text"]).write_text("text without a magic")
+    names["old"] = str(SAMPLES / "examples.mcap")
+    done = command("convert", *(argument.format(**names) for argument in arguments))
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert sentence in done.stderr.decode()
+    assert done.stderr.count(b"\n") == 1
+    assert not Path(names["new"]).exists()
+
+
+def test_a_start_outside_of_the_format_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="other")
+        writer.add_metadata(topics.METADATA_NAME, {topics.START_KEY: "9" * 20})
+        writer.add_message(writer.register_channel(topics.HOST_RAW, "x", 0), 5, b"\0", 0)
+        writer.finish()
+    done = command("convert", "--decoded", str(path), str(tmp_path / "new.mcap"))
+    assert done.returncode == 2
+    assert b"cannot be written anew: log time is 99999999999999999999" in done.stderr
+    assert done.stderr.count(b"\n") == 1
+    assert not (tmp_path / "new.mcap").exists()
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_conversion_leaves_no_file(
+    protocol: Protocol, tmp_path: Path, number: signal.Signals
+) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 400_000, decoded=False)
+    new = tmp_path / "new.mcap"
+    words = [sys.executable, "-m", "bilprov", "convert", "--decoded", str(live), str(new)]
+    with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE) as child:
+        end = time.monotonic() + PATIENCE
+        while not (new.exists() and new.stat().st_size > 50_000):
+            assert time.monotonic() < end
+            assert child.poll() is None
+            time.sleep(0.01)
+        child.send_signal(number)
+        _, said = child.communicate(timeout=PATIENCE)
+    assert (child.returncode, said.decode()) == (130, f"stopped: {new} was not written\n")
+    assert not new.exists()
+
+
+FULL = """
+import resource, signal, sys
+from bilprov.__main__ import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+main(["convert", "--decoded", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.waits
+def test_a_full_disk_is_one_sentence_and_keeps_what_it_says(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 8_000)
+    new = tmp_path / "new.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(live), str(new)],
+        cwd=ROOT,
+        capture_output=True,
+        check=False,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 2
+    assert b"disk full: what was captured until" in done.stderr
+    assert done.stderr.count(b"\n") == 1
+    assert open_capture(new).damage == ()
+    assert 0 < len(by_topic(new)["/host/instructions"]) < 8_000
+
+
+@pytest.mark.waits
+def test_on_a_terminal_progress_is_drawn(protocol: Protocol, tmp_path: Path) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 30_000, decoded=False)
+    ours, theirs = pty.openpty()
+    words = ["convert", "--decoded", str(live), str(tmp_path / "new.mcap")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *words], cwd=ROOT, stderr=theirs
+    ) as child:
+        os.close(theirs)
+        shown = b""
+        try:
+            while part := os.read(ours, 4_096):
+                shown += part
+        except OSError:  # the other end is closed
+            pass
+    os.close(ours)
+    assert child.returncode == 0
+    assert b"%" in shown
+    assert b"is in " in shown
+
+
+def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+    capture = open_capture(live)
+    seen = 0
+
+    def go_on() -> bool:
+        nonlocal seen
+        seen += 1
+        if seen == 50:
+            os.truncate(live, live.stat().st_size // 4)
+        return True
+
+    with pytest.raises(CaptureError, match="changed while it was read"):
+        write_decoded(capture, protocol, tmp_path / "new.mcap", go_on)
+    assert not (tmp_path / "new.mcap").exists()
+
+
+def test_messages_keep_their_order(tmp_path: Path) -> None:
+    path = tmp_path / "old.mcap"
+    path.write_bytes((SAMPLES / "examples.mcap").read_bytes())
+
+    def order(path: Path) -> list[Message]:
+        kept = (topics.HOST_RAW, topics.DEVICE_RAW, topics.LINE)
+        return [
+            msgspec.structs.replace(message, sequence=0)
+            for message in open_capture(path).messages(kept)
+        ]
+
+    new, _ = converted(path)
+    assert order(new) == order(path)

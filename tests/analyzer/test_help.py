@@ -1,0 +1,168 @@
+"""The help pages: their width, paragraphs, panels, options and colours."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from bilprov.__main__ import COMMANDS
+from bilprov.analyzer.output.help import Group, Page, with_pages
+from bilprov.analyzer.transport.pty import open_pty
+from tests.support import ROOT
+from tests.support.commands import PATIENCE, command, process
+
+ESCAPE = "\x1b"
+WIDTHS = (40, 60, 80, 120)
+
+
+def page(*words: str, columns: int = 80) -> list[str]:
+    result = command(*words, "--help", COLUMNS=str(columns))
+    assert (result.returncode, result.stderr) == (0, b"")
+    return result.stdout.decode().splitlines()
+
+
+@click.group("kit", cls=Group, epilog="Ends well.")
+@click.option("-v", "--verbose", is_flag=True, help="Say more.")
+@click.option("--rate", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="Rate.")
+@click.option("--port", required=True, help="Where to.")
+def kit() -> None:
+    """Do one thing,
+    and another.
+
+    Use it well-meant.
+    """
+
+
+@kit.command("run")
+@click.argument("file")
+def run(file: str) -> None:
+    """Run a file with a sentence that is longer than one line of such a narrow page as this."""
+
+
+with_pages(kit)
+
+
+def made(columns: int) -> str:
+    with click.Context(kit, info_name="kit") as context:
+        formatter = Page(columns)
+        kit.format_help(context, formatter)
+    return formatter.getvalue()
+
+
+def test_a_page_has_usage_paragraphs_commands_options_with_their_limits_and_the_epilog(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    assert (
+        made(60)
+        == """\
+Usage: kit [OPTIONS] COMMAND [ARGS]...
+
+  Do one thing, and another.
+
+  Use it well-meant.
+
+Commands:
+  run  Run a file with a sentence that is longer than one
+       line of such a narrow page as this.
+
+Options:
+  -v, --verbose     Say more.
+      --rate FLOAT  Rate.  [default: 0.5; 0<=x<=1]
+      --port TEXT   Where to.  [required]
+      --help        Show this message and exit.
+
+  Ends well.
+"""
+    )
+
+
+@pytest.mark.parametrize("columns", WIDTHS)
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_a_page_is_as_wide_as_the_terminal_and_ends_no_line_in_a_blank(
+    name: str, columns: int
+) -> None:
+    lines = page(*filter(None, [name]), columns=columns)
+
+    assert [line for line in lines if len(line) > columns or line != line.rstrip()] == []
+    if columns > 40:
+        assert max(map(len, lines)) > 0.75 * min(columns, 80)
+
+
+def test_a_very_wide_terminal_gets_no_endless_lines() -> None:
+    assert max(map(len, page("conform", columns=500))) <= 120
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("columns", ["", "0", "-3", "wide"])
+def test_a_width_that_is_none_counts_as_80(columns: str) -> None:
+    shown = process("--help", env={"COLUMNS": columns}).stdout.decode()
+    assert shown.splitlines() == page(columns=80)
+
+
+def test_no_line_is_broken_at_a_hyphen() -> None:
+    for columns in range(60, 121, 5):
+        lines = page("conform", columns=columns)
+        assert [line for line in lines if re.search(r"\w-$", line)] == []
+
+
+def test_the_front_page_lists_every_command_by_panel_in_the_order_of_the_table() -> None:
+    lines = page()
+
+    listed = [line.split()[0] for line in lines if re.match(r"  [a-z]+  ", line)]
+    assert listed == list(COMMANDS)
+    headings = [line[:-1] for line in lines if re.match(r"\w+:$", line)]
+    assert headings == [*dict.fromkeys(row.panel for row in COMMANDS.values()), "Options"]
+
+
+def test_the_pages_of_commands_below_a_group_look_the_same() -> None:
+    assert "  -o, --output FILE  Where to; standard output if left out." in page(
+        "spec", "emit", "c"
+    )
+    assert [line for line in page("spec", "emit") if line.endswith(":")] == [
+        "Commands:",
+        "Options:",
+    ]
+    assert max(map(len, page("spec", "show", columns=40))) <= 40
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    ("variables", "coloured"),
+    [
+        ({}, True),
+        ({"NO_COLOR": ""}, True),
+        ({"NO_COLOR": "1"}, False),
+        ({"TERM": "dumb"}, False),
+    ],
+)
+def test_a_terminal_gets_the_same_page_in_colours_unless_they_are_not_wanted(
+    variables: dict[str, str], coloured: bool
+) -> None:
+    given = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
+    with open_pty() as terminal, Path(terminal.name).open("wb") as stdout:
+        ended = subprocess.run(
+            [sys.executable, "-m", "bilprov", "--help"],
+            cwd=ROOT,
+            stdout=stdout,
+            env=given | {"TERM": "xterm", "COLUMNS": "80"} | variables,
+            timeout=PATIENCE,
+            check=False,
+        )
+        shown = terminal.read().decode()
+
+    assert ended.returncode == 0
+    assert (ESCAPE in shown) == coloured
+    assert re.sub(ESCAPE + r"\[\d+m", "", shown).splitlines() == page()
+
+
+def test_a_pipe_gets_no_colours_even_when_the_environment_asks_for_them() -> None:
+    shown = command("--help", FORCE_COLOR="1", GITHUB_ACTIONS="true", TERM="xterm").stdout
+    assert ESCAPE.encode() not in shown

@@ -1,0 +1,168 @@
+"""Replay from a checkpoint on: the same lines as a full replay from there on."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.output.outputs import NoOutput, Shown, StreamOutput, Window
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.seek import opened_at
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.topics import CHECKPOINT
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+
+START = 1_790_000_000_000_000_000
+TIMEOUT, SKEW = 50 * MS, 20 * MS
+
+
+def made(protocol: Protocol, path: Path, seed: int, *, attached: bool = False) -> Path:
+    """A capture of some seconds with checkpoints: busy and quiet, with whatever can go wrong."""
+    draw = random.Random(seed)
+    metadata = session_metadata(
+        protocol,
+        ports={},
+        line="",
+        timeout=TIMEOUT,
+        skew=SKEW,
+        heard=("host", "device"),
+        attached=attached,
+    )
+    decoder = StreamDecoder(protocol, timeout=TIMEOUT, skew=SKEW, attached=attached)
+    with Recorder(path, START, metadata) as recorder:
+        pipeline = Pipeline(
+            decoder,
+            Statistics(protocol, 86_806),
+            Shown(NoOutput()),
+            recorder,
+            patience=draw.choice([0, 50 * MS]),
+        )
+        t = 0
+        while t < 6_000 * MS:
+            events, t = _turn(protocol, draw, t)
+            pipeline.events(events)
+            pipeline.advance(t)
+        pipeline.finish()
+    return path
+
+
+def _turn(protocol: Protocol, draw: random.Random, t: int) -> tuple[list[Chunk | Line], int]:
+    """Some events from `t` on, and when they are over."""
+    frames = []
+    for _ in range(draw.choice([1, 1, 1, 3, 400])):
+        header = draw.randrange(256)
+        frames.append(bytes([header]) + draw.randbytes(protocol.lengths[header]))
+    said = b"".join(frames)
+    answers = bytes(judge(protocol, frame).response.code for frame in frames)
+    if draw.random() < 0.05:
+        said = said[: draw.randrange(1, len(said) + 1)]
+    if draw.random() < 0.05:
+        answers = draw.randbytes(1) + answers[draw.randrange(2) :]
+    events: list[Chunk | Line] = [Chunk(t, "host", said)]
+    t += draw.choice([MS, MS, 5 * MS])
+    if draw.random() < 0.95:
+        events.append(Chunk(t, "device", answers))
+    if draw.random() < 0.02:
+        events.append(Line(t, draw.choice(["gap", "break", "overrun"])))
+    return events, t + draw.choice([1, MS, 20 * MS, 60 * MS, 200 * MS])
+
+
+def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str]:
+    """The JSON lines of a replay from `start` (ns) on."""
+    text: list[str] = []
+    opened = opened_at(path, protocol, start if seek else 0)
+    pipeline = Pipeline(
+        opened.decoder,
+        Statistics(protocol, 86_806),
+        Shown(StreamOutput(text.append, JsonText()), window=Window(start)),
+    )
+    for event in opened.events():
+        pipeline.events([event])
+        pipeline.advance(event.t)
+    pipeline.finish()
+    return "".join(text).splitlines()
+
+
+def later(full: list[str], start: int) -> list[str]:
+    return [line for line in full if msgspec.json.decode(line)["t"] * 1e9 >= start - 0.5]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "attached"), [(1, False), (2, True), (3, False), (4, True)])
+def test_the_lines_from_a_checkpoint_are_those_of_a_full_replay(
+    protocol: Protocol, tmp_path: Path, seed: int, attached: bool
+) -> None:
+    path = made(protocol, tmp_path / "made.mcap", seed, attached=attached)
+    assert open_capture(path).contents.counts[CHECKPOINT] >= 5
+    full = lines(path, protocol, 0, seek=False)
+    draw = random.Random(seed)
+
+    for start in (draw.randrange(6_500 * MS) for _ in range(50)):
+        assert lines(path, protocol, start, seek=True) == later(full, start)
+
+
+@pytest.mark.slow
+def test_what_stands_before_the_checkpoint_is_not_read(protocol: Protocol, tmp_path: Path) -> None:
+    path = made(protocol, tmp_path / "made.mcap", 5)
+    all_events = sum(1 for _ in open_capture(path))
+
+    opened = opened_at(path, protocol, 5_000 * MS)
+
+    assert sum(1 for _ in opened.events()) < all_events / 3
+
+
+@pytest.mark.parametrize("sample", sorted((ROOT / "captures" / "samples").glob("*.mcap")))
+def test_an_older_capture_is_replayed_and_said_to_be_slow(protocol: Protocol, sample: Path) -> None:
+    full = lines(sample, protocol, 0, seek=False)
+    draw = random.Random(sample.name)
+
+    assert "no checkpoints" in opened_at(sample, protocol, 1).note
+    for start in (draw.randrange(2_000 * MS) for _ in range(20)):
+        assert lines(sample, protocol, start, seek=True) == later(full, start)
+
+
+@pytest.mark.parametrize("lie", ["grammar", "crc", "nonsense", "settings"])
+def test_a_checkpoint_that_lies_is_not_believed(
+    protocol: Protocol, tmp_path: Path, lie: str
+) -> None:
+    honest = made(protocol, tmp_path / "made.mcap", 6)
+    lying = tmp_path / "lying.mcap"
+    capture = open_capture(honest)
+    about = {key: text for key, text in capture.metadata.items() if key != "start"}
+    with CaptureWriter(lying, start_wall=START, metadata=about, version="1") as writer:
+        for value in capture.recorded():
+            if isinstance(value, Chunk):
+                writer.chunk(value)
+            elif isinstance(value, Line):
+                writer.write(value, value.t)
+            else:
+                writer.write(_lying(value, lie), value.t)  # type: ignore[arg-type]
+
+    full = lines(lying, protocol, 0, seek=False)
+    assert lines(lying, protocol, 4_000 * MS, seek=True) == later(full, 4_000 * MS)
+
+
+def _lying(value: msgspec.Struct, lie: str) -> msgspec.Struct:
+    """A checkpoint with a state that is not true, and one thing that gives it away."""
+    state = msgspec.json.decode(value.decoder)  # type: ignore[attr-defined]
+    state["sequence"] += 1000
+    if lie == "nonsense":
+        state["sequence"] = -1
+    if lie == "settings":
+        state["timeout"] += 1
+    text = msgspec.json.encode(state).decode()
+    if lie == "crc":
+        return msgspec.structs.replace(value, decoder=text)
+    grammar = "0" * 64 if lie == "grammar" else value.grammar  # type: ignore[attr-defined]
+    return type(value).of(value.t, grammar, text)  # type: ignore[attr-defined, no-any-return]

@@ -1,0 +1,278 @@
+"""The writer behind the reader: nothing is dropped, nothing hangs, and errors come back."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bilprov.captures.background import EVENT_BYTES, QUEUE_BYTES, BackgroundWriter
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Checkpoint, Chunk, Line
+from tests.support import ROOT
+
+START = 1_790_000_000_000_000_000
+PATIENCE = 60.0  # s; what takes longer hangs
+READ = 64 * 1024 - EVENT_BYTES  # 256 of these fill the queue
+FITS = QUEUE_BYTES // (64 * 1024)
+
+
+def writer(path: Path) -> BackgroundWriter:
+    return BackgroundWriter(path, start_wall=START, metadata={}, version="0.1.0")
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def chunks(path: Path) -> list[Chunk]:
+    return [event for event in open_capture(path) if isinstance(event, Chunk)]
+
+
+def onto_a_pipe(path: Path) -> int:
+    """Put a pipe in the place of the open capture file; returns the end that is read."""
+    reader, end = os.pipe()
+    (number,) = (
+        int(entry.name)
+        for entry in Path("/proc/self/fd").iterdir()
+        if entry.is_symlink() and os.path.realpath(entry) == str(path)
+    )
+    os.dup2(end, number)
+    os.close(end)
+    return reader
+
+
+def test_what_is_handed_over_comes_back_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    events: list[Chunk | Line] = [
+        Line(t, "modem") if t % 7 == 3 else Chunk(t, "device" if t % 2 else "host", b"%d" % t)
+        for t in range(5_000)
+    ]
+    with writer(path) as capture:
+        assert capture.path == path
+        for event in events:
+            if isinstance(event, Chunk):
+                capture.chunk(event)
+            else:
+                capture.write(event, event.t)
+        capture.write(Checkpoint.of(5_000, "g", "{}"), 5_000)
+    read = open_capture(path)
+    assert list(read) == events
+    assert (read.unfinished, read.damage, read.contents.counts["/checkpoint"]) == (False, (), 1)
+    assert capture.waited_ns == 0
+
+
+@pytest.mark.waits
+def test_what_waits_is_written_without_another_call(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with writer(path) as capture:
+        for t in range(3):
+            capture.chunk(Chunk(t, "host", b"a"))
+            until(lambda t=t: len(chunks(path)) == t + 1)  # type: ignore[misc]
+
+
+@pytest.mark.waits
+def test_a_full_queue_makes_the_reader_wait_and_drops_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    handed = 0
+    data = random.Random(1).randbytes(READ)
+    capture = writer(path)
+    pipe = onto_a_pipe(path)
+
+    def read_a_line() -> None:
+        nonlocal handed
+        for n in range(3 * FITS):
+            capture.chunk(Chunk(n, "host", n.to_bytes(4, "big") + data[4:]))
+            handed += 1
+        capture.close()
+
+    reader = threading.Thread(target=read_a_line, daemon=True)
+    reader.start()
+    until(lambda: handed >= FITS - 1)
+    time.sleep(0.2)  # in which a reader that does not wait would have handed over all
+    held = handed
+    content = path.read_bytes()
+    with os.fdopen(pipe, "rb") as consumer:
+        content += consumer.read()
+    reader.join(PATIENCE)
+    assert not reader.is_alive()
+    assert FITS - 1 <= held < FITS + 10  # the pipe and the chunk under way hold some
+    assert capture.waited_ns > 0
+    path.write_bytes(content)
+    assert [int.from_bytes(chunk.data[:4], "big") for chunk in chunks(path)] == [*range(3 * FITS)]
+    assert not open_capture(path).unfinished
+
+
+@pytest.mark.waits
+def test_a_file_that_breaks_while_the_queue_is_full_ends_the_waiting(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    said: list[str] = []
+    capture = writer(path)
+    pipe = onto_a_pipe(path)
+    data = random.Random(1).randbytes(READ)
+    handed = 0
+
+    def read_a_line() -> None:
+        nonlocal handed
+        for n in range(3 * FITS):
+            try:
+                capture.chunk(Chunk(n, "host", data))
+                handed += 1
+            except CaptureError as error:
+                said.append(str(error))
+                if len(said) == 2:
+                    return
+
+    reader = threading.Thread(target=read_a_line, daemon=True)
+    reader.start()
+    until(lambda: handed >= FITS)
+    os.close(pipe)
+    reader.join(PATIENCE)
+    assert not reader.is_alive()
+    assert said == [f"Broken pipe: what was captured until 0.0 s is kept in {path}"] * 2
+    assert capture.waited_ns > 0
+    capture.close()
+    capture.close()
+
+
+@pytest.mark.waits
+def test_a_deleted_file_is_told_by_the_next_call_and_by_close_if_there_is_none(
+    tmp_path: Path,
+) -> None:
+    for call in (True, False):
+        path = tmp_path / f"{call}.mcap"
+        capture = writer(path)
+        path.unlink()
+        capture.chunk(Chunk(0, "host", b"x"))
+        if call:
+            until(lambda capture=capture: capture._error is not None)  # type: ignore[misc]
+            for _ in range(2):
+                with pytest.raises(CaptureError, match="was deleted while recording"):
+                    capture.chunk(Chunk(1, "host", b"x"))
+            with pytest.raises(CaptureError, match="was deleted while recording"):
+                capture.check()
+        else:
+            with pytest.raises(CaptureError, match="was deleted while recording"):
+                capture.close()
+        capture.close()
+
+
+def test_wrong_use_is_told_and_the_file_is_finished(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    capture = writer(path)
+    capture.chunk(Chunk(0, "host", b"x"))
+    capture.chunk(Chunk(-START - 1, "host", b"y"))
+    with pytest.raises(ValueError, match="log time is"):
+        capture.close()
+    capture.close()
+    assert [chunk.data for chunk in chunks(path)] == [b"x"]
+    assert not open_capture(path).unfinished
+
+
+def test_after_closing_nothing_is_taken(tmp_path: Path) -> None:
+    capture = writer(tmp_path / "a.mcap")
+    capture.close()
+    capture.close()
+    with pytest.raises(ValueError, match="is closed"):
+        capture.chunk(Chunk(0, "host", b"x"))
+    assert not open_capture(tmp_path / "a.mcap").unfinished
+
+
+def test_a_file_that_cannot_be_made_starts_no_thread(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").touch()
+    before = threading.active_count()
+    with pytest.raises(CaptureError, match="exists and captures are never overwritten"):
+        writer(tmp_path / "a.mcap")
+    assert threading.active_count() == before
+
+
+FULL = """
+import json, random, resource, signal, sys, time
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Chunk
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+capture = BackgroundWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+bytes_of = random.Random(1).randbytes
+said = []
+for t in range(0, 10**12, 50_000_000):
+    try:
+        capture.chunk(Chunk(t, "host", bytes_of(1000)))
+        time.sleep(0.0005)
+    except CaptureError as error:
+        said.append(str(error))
+        if len(said) == 2:
+            break
+capture.close()
+print(json.dumps([said, t]))
+"""
+
+
+@pytest.mark.waits
+def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    child = subprocess.run(
+        [sys.executable, "-c", FULL, str(path)],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+        timeout=PATIENCE,
+    )
+    said, last = json.loads(child.stdout)
+    kept = chunks(path)
+    assert said[0].startswith("disk full: what was captured until ")
+    assert said == [said[0]] * 2
+    assert [chunk.t for chunk in kept] == list(range(0, kept[-1].t + 1, 50_000_000))
+    assert 0 < kept[-1].t < last
+    assert (open_capture(path).damage, open_capture(path).unfinished) == ((), True)
+
+
+INTERRUPTED = """
+import sys, time
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.schemas import Chunk
+with BackgroundWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0") as capture:
+    for t in range(10**9):
+        capture.chunk(Chunk(t, "host", b"x"))
+        print(t, flush=True)
+        time.sleep(0.001)
+"""
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_finishes_the_file_and_kill_9_leaves_a_whole_part(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-c", INTERRUPTED, str(path)]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as child:
+        assert child.stdout is not None
+        for _ in range(300):
+            child.stdout.readline()
+        child.send_signal(number)
+        lines = child.stdout.read().splitlines()
+        child.wait(PATIENCE)
+    last = int(lines[-1]) if lines else 299
+    kept = [chunk.t for chunk in chunks(path)]
+    assert kept == list(range(len(kept)))
+    assert open_capture(path).unfinished == (number == signal.SIGKILL)
+    if number == signal.SIGINT:
+        assert len(kept) >= last + 1
+    assert kept

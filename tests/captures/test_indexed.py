@@ -1,0 +1,397 @@
+"""Captures opened by their index: they tell what a survey tells, and a lie is never believed."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import random
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
+from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
+
+START = 1_790_000_000_000_000_000
+STEP = 1_000
+GRAMMAR = "a" * 64
+SAMPLES = ROOT / "captures" / "samples"
+Sight = Chunk | Line | Look
+
+
+def written(path: Path, checkpoints: dict[int, Checkpoint] | None = None) -> Path:
+    """A finished capture of 12 chunks with 5 messages each, and a checkpoint after some."""
+    marks = checkpoints
+    if marks is None:
+        marks = {n: Checkpoint.of(n * STEP, GRAMMAR, f'{{"after":{n}}}') for n in range(7, 60, 6)}
+    metadata = {"grammar_sha256": GRAMMAR, "heard": "host device"}
+    with CaptureWriter(path, start_wall=START, metadata=metadata, version="1") as capture:
+        for n in range(60):
+            t = n * STEP
+            if n % 10 == 3:
+                capture.write(Line(t, "modem", "host", f"cts {n}"), t)
+            elif n % 10 == 8:
+                capture.write(Look(t, n % 20 == 8), t)
+            else:
+                capture.chunk(Chunk(t, "device" if n % 2 else "host", b"%d" % n))
+            if n in marks:
+                capture.write(marks[n], n * STEP)
+            if n % 5 == 4:
+                capture.flush()
+    return path
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return written(tmp_path / "a.mcap")
+
+
+def opened(path: Path) -> IndexedCapture:
+    capture = open_indexed(path)
+    assert capture is not None
+    return capture
+
+
+def names_of(path: Path) -> list[str]:
+    return [message.topic for message in open_capture(path).messages()]
+
+
+def changed_summary(path: Path, change: Callable[[bytearray, int], None]) -> None:
+    """Change the summary, which begins at the offset given, and put its checksum right."""
+    content = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<Q", content, len(content) - 28)
+    change(content, start)
+    struct.pack_into("<I", content, len(content) - 12, zlib.crc32(content[start:-12]))
+    path.write_bytes(bytes(content))
+
+
+def entries(content: bytes, start: int, kind: int = 8) -> list[int]:
+    """The offsets of the records of a kind in the summary: entries of chunks, or statistics."""
+    found, at = [], start
+    while at < len(content) - 37:
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        if opcode == kind:
+            found.append(at)
+        at += 9 + length
+    return found
+
+
+def test_it_tells_what_a_survey_tells(path: Path) -> None:
+    indexed, surveyed = opened(path), open_capture(path)
+    for name in ("path", "start", "metadata", "library", "unfinished", "damage"):
+        assert getattr(indexed, name) == getattr(surveyed, name)
+    for name in ("counts", "channels", "first", "last", "own", "size"):
+        assert getattr(indexed.contents, name) == getattr(surveyed.contents, name)
+    assert list(indexed.sights()) == list(surveyed.sights())
+    assert list(indexed.events()) == list(indexed) == list(surveyed.events())
+    assert list(indexed.messages()) == list(surveyed.messages())
+
+
+def test_captures_of_older_kits_open_by_their_index_too(tmp_path: Path) -> None:
+    older = tmp_path / "older.mcap"
+    older.write_bytes(gzip.decompress((SAMPLES / "older" / "conform.mcap.gz").read_bytes()))
+    for path in (older, SAMPLES / "examples.mcap"):
+        assert list(opened(path).sights()) == list(open_capture(path).sights())
+        assert opened(path).checkpoint_before(1 << 62) is None
+
+
+def test_the_checkpoint_is_the_last_one_strictly_before_the_time(path: Path) -> None:
+    capture = opened(path)
+    times = [n * STEP for n in range(7, 60, 6)]
+    for t in [0, *(at + by for at in times for by in (-1, 0, 1)), 1 << 62]:
+        before = [at for at in times if at < t]
+        found = capture.checkpoint_before(t, GRAMMAR)
+        assert (found.value.t if found else None) == (before[-1] if before else None)
+
+
+def test_what_follows_a_checkpoint_is_what_stands_behind_it_in_the_file(tmp_path: Path) -> None:
+    # By place, not by time: the checkpoint tells an earlier time than the message before it.
+    marks = {n: Checkpoint.of(n * STEP, GRAMMAR, str(n)) for n in (7, 9, 10, 31, 59)}
+    capture = opened(written(tmp_path / "a.mcap", marks))
+    whole = list(capture.sights())
+    for n in marks:
+        found = capture.checkpoint_before(n * STEP + 1)
+        assert found is not None
+        assert found.value == marks[n]
+        assert list(capture.sights(found)) == whole[n + 1 :]
+        rest = [event for event in whole[n + 1 :] if not isinstance(event, Look)]
+        assert list(capture.events(found)) == rest
+
+
+def test_nothing_before_the_checkpoint_is_read(path: Path) -> None:
+    capture = opened(path)
+    found = capture.checkpoint_before(1 << 62, GRAMMAR)
+    assert found is not None
+    after = list(capture.sights(found))
+    content = bytearray(path.read_bytes())
+    content[1_000 : found.place.chunk] = bytes(found.place.chunk - 1_000)
+    path.write_bytes(bytes(content))
+    assert opened(path).checkpoint_before(1 << 62, GRAMMAR) == found
+    assert list(opened(path).sights(found)) == after
+
+
+LIES = {
+    "its checksum is wrong": Checkpoint(55 * STEP, GRAMMAR, "{}", 1),
+    "it is of another grammar": Checkpoint.of(55 * STEP, "b" * 64, "{}"),
+    "its state is not JSON": Checkpoint.of(55 * STEP, GRAMMAR, "{"),
+    "its time is not its message's": Checkpoint.of(3 * STEP, GRAMMAR, "{}"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_checkpoint_that_lies_is_passed_over(tmp_path: Path, lie: str) -> None:
+    good = Checkpoint.of(20 * STEP, GRAMMAR, "{}")
+    capture = opened(written(tmp_path / "a.mcap", {20: good, 55: LIES[lie]}))
+    found = capture.checkpoint_before(1 << 62, GRAMMAR)
+    assert found is not None
+    assert found.value == good
+    alone = opened(written(tmp_path / "b.mcap", {55: LIES[lie]}))
+    assert alone.checkpoint_before(1 << 62, GRAMMAR) is None
+
+
+def test_a_capture_of_another_grammar_has_no_checkpoint_for_this_one(path: Path) -> None:
+    assert opened(path).checkpoint_before(1 << 62, "b" * 64) is None
+    assert opened(path).checkpoint_before(1 << 62) is not None
+
+
+def test_a_damaged_chunk_costs_its_checkpoints_alone(path: Path) -> None:
+    capture = opened(path)
+    last = capture.checkpoint_before(54 * STEP, GRAMMAR)
+    assert last is not None
+    content = bytearray(path.read_bytes())
+    content[last.place.chunk + 33] ^= 1  # in the checksum
+    path.write_bytes(bytes(content))
+    found = opened(path).checkpoint_before(54 * STEP, GRAMMAR)
+    assert found is not None
+    assert 0 < found.value.t < last.value.t
+    rest = list(opened(path).sights(found))
+    assert [event.event for event in rest if isinstance(event, Line)].count("gap") == 1
+    survey = list(open_capture(path).sights())
+    assert rest == survey[-len(rest) :]
+
+
+def test_damage_to_the_chunk_of_a_checkpoint_that_was_found_is_a_gap(path: Path) -> None:
+    found = opened(path).checkpoint_before(18 * STEP, GRAMMAR)
+    assert found is not None
+    before = list(opened(path).sights(found))
+    content = bytearray(path.read_bytes())
+    content[found.place.chunk + 33] ^= 1  # in the checksum
+    path.write_bytes(bytes(content))
+    gap, *rest = opened(path).sights(found)
+    assert isinstance(gap, Line)
+    assert (gap.t, gap.event) == (15 * STEP, "gap")
+    assert rest == before[-len(rest) :]
+    assert len(rest) == 45
+
+
+def set_entry(field: int, value: int, entry: int = -2) -> Callable[[bytearray, int], None]:
+    """Set a number (8 bytes) of the entry of the last chunk but one: times, offset, length."""
+    return lambda content, start: struct.pack_into(
+        "<Q", content, entries(content, start)[entry] + 9 + 8 * field, value
+    )
+
+
+def set_statistics(at: int, form: str, value: int) -> Callable[[bytearray, int], None]:
+    return lambda content, start: struct.pack_into(
+        form, content, entries(content, start, 0x0B)[0] + 9 + at, value
+    )
+
+
+def set_length(content: bytearray, start: int) -> None:
+    struct.pack_into("<Q", content, entries(content, start)[-2] + 1, 1 << 40)
+
+
+def set_counts(content: bytearray, start: int) -> None:
+    """Huge counts whose sum is right."""
+    (at,) = entries(content, start, 0x0B)
+    struct.pack_into("<Q", content, at + 9, 1 << 62)
+    (length,) = struct.unpack_from("<I", content, at + 9 + 42)
+    for n in range(length // 10):
+        struct.pack_into("<Q", content, at + 9 + 46 + 10 * n + 2, 0 if n else 1 << 62)
+
+
+def rename_channel(content: bytearray, start: int) -> None:
+    at = content.index(b"/checkpoint\x04", start)
+    content[at : at + 11] = b"/checkpo1nt"
+
+
+def other_start(content: bytearray, start: int) -> None:
+    at = content.index(str(START).encode(), start)
+    content[at : at + 4] = b"9999"
+
+
+REFUSED: dict[str, Callable[[bytearray, int], None]] = {
+    "a chunk after the file": set_entry(2, 1 << 62),
+    "a chunk in the summary": set_entry(2, 1 << 16),
+    "a chunk before the last one": set_entry(2, 9),
+    "a chunk that is too long": set_entry(3, 1 << 40),
+    "a last chunk that is too long": set_entry(3, 1 << 40, -1),
+    "a chunk that ends before it begins": set_entry(0, (1 << 64) - 1),
+    "a time after all others": set_entry(1, (1 << 64) - 1),
+    "a time before all others": set_entry(0, 0),
+    "an entry that ends after the summary": set_length,
+    "too many messages": set_statistics(0, "<Q", 1 << 62),
+    "too many chunks": set_statistics(22, "<I", 1 << 30),
+    "too many channels": set_statistics(10, "<I", 1 << 30),
+    "another time of the first message": set_statistics(26, "<Q", 5),
+    "a map that is too long": set_statistics(42, "<I", 1 << 31),
+    "huge counts that fit each other": set_counts,
+    "another topic": rename_channel,
+    "another start": other_start,
+}
+
+
+@pytest.mark.parametrize("lie", REFUSED)
+def test_an_index_that_lies_is_not_believed(path: Path, lie: str) -> None:
+    changed_summary(path, lambda content, start: None)
+    whole = list(opened(path).sights())
+    changed_summary(path, REFUSED[lie])
+    assert open_indexed(path) is None
+    assert list(open_capture(path).sights()) == whole
+
+
+@pytest.mark.parametrize("field", ["first", "channels", "size"])
+def test_an_entry_that_hides_a_checkpoint_costs_only_time(path: Path, field: str) -> None:
+    whole = list(opened(path).sights())
+
+    def hide(content: bytearray, start: int) -> None:
+        for at in entries(content, start)[-3:-1]:
+            if field == "first":
+                struct.pack_into("<Q", content, at + 9, START + 59 * STEP)
+                struct.pack_into("<Q", content, at + 17, START + 59 * STEP)
+            elif field == "size":
+                struct.pack_into("<Q", content, at + 33, 60)
+            else:
+                (length,) = struct.unpack_from("<I", content, at + 41)
+                for n in range(length // 10):
+                    struct.pack_into("<H", content, at + 45 + 10 * n, 1)
+
+    honest = opened(path).checkpoint_before(54 * STEP, GRAMMAR)
+    changed_summary(path, hide)
+    found = opened(path).checkpoint_before(54 * STEP, GRAMMAR)
+    assert found is not None
+    assert honest is not None
+    assert found.value.t < honest.value.t
+    rest = list(opened(path).sights(found))
+    assert rest == whole[-len(rest) :]
+
+
+def unfinished(path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 1)
+
+
+def flipped_in_the_summary(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-500] ^= 1
+    path.write_bytes(bytes(content))
+
+
+def foreign(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="", library="bilprovX")
+        channel = writer.register_channel(topics.HOST_RAW, topics.RAW_ENCODING, 0)
+        writer.add_message(channel, 5, b"x", 5)
+        writer.finish()
+
+
+def without_an_index(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file, use_statistics=False, repeat_channels=False)
+        writer.start(profile="", library="bilprov 0")
+        writer.add_metadata("bilprov", {"start": "5"})
+        channel = writer.register_channel(topics.HOST_RAW, topics.RAW_ENCODING, 0)
+        writer.add_message(channel, 5, b"x", 5)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    "make", [unfinished, flipped_in_the_summary, foreign, without_an_index, os.unlink]
+)
+def test_any_other_file_is_left_to_the_survey(path: Path, make: Callable[[Path], Any]) -> None:
+    make(path)
+    assert open_indexed(path) is None
+
+
+def test_what_is_no_file_is_left_to_the_survey(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "empty").touch()
+    for path in (tmp_path, tmp_path / "fifo", tmp_path / "empty", Path("a\0b")):
+        assert open_indexed(path) is None
+
+
+def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path) -> None:
+    capture = opened(path)
+    os.truncate(path, path.stat().st_size - 1)
+    for read in (lambda: list(capture.events()), lambda: capture.checkpoint_before(1 << 62)):
+        with pytest.raises(CaptureError, match="changed while it was read"):
+            read()
+    path.unlink()
+    for read in (lambda: list(capture.events()), lambda: capture.checkpoint_before(1 << 62)):
+        with pytest.raises(CaptureError, match="does not exist"):
+            read()
+
+
+def damage(content: bytearray, choose: random.Random) -> bytearray:
+    at = choose.randrange(len(content))
+    kind = choose.randrange(4)
+    if kind == 0:
+        content[at] ^= 1 << choose.randrange(8)
+    elif kind == 1:
+        content[at : at + 40] = choose.randbytes(len(content[at : at + 40]))
+    elif kind == 2:
+        del content[at : at + choose.randrange(1, 300)]
+    else:
+        struct.pack_into("<Q", content, min(at, len(content) - 8), choose.choice([0, 1 << 62, 9]))
+    return content
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_damage_is_told_by_the_error_of_captures_or_as_a_survey_tells_it(
+    path: Path, tmp_path: Path, seed: int
+) -> None:
+    choose = random.Random(seed)
+    whole = path.read_bytes()
+    before = set(map(repr, opened(path).sights()))
+    accepted = 0
+    for _ in range(150):
+        content = damage(bytearray(whole), choose)
+        path.write_bytes(bytes(content))
+        if choose.random() < 0.5 and len(content) == len(whole):
+            changed_summary(path, lambda content, start: None)
+        capture = open_indexed(path)
+        if capture is None:
+            continue
+        accepted += 1
+        found: StoredCheckpoint | None = None
+        try:
+            found = capture.checkpoint_before(choose.randrange(60 * STEP), GRAMMAR)
+            rest = list(capture.sights(found))
+            surveyed = list(open_capture(path).sights())
+        except CaptureError:
+            continue
+        true = [event for event in rest if not (isinstance(event, Line) and event.event == "gap")]
+        assert set(map(repr, true)) <= before
+        assert rest == surveyed[len(surveyed) - len(rest) :]
+    assert accepted > 10
+
+
+def test_the_official_reader_reads_checkpoints(path: Path) -> None:
+    with path.open("rb") as file:
+        rows = make_reader(file, validate_crcs=True).iter_messages(topics=[topics.CHECKPOINT])
+        read = [msgspec.json.decode(message.data, type=Checkpoint) for _, _, message in rows]
+    assert [value.t for value in read] == [n * STEP for n in range(7, 60, 6)]
+    assert all(value.whole for value in read)
