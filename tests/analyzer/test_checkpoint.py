@@ -83,6 +83,19 @@ def test_columns_and_a_session_fall_due_at_the_same_time(
         assert records_of(decoder.advance(due)) == session.advance(due)
 
 
+def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: Protocol) -> None:
+    header = protocol.lengths.index(protocol.longest_frame - 1)
+    decoder = StreamDecoder(protocol)
+
+    decoder.feed([Chunk(0, "host", bytes([header])), Chunk(7 * MS, "host", b"\0")])
+    decoder.feed([Chunk(9 * MS, "device", b"")])
+
+    assert decoder.deadline == 57 * MS
+    assert decoder.advance(57 * MS - 1) == []
+    (part,) = decoder.advance(57 * MS)
+    assert part.host_rows == 1
+
+
 def some_state(protocol: Protocol) -> DecoderState:
     """A state with a frame that is open, and instructions that wait."""
     spec = next(spec for spec in protocol.instructions if spec.length)

@@ -17,7 +17,7 @@ from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.capture_session import capture_session, capture_settings
+from bilprov.analyzer.replay.capture_session import capture_decoder, capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
@@ -230,6 +230,6 @@ def test_captures_cut_flipped_and_with_lost_bytes(
             events = damaged(events, random)
         expected = told(capture_session(capture, protocol), events)
 
-        decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
+        decoder = capture_decoder(capture, protocol)
         batches = [random.randrange(1, 300) for _ in range(5)]
         assert records_of(told(decoder, events, batches)) == expected
