@@ -173,7 +173,7 @@ def _write(folder: Path, rows: Sequence[Row], on: Machine, mode: str) -> None:
 
 def _publish(rows: Sequence[Row], on: Machine, mode: str) -> None:
     text = _README.read_text(encoding="utf-8")
-    told = between_markers(text, as_markdown(rows, on, mode))
+    told = between_markers(text, as_markdown(rows, on, mode, short=True))
     _README.write_text(told, encoding="utf-8")
     _PLOT.write_text(as_svg(rows), encoding="utf-8")
     _tell(f"renewed: the table in {_README} and {_PLOT}")

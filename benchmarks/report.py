@@ -115,12 +115,13 @@ def as_json(rows: Sequence[Row], on: Machine, mode: str) -> dict[str, Any]:
     }
 
 
-def as_markdown(rows: Sequence[Row], on: Machine, mode: str) -> str:
-    """The table with ratios, and a line about the machine."""
+def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = False) -> str:
+    """The table with ratios, and a line about the machine; `short` leaves the peers' figures out."""
+    head = ["work", "bilprov", *([] if short else ["beside it, same run"]), "bilprov is", "reach"]
     lines = [
-        "| work | bilprov | beside it, same run | bilprov is | reach |",
-        "|---|---|---|---|---|",
-        *(_table_row(row) for row in rows),
+        f"| {' | '.join(head)} |",
+        f"|{'---|' * len(head)}",
+        *(f"| {' | '.join(_cells(row, short))} |" for row in rows),
     ]
     libraries = ", ".join(f"{name} {number}" for name, number in on.libraries.items())
     about = (
@@ -130,16 +131,17 @@ def as_markdown(rows: Sequence[Row], on: Machine, mode: str) -> str:
     return "\n".join([*lines, "", about, ""])
 
 
-def _table_row(row: Row) -> str:
+def _cells(row: Row, short: bool) -> list[str]:
     if row.ours is None:
-        return f"| {row.work} | | | | {row.state}: {_cell(row.note)} |"
-    ours = "; ".join([figure(row.ours, row.unit), *_figures(row.figures)])
-    peers = [f"{name} {figure(value, row.unit)}" for name, value in row.peers.items()]
-    beside = "; ".join([*peers, *_figures(row.beside)])
+        return [row.work, "", *([] if short else [""]), "", f"{row.state}: {_cell(row.note)}"]
     ratios = "; ".join(f"{times(ratio)} {name}" for name, ratio in row.ratios.items())
     goals = "; ".join(reach(goal) for goal in row.goals)
+    if short:
+        return [row.work, figure(row.ours, row.unit), ratios, goals]
+    ours = "; ".join([figure(row.ours, row.unit), *_figures(row.figures)])
+    peers = [f"{name} {figure(value, row.unit)}" for name, value in row.peers.items()]
     told = f" ({_cell(row.note)})" if row.note else ""
-    return f"| {row.work}{told} | {ours} | {beside} | {ratios} | {goals} |"
+    return [row.work + told, ours, "; ".join([*peers, *_figures(row.beside)]), ratios, goals]
 
 
 def _figures(figures: dict[str, float]) -> list[str]:
