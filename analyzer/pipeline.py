@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode import checkpoint
-from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.outputs import Shown
-from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.captures.schemas import Chunk, Line
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+    from bilprov.analyzer.output.outputs import Shown
+    from bilprov.analyzer.output.statistics import Statistics
+    from bilprov.analyzer.replay.recorder import Recorder
 
 MOST_BYTES = 1 << 16  # that wait to be decoded
 

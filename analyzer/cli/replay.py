@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,22 +19,10 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.decode.records import (
-    Anomaly,
-    FaultRecord,
-    HostRecord,
-    Record,
-    Severity,
-    written_state,
-)
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import (
     Format,
-    Output,
     Shown,
     Window,
     chosen_format,
@@ -49,18 +37,18 @@ from bilprov.analyzer.replay.capture_session import (
     heard,
     said_about,
 )
-from bilprov.analyzer.replay.comparison import ReplayRun, differences
-from bilprov.analyzer.replay.playback import batches, interruptible, paced, played
+from bilprov.analyzer.replay.playback import batches, interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
-from bilprov.analyzer.replay.target import Target, scaled_timeout
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
 
 @click.command()
@@ -138,25 +126,34 @@ def replay(
         stopper = stack.enter_context(Stopper())
         target = None
         if port is not None:
+            from bilprov.analyzer.cli.resend import opened_target, send_again
+
             settings = line_settings(protocol, baud, parity, stopbits)
-            frame_pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
-            wire = open_port(port, settings)
-            target = stack.enter_context(Target(protocol, wire, frame_pause, stopper))
+            pause = capture_timeout(capture, protocol, timeout)
+            target = stack.enter_context(
+                opened_target(protocol, port, settings, pause, rate, stopper)
+            )
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
         title = f"replay of {printable(capture.path.name)}"
         output = opened_output(chosen_format(style), protocol, statistics, title)
         stack.callback(output.close)
         judge = None
         if judged:
+            from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
         shown = Shown(output, test, window=window)
         pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
         if target is not None:
-            return _send(protocol, capture, pipeline, output, target, rate, window, stopper)
+            return send_again(protocol, capture, pipeline, output, target, rate, window, stopper)
         events = capture.sights() if judge else opened.events()
         _show(events, pipeline, rate, window, stopper, judge)
-    return tell_findings(judge.finish(), chosen_format(style)) if judge else 0
+    if judge is None:
+        return 0
+    from bilprov.analyzer.output.findings import tell_findings
+
+    return tell_findings(judge.finish(), chosen_format(style))
 
 
 def _opened(
@@ -191,69 +188,3 @@ def _show(
             if judge and isinstance(event, Look) and window.has(event.t):
                 judge.look(event)
     pipeline.finish()
-
-
-def _send(
-    protocol: Protocol,
-    capture: Capture,
-    pipeline: Pipeline,
-    output: Output,
-    target: Target,
-    rate: float,
-    window: Window,
-    stopper: Stopper,
-) -> int:
-    """Send the host bytes of the window, compare the answers, and return the exit code."""
-    recorded = ReplayRun()
-    target.begin()
-    inside = (event for event in capture.events() if window.has(event.t))
-    for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
-        if stopper.stopped:
-            break
-        records = _records(pipeline.events([event]))
-        _note_all(recorded, records)
-        if rate and isinstance(event, Chunk) and event.direction == "host":
-            target.send(event.data)
-        if not rate:
-            _send_frames(target, records)
-        pipeline.advance(event.t)
-    rest = _records(pipeline.finish())
-    _note_all(recorded, rest)
-    if not rate and not stopper.stopped:
-        _send_frames(target, rest)
-    target.finish()
-    if stopper.stopped:
-        note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
-        return 0
-    return _compare(protocol, recorded, target.run, output)
-
-
-def _records(parts: Iterable[Part]) -> list[Record]:
-    return [record for part in parts for record in part.records()]
-
-
-def _send_frames(target: Target, records: Iterable[Record]) -> None:
-    """Send each frame after the one before it was answered."""
-    for record in records:
-        if isinstance(record, HostRecord):
-            target.send(record.data)
-            target.settle()
-
-
-def _note_all(run: ReplayRun, records: Iterable[Record]) -> None:
-    for record in records:
-        run.record(record)
-
-
-def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Output) -> int:
-    if not recorded.answers:
-        note("the recording holds no answers: there is nothing to compare with")
-        return 3
-    found = list(differences(protocol, recorded, now))
-    for difference in found:
-        about = difference.instruction
-        t = 0 if about is None else recorded.frames[about].t
-        fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
-        output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
-    note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
-    return 1 if found else 0

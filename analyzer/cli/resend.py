@@ -1,0 +1,106 @@
+"""`bilprov replay --to`: sends a capture's host bytes to a device and compares its answers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.records import (
+    Anomaly,
+    FaultRecord,
+    HostRecord,
+    Record,
+    Severity,
+    written_state,
+)
+from bilprov.analyzer.output.outputs import Output, Window
+from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.comparison import ReplayRun, differences
+from bilprov.analyzer.replay.playback import paced
+from bilprov.analyzer.replay.target import Target, scaled_timeout
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.protocol import Protocol
+
+
+def opened_target(
+    protocol: Protocol,
+    port: str,
+    settings: LineSettings,
+    timeout: int,
+    rate: float,
+    stopper: Stopper,
+) -> Target:
+    """Open the device; `timeout` (ns) is the recorded truncation time-out. Raises LinkError."""
+    return Target(protocol, open_port(port, settings), scaled_timeout(timeout, rate), stopper)
+
+
+def send_again(
+    protocol: Protocol,
+    capture: Capture,
+    pipeline: Pipeline,
+    output: Output,
+    target: Target,
+    rate: float,
+    window: Window,
+    stopper: Stopper,
+) -> int:
+    """Send the host bytes of the window, compare the answers, and return the exit code."""
+    recorded = ReplayRun()
+    target.begin()
+    inside = (event for event in capture.events() if window.has(event.t))
+    for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
+        if stopper.stopped:
+            break
+        records = _records(pipeline.events([event]))
+        _note_all(recorded, records)
+        if rate and isinstance(event, Chunk) and event.direction == "host":
+            target.send(event.data)
+        if not rate:
+            _send_frames(target, records)
+        pipeline.advance(event.t)
+    rest = _records(pipeline.finish())
+    _note_all(recorded, rest)
+    if not rate and not stopper.stopped:
+        _send_frames(target, rest)
+    target.finish()
+    if stopper.stopped:
+        note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
+        return 0
+    return _compare(protocol, recorded, target.run, output)
+
+
+def _records(parts: Iterable[Part]) -> list[Record]:
+    return [record for part in parts for record in part.records()]
+
+
+def _send_frames(target: Target, records: Iterable[Record]) -> None:
+    """Send each frame after the one before it was answered."""
+    for record in records:
+        if isinstance(record, HostRecord):
+            target.send(record.data)
+            target.settle()
+
+
+def _note_all(run: ReplayRun, records: Iterable[Record]) -> None:
+    for record in records:
+        run.record(record)
+
+
+def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Output) -> int:
+    if not recorded.answers:
+        note("the recording holds no answers: there is nothing to compare with")
+        return 3
+    found = list(differences(protocol, recorded, now))
+    for difference in found:
+        about = difference.instruction
+        t = 0 if about is None else recorded.frames[about].t
+        fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
+        output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
+    note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
+    return 1 if found else 0
