@@ -70,10 +70,14 @@ class Pipeline:
             parts = self._decode_pending()
         if not self._pending:
             parts += self._parts(self.decoder.advance(now), now)
+        self.tick(now)
+        return parts
+
+    def tick(self, now: int) -> None:
+        """Let recorder and output know the time (ns), where nothing falls due before it."""
         if self.recorder:
             self.recorder.tick(now)
         self.shown.output.tick(now)
-        return parts
 
     def finish(self) -> list[Part]:
         """End the session after its last event and return what is left."""

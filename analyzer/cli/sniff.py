@@ -174,12 +174,16 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
     overrun, waited = "", 0
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
-            now = source.now()
-            pipeline.advance(now)
+            now, due = source.now(), pipeline.deadline
+            if due is None or due > now:
+                pipeline.tick(now)
+            else:
+                pipeline.advance(now)
+                due = pipeline.deadline
             if end is not None and now >= end:
                 break
             wait = LONGEST_WAIT
-            for at in (pipeline.deadline, end):
+            for at in (due, end):
                 if at is not None:
                     wait = min(wait, max(0.0, (at - now) / 1e9))
             events = source.poll(wait, [stopper.fileno()])

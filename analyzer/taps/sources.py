@@ -23,6 +23,8 @@ from bilprov.captures.schemas import Chunk, Direction, Line
 Events: TypeAlias = list[Chunk | Line]
 
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
+_LINGER = 0.0003  # s that a bridge waits for an answer before what was said is decoded
+_MOST_LINGER = 5_000_000  # ns for which it goes on to do so
 _RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
 
 
@@ -181,6 +183,20 @@ class Bridge(Source):
         self._to_host = Forward(self._pty.write_some, "the host program does not read")
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        """Hand on what comes; the answer to it too, if it comes at once, before all else is done.
+
+        What is done with the events takes longer than a quick device does to answer.
+        """
+        self._hand_on_all(events, timeout_s, also)
+        if events:
+            give_up = self.now() + _MOST_LINGER
+            while self._ports and self.now() < give_up:
+                known = len(events)
+                self._hand_on_all(events, _LINGER, also)
+                if len(events) == known:
+                    return
+
+    def _hand_on_all(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
         ready, others = wait_readable([self._port], timeout_s, [self._pty.master, *also])
