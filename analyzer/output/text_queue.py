@@ -38,8 +38,9 @@ class TextQueue(Closing):
 
     def write(self, text: str) -> None:
         """Write text now, or as soon as the stream takes it. Raises what the stream raised."""
-        if not self._size and self._cannot_wait(len(text)):
-            self._put(text)
+        if not self._size:
+            text = self._put_at_once(text)
+        if not text:
             return
         with self._changed:
             if self._size and self._size + len(text) > MOST and self._failure is None:
@@ -64,12 +65,16 @@ class TextQueue(Closing):
             self._thread = None
         self._raise()
 
-    def _cannot_wait(self, size: int) -> bool:
+    def _put_at_once(self, text: str) -> str:
+        """Write what goes out without waiting, and return the rest."""
         if self._kind == "file":
-            return True
-        if self._kind != "pipe" or 4 * size > _AT_ONCE:  # a character has at most four bytes
-            return False
-        return bool(select.select([], [self._stream], [], 0)[1])
+            self._put(text)
+            return ""
+        most = _AT_ONCE if text.isascii() else _AT_ONCE // 4  # a character has four bytes at most
+        while text and self._kind == "pipe" and select.select([], [self._stream], [], 0)[1]:
+            self._put(text[:most])
+            text = text[most:]
+        return text
 
     def _put(self, text: str) -> None:
         self._stream.write(text)
