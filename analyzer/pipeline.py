@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
 
-MOST_BYTES = 1 << 16  # that wait to be decoded
+MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and a pty holds 4 KiB
 
 
 @dataclass(slots=True)
@@ -24,7 +24,7 @@ class Pipeline:
     """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
 
     The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
-    64 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
+    16 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
     of `shown`, whether they pass its filter or not.
     """
 

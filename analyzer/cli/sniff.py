@@ -20,7 +20,7 @@ from bilprov.analyzer.cli.options import (
     session_format_option,
     timeout_option,
 )
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.columns.decoder import StreamDecoder, preload
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
@@ -106,6 +106,7 @@ def sniff(
     settings = line_settings(protocol, baud, parity, stopbits)
     test = compiled(expression, protocol)
     timeout = timeout_in_ns(protocol, truncation_timeout)
+    preload(protocol)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         given = {"": (host, device), **{option: (name,) for option, name in taps.items()}}

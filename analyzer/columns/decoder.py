@@ -65,6 +65,18 @@ Part: TypeAlias = "Stretch | Records"
 """Some of the decoded traffic: `records()` yields the records, `host_rows` counts the frames."""
 
 
+_preloaded = False
+
+
+def preload(protocol: Protocol) -> None:
+    """Load now what columns need, and not in the first busy moment of a line."""
+    global _preloaded
+    from bilprov.analyzer.columns.regular import prepare
+
+    prepare(protocol)
+    _preloaded = True
+
+
 class StreamDecoder:
     """Decodes one recording from its first event to its last, in parts.
 
@@ -92,7 +104,7 @@ class StreamDecoder:
         self._carry: Carry | None = None  # what the last stretch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
-        self._fed = 0
+        self._fed = FIRST if _preloaded else 0
 
     @property
     def deadline(self) -> int | None:
@@ -175,7 +187,18 @@ class StreamDecoder:
         if self._unfit or not self._session.regular:
             return False
         state = self._session.saved()
-        if self._regular is None:
+        regular = self._load()
+        if regular is None or state is None:
+            return False
+        try:
+            self._carry = regular.carry(state)
+        except OverflowError:
+            return False
+        return True
+
+    def _load(self) -> RegularDecoder | None:
+        """Make the decoder into columns; None for a protocol that does not fit into them."""
+        if self._regular is None and not self._unfit:
             from bilprov.analyzer.columns.regular import RegularDecoder
 
             timeout, skew, paired = self._settings
@@ -185,13 +208,7 @@ class StreamDecoder:
                 )
             except OverflowError:
                 self._unfit = True
-                return False
-        assert state is not None
-        try:
-            self._carry = self._regular.carry(state)
-        except OverflowError:
-            return False
-        return True
+        return self._regular
 
     def _leave_columns(self) -> Session:
         """Hand over to the Session, if it is not in charge, and return it."""

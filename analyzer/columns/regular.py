@@ -7,6 +7,7 @@ short, no bytes are lost, and each answer comes after its instruction and before
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,11 +20,18 @@ from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import LOSSES
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Steps
+from bilprov.spec.steps import Steps, short_frames
 from bilprov.spec.tables import FrameColumns, frame_tables
 
 LATEST = 1 << 62
 """The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
+
+
+def prepare(protocol: Protocol) -> None:
+    """Make the tables of a protocol, which are kept; none where its state fits into no column."""
+    short_frames(protocol)
+    with suppress(OverflowError):
+        frame_tables(protocol)
 
 
 class Carry(NamedTuple):

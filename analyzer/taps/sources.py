@@ -91,17 +91,14 @@ class Source(Closing):
         for port in self._all:
             port.close()
 
-    def _read(self, tap: Direction, events: Events) -> bytes:
-        """Append the next chunk of one side, or its `unplugged`; return the chunk's bytes."""
+    def _read(self, tap: Direction, *, ready: bool) -> Chunk | Line | None:
+        """The next chunk of one side, or its `unplugged`; `ready` is as in `Port.read`."""
         try:
-            data = self._ports[tap].read(ready=True)
+            data = self._ports[tap].read(ready=ready)
         except LinkError as error:
             del self._ports[tap]
-            events.append(Line(self.now(), "unplugged", tap, str(error)))
-            return b""
-        if data:
-            events.append(Chunk(self.now(), tap, data))
-        return data
+            return Line(self.now(), "unplugged", tap, str(error))
+        return Chunk(self.now(), tap, data) if data else None
 
     def _count(self, events: Events) -> None:
         """Append events for new driver errors, at most every 0.1 s; few drivers count errors."""
@@ -141,9 +138,19 @@ class Taps(Source):
         self.heard = frozenset(self._ports)
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
-        ready, _ = wait_readable(list(self._ports.values()), timeout_s, also)
-        for tap in [tap for tap, port in self._ports.items() if port in ready]:
-            self._read(tap, events)
+        ports = dict(self._ports)
+        ready, _ = wait_readable(list(ports.values()), timeout_s, also)
+        # The device is read first: what it has answered, the host has said by then. So no answer
+        # comes before its instruction because of the order of reading.
+        answer = self._read("device", ready=True) if ports.get("device") in ready else None
+        if "host" in ports and (answer or ports["host"] in ready):
+            said = self._read("host", ready=ports["host"] in ready)
+            if said:
+                events.append(said)
+                if isinstance(answer, Chunk):
+                    answer = Chunk(said.t, "device", answer.data)
+        if answer:
+            events.append(answer)
 
 
 def open_taps(settings: LineSettings, host: str, device: str | None = None) -> Taps:
@@ -204,7 +211,10 @@ class Bridge(Source):
         if said:
             events.append(Chunk(self.now(), "host", said))
         self._hand_on(self._to_device, said, "host", events)
-        answered = self._read("device", events) if ready else b""
+        answer = self._read("device", ready=True) if ready else None
+        if answer:
+            events.append(answer)
+        answered = answer.data if isinstance(answer, Chunk) else b""
         self._hand_on(self._to_host, answered, "device", events)
 
     def close(self) -> None:
