@@ -1,7 +1,8 @@
 """Decodes regular traffic into a Stretch, up to the first event that is not regular.
 
 Regular is what needs no decision: every frame is whole and without a pause that could cut it
-short, no bytes are lost, and each answer comes after its instruction and before that is given up.
+short, no bytes are lost, and each answer comes before its instruction is given up, or so little
+before its instruction (as two taps stamp it) that it is not given up itself.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
-from bilprov.analyzer.decode.decoder import LOSSES
+from bilprov.analyzer.decode.decoder import LOSSES, QUIET
 from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Steps, short_frames
+from bilprov.spec.steps import Steps, data_decide, short_frames
 from bilprov.spec.tables import FrameColumns, frame_tables
 
 LATEST = 1 << 62
@@ -103,10 +105,16 @@ class RegularDecoder:
 
     def deadline(self, carry: Carry) -> int | None:
         """When (ns) something falls due without an event, None if nothing does."""
+        rest, skew = carry.rest, self._decoding.skew
         due = [int(end) + self._longest for end in carry.end[:1]]
+        patience = [t + skew for t, _ in rest.held[:1]]
         if carry.begun < len(carry.data):
-            due.append(carry.rest.frame_end + self._timeout)
-        return min(due, default=None)
+            cut_short = rest.frame_end + self._timeout
+            due.append(cut_short)
+            patience = [max(end, cut_short + skew) for end in patience]
+        if rest.out_of_step is not None:
+            due.append(rest.out_of_step)
+        return min(due + patience, default=None)
 
     def decode(self, before: Carry, events: Sequence[Chunk | Line]) -> tuple[Stretch, int, Carry]:
         """Decode the events, of which there must be some, as far as they are regular.
@@ -135,17 +143,25 @@ class RegularDecoder:
         ends = np.append(before.begun, until)[new]
         cut = min(cut, self._first_pause(before, t, host, bounds, ends))
 
-        # Answers; row j of the device answers row j of the host.
-        answer_t = np.repeat(device.t, np.diff(device.bytes, prepend=0))
+        # Answers; row j of the device answers row j of the host. The first rows are held already.
+        held = np.array(rest.held, np.int64).reshape(-1, 2)
+        byte = np.concatenate([held[:, 1].astype(np.uint8), device.data])
+        answer_t = np.concatenate(
+            [held[:, 0], np.repeat(device.t, np.diff(device.bytes, prepend=0))]
+        )
         if self._decoding.paired:
-            cut = min(cut, _first_early(host, device, np.append(carried, come), len(t)))
+            early = _early(host, device, np.append(carried, come), len(held))
+            cut = min(cut, self._first_unsolicited(t, end, answer_t, early))
             cut = min(cut, self._first_overdue(t, end, answer_t))
-            cut = min(cut, self._first_shifted(frames, end, device, answer_t, len(t)))
+            wrong = self._first_shifted(frames, end, byte, answer_t)
+            if wrong is not None:
+                cut = min(cut, device.event_of(wrong - len(held)))
 
         # What comes in the first `cut` events.
         chunks, answers = np.searchsorted(host.event, cut), np.searchsorted(device.event, cut)
         rows = int(come[chunks - 1]) if chunks else carried
-        given = int(device.bytes[answers - 1]) if answers else 0
+        heard = len(held) + (int(device.bytes[answers - 1]) if answers else 0)
+        given = min(heard, rows) if self._decoding.paired else heard
         kept_frames = frames.rows(slice(rows))
         last = rest.state
         if rows > carried:
@@ -159,12 +175,14 @@ class RegularDecoder:
             sequence=rest.sequence - carried,
             start=_starts(before, host, offset, bounds)[: rows - carried],
             end=end[:rows],
-            byte=device.data[:given],
+            byte=byte[:given],
             t=answer_t[:given],
             before=rest.state,
             last=last,
             lines=tuple(replace(line, t=int(t[at])) for at, line in lines if at < cut),
-            spans=tuple(_spans(cut, host, device, lines, [carried, *come.tolist()])),
+            spans=tuple(
+                self._spans(cut, host, device, lines, [carried, *come.tolist()], len(held))
+            ),
         )
         if not cut:
             return stretch, 0, before
@@ -174,6 +192,17 @@ class RegularDecoder:
         begun = int(until[rows - carried - 1]) if rows > carried else before.begun
         begun_in = int(np.searchsorted(bounds, begun, "right"))
         kept = given if self._decoding.paired else rows
+        out_of_step = rest.out_of_step
+        since = len(held)  # the device row from which on the host has said no more
+        if chunks:
+            out_of_step = None
+            before_it = np.searchsorted(device.event, host.event[chunks - 1])
+            since += int(device.bytes[before_it - 1]) if before_it else 0
+        if out_of_step is None and given < heard and begun < said:
+            since = max(since, given)
+            out_of_step = self._out_of_step(
+                int(data[begun]), byte[since:heard], answer_t[since:heard]
+            )
         low = int(frames.offset[kept]) if kept < rows else begun
         left = frames.rows(slice(kept, rows))
         carry = Carry(
@@ -194,6 +223,10 @@ class RegularDecoder:
                 frame_end=(int(host.t[chunks - 1]) if chunks else rest.frame_end)
                 if begun < said
                 else 0,
+                held=tuple(
+                    zip(answer_t[given:heard].tolist(), byte[given:heard].tolist(), strict=True)
+                ),
+                out_of_step=out_of_step,
             ),
         )
         return stretch, cut, carry
@@ -218,6 +251,37 @@ class RegularDecoder:
             return len(t)
         return int(np.searchsorted(t, last[pauses[0]] + self._timeout))
 
+    def _first_unsolicited(
+        self,
+        t: NDArray[np.int64],
+        end: NDArray[np.int64],
+        answer_t: NDArray[np.int64],
+        early: NDArray[np.bool_],
+    ) -> int:
+        """The first event after an answer may have been given up for which no instruction came.
+
+        The number of events if there is none. Answers that came before their instructions are
+        `early`.
+        """
+        hold = min(self._decoding.skew, QUIET)
+        pairs = min(len(end), len(answer_t))
+        given_up = np.flatnonzero(early[:pairs] & (end[:pairs] - answer_t[:pairs] >= hold))
+        row = int(given_up[0]) if len(given_up) else pairs
+        return int(np.searchsorted(t, answer_t[row] + hold)) if row < len(answer_t) else len(t)
+
+    def _out_of_step(
+        self, header: int, byte: NDArray[np.uint8], t: NDArray[np.int64]
+    ) -> int | None:
+        """When (ns) an open frame is given up, in which these answers came to no instruction.
+
+        See `Decoder`; None if they do not show that it is out of step.
+        """
+        protocol = self._decoding.protocol
+        if not data_decide(protocol, bytes([header]) + bytes(protocol.lengths[header])):
+            ok = protocol.answers[Outcome.VALID].code
+            t = t[byte == ok]
+        return int(t[0]) + QUIET if len(t) else None
+
     def _first_overdue(
         self, t: NDArray[np.int64], end: NDArray[np.int64], answer_t: NDArray[np.int64]
     ) -> int:
@@ -231,18 +295,59 @@ class RegularDecoder:
         self,
         frames: FrameColumns,
         end: NDArray[np.int64],
-        device: _Side,
+        byte: NDArray[np.uint8],
         answer_t: NDArray[np.int64],
-        most: int,
-    ) -> int:
-        """The first event with a late answer that may belong to the next instruction; else `most`.
+    ) -> int | None:
+        """The first device row that is late and may belong to the next instruction, if any.
 
         See `Pairing.passes_over`.
         """
         pairs = min(len(end), len(answer_t))
         late = np.flatnonzero(answer_t[:pairs] - end[:pairs] > self._decoding.late)
-        wrong = late[device.data[late] != self._tables.codes[frames.verdict[late]]]
-        return device.event_of(int(wrong[0])) if len(wrong) else most
+        wrong = late[byte[late] != self._tables.codes[frames.verdict[late]]]
+        return int(wrong[0]) if len(wrong) else None
+
+    def _spans(
+        self,
+        cut: int,
+        host: _Side,
+        device: _Side,
+        lines: list[tuple[int, Line]],
+        come: list[int],
+        held: int,
+    ) -> Iterator[Span]:
+        """Yield the rows of each of the first `cut` events, in the order of their records.
+
+        `come` are the host rows that are complete after 0, 1, 2 ... of the host's chunks. An answer
+        that is held follows its instruction at once.
+        """
+        side = dict.fromkeys(host.event.tolist(), 0)
+        side |= dict.fromkeys(device.event.tolist(), 1)
+        side |= dict.fromkeys((place for place, _ in lines), 2)
+        paired, upto = self._decoding.paired, device.bytes.tolist()
+        chunks = answered = line = given = 0
+        heard = held
+        for place in range(cut):
+            kind = side.get(place)
+            if kind == 0:
+                row, stop = come[chunks], come[chunks + 1]
+                chunks += 1
+                while paired and row < stop and row < heard:
+                    yield Span("host", row, row + 1, row + 1)
+                    yield Span("device", row, row + 1, row + 1)
+                    row = given = row + 1
+                if row < stop:
+                    yield Span("host", row, stop, stop)
+            elif kind == 1:
+                heard = held + upto[answered]
+                answered += 1
+                stop = min(heard, come[chunks]) if paired else heard
+                if given < stop:
+                    yield Span("device", given, stop, come[chunks])
+                    given = stop
+            elif kind == 2:
+                yield Span("line", line, line + 1, come[chunks])
+                line += 1
 
 
 def _sorted(
@@ -266,14 +371,15 @@ def _sorted(
     return host, device, lines, loss
 
 
-def _first_early(host: _Side, device: _Side, come: NDArray[np.int64], most: int) -> int:
-    """The first event with an answer that no instruction waits for, `most` if there is none.
+def _early(host: _Side, device: _Side, come: NDArray[np.int64], held: int) -> NDArray[np.bool_]:
+    """Whether each device row, the first of which were held, came before its instruction.
 
     `come` are the host rows that are complete after 0, 1, 2 ... of the host's chunks.
     """
     there = come[np.searchsorted(host.event, device.event)]
-    early = np.flatnonzero(device.bytes > there)
-    return int(device.event[early[0]]) if len(early) else most
+    rows = np.arange(held, held + len(device.data))
+    later = rows >= np.repeat(there, np.diff(device.bytes, prepend=0))
+    return np.concatenate([np.ones(held, np.bool_), later])
 
 
 def _starts(
@@ -284,27 +390,3 @@ def _starts(
     begun = np.searchsorted(offset, bounds)
     first = np.full(begun_before, before.rest.frame_start, np.int64)
     return np.concatenate([first, np.repeat(host.t, np.diff(begun, prepend=begun_before))])
-
-
-def _spans(
-    cut: int, host: _Side, device: _Side, lines: list[tuple[int, Line]], come: list[int]
-) -> Iterator[Span]:
-    """Yield the rows of each of the first `cut` events; `come` is as in `_first_early`."""
-    side = dict.fromkeys(host.event.tolist(), 0)
-    side |= dict.fromkeys(device.event.tolist(), 1)
-    side |= dict.fromkeys((place for place, _ in lines), 2)
-    chunks = answered = line = given = 0
-    upto = device.bytes.tolist()
-    for place in range(cut):
-        kind = side.get(place)
-        if kind == 0:
-            chunks += 1
-            if come[chunks] > come[chunks - 1]:
-                yield Span("host", come[chunks - 1], come[chunks], come[chunks])
-        elif kind == 1:
-            yield Span("device", given, upto[answered], come[chunks])
-            given = upto[answered]
-            answered += 1
-        elif kind == 2:
-            yield Span("line", line, line + 1, come[chunks])
-            line += 1

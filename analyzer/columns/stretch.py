@@ -143,7 +143,7 @@ class Stretch:
         """Which device rows have no anomaly: expected and in time, or if unpaired a known code."""
         if not self.decoding.paired:
             return self.decoding.tables.used.take(self.byte)
-        return self.agrees & (self.latency <= self.decoding.late)
+        return self.agrees & (self.latency <= self.decoding.late) & (self.latency >= 0)
 
     @cached_property
     def earliest(self) -> int:

@@ -140,16 +140,13 @@ class Decoder:
 
     @property
     def regular(self) -> bool:
-        """Whether only whole frames, and answers that come while they are expected, follow.
+        """Whether all frames that wait for an answer are whole ones, given up after the same time.
 
-        Nothing is held, out of step or cut short then, unless a later event makes it so.
+        Then columns can go on from here.
         """
-        waiting, longest = self._pairing.waiting, self._pairing.longest
-        return (
-            self._unhurried
-            and not self._pairing.held
-            and self._out_of_step is None
-            and not any(w.judgement.truncated or w.expires != w.end + longest for w in waiting)
+        longest = self._pairing.longest
+        return self._unhurried and not any(
+            w.judgement.truncated or w.expires != w.end + longest for w in self._pairing.waiting
         )
 
     def save(self, state: DecoderState) -> DecoderState:
