@@ -195,6 +195,8 @@ class _Newest:
         self._count = 0
 
     def add(self, part: Part, count: int) -> None:
+        if not count:  # such parts would never be too many
+            return
         self._parts.append((part, count))
         self._count += count
         while self._count - self._parts[0][1] >= self._most:

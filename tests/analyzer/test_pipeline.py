@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import pytest
@@ -116,6 +117,18 @@ def test_parts_are_counted_as_their_records_are(
     for name in ("instructions", "responses", "faults", "latencies", "state", "recent"):
         assert getattr(snapshot, name) == getattr(expected, name), name
     assert set(snapshot.recent_faults) == set(expected.recent_faults)
+
+
+def test_parts_of_which_a_filter_shows_nothing_are_not_kept(protocol: Protocol) -> None:
+    statistics = Statistics(protocol, 86_806)
+    empty = [Records([]) for _ in range(1000)]
+    held = [sys.getrefcount(part) for part in empty]
+
+    for part in empty:
+        statistics.part(part, part)
+    del part
+
+    assert [sys.getrefcount(part) for part in empty] == held
 
 
 def _count(statistics: Statistics, event: Event, part: Part) -> None:
