@@ -38,7 +38,7 @@ class TextQueue(Closing):
 
     def write(self, text: str) -> None:
         """Write text now, or as soon as the stream takes it. Raises what the stream raised."""
-        if not self._size and self._cannot_wait(len(text)):
+        if self._failure is None and not self._size and self._cannot_wait(len(text)):
             self._put(text)
             return
         with self._changed:
