@@ -160,6 +160,8 @@ def sniff(
         lost = _listen(source, pipeline, stopper, duration)
         pipeline.events([Line(source.now(), "close")])
         pipeline.finish()
+        if recorder:  # before the text, which waits for somebody to read it
+            recorder.close()
     _tell(statistics, recorder, queue, always=quiet or style == "live")
     code = tell_findings(judge.finish(), style) if judge else 0
     if lost:
