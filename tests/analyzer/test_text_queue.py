@@ -44,6 +44,12 @@ def _nobody_reads(ours: int) -> None:
     os.close(nowhere)
 
 
+def _write_little(queue: TextQueue, times: int) -> None:
+    for _ in range(times):
+        queue.write("little\n")
+        time.sleep(0.001)
+
+
 def test_a_little_text_goes_out_at_once_and_by_no_thread(pipe: Pipe) -> None:
     ours, stream = pipe
     with TextQueue(stream) as queue:
@@ -117,9 +123,7 @@ def test_what_the_stream_raised_is_raised_though_it_takes_all_that_follows(
         _nobody_reads(ours)
 
         with pytest.raises(SystemExit):
-            for _ in range(1000):
-                queue.write("little\n")
-                time.sleep(0.001)
+            _write_little(queue, 1000)
         queue.close()
 
 
