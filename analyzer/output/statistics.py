@@ -108,7 +108,7 @@ class Statistics:
 
     def _records(self, records: Sequence[Record]) -> None:
         """Count records; this is done for each frame of a line that is not very busy."""
-        frames, latencies = 0, []
+        latencies: list[int] = []
         faulty: list[Record] = []
         for record in records:
             if type(record) is DeviceRecord:
@@ -118,7 +118,7 @@ class Statistics:
                 if record.faults:
                     faulty.append(record)
             elif type(record) is HostRecord:
-                frames += 1
+                self._frames.add(record.end, 1)
                 self.instructions += record.sequence is not None
                 if record.reason:
                     faulty.append(record)
@@ -127,8 +127,6 @@ class Statistics:
         if not records:
             return
         self._state = records[-1].state
-        if frames:
-            self._frames.add(records[-1].t, frames)
         if latencies:
             self._latencies.extend(latencies)
             self._longest = max(self._longest, *latencies)
