@@ -46,8 +46,8 @@ class Snapshot:
     """The statistics at one time, `t` (ns since the start).
 
     Rates are per second, over the last two seconds; `loads` is the share of the line's capacity
-    that host and device use, 0 to 1. `faults` counts anomalies by kind, without those of severity
-    info.
+    that host and device use, 0 to 1. `faults` counts anomalies by kind, the most frequent
+    first, without those of severity info.
     """
 
     t: int
@@ -163,7 +163,7 @@ class Statistics:
             byte_rates=rates,
             loads=(rates[0] * self._byte_time / 1e9, rates[1] * self._byte_time / 1e9),
             latencies=self._latency_values(),
-            faults=tuple(self._faults.most_common()),
+            faults=tuple(sorted(self._faults.items(), key=lambda item: (-item[1], item[0]))),
             recent=self._recent.records(),
             recent_faults=self._anomalies(),
             state=self._state,
