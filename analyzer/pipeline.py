@@ -55,12 +55,14 @@ class Pipeline:
             self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
             if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
                 return []
-            return self._decode_pending()
-        parts: list[Part] = []  # what is judged depends on the order of events and records
-        for event in events:
-            self.judge.event(event)
-            self._pending = [event]
-            parts += self._decode_pending()
+            parts = self._decode_pending()
+        else:
+            parts = []  # what is judged depends on the order of events and records
+            for event in events:
+                self.judge.event(event)
+                self._pending = [event]
+                parts += self._decode_pending()
+        self._save(events[-1].t)
         return parts
 
     def advance(self, now: int) -> list[Part]:
@@ -68,6 +70,7 @@ class Pipeline:
         parts: list[Part] = []
         if self._pending and now - self._pending[0].t >= self.patience:
             parts = self._decode_pending()
+            self._save(now)
         if not self._pending:
             parts += self._parts(self.decoder.advance(now), now)
         self.tick(now)
@@ -89,11 +92,12 @@ class Pipeline:
         if not events:
             return []
         self.statistics.events(events)
-        now = events[-1].t
-        parts = self._parts(self.decoder.feed(events), now)
+        return self._parts(self.decoder.feed(events), events[-1].t)
+
+    def _save(self, now: int) -> None:
+        """Write a checkpoint at `now` (ns), if one is due: every recorded event is decoded."""
         if self.recorder:
             self.recorder.checkpoint(now, self._saved)
-        return parts
 
     def _saved(self) -> str | None:
         state = self.decoder.saved()

@@ -116,7 +116,7 @@ def as_json(rows: Sequence[Row], on: Machine, mode: str) -> dict[str, Any]:
 
 
 def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = False) -> str:
-    """The table with ratios, and a line about the machine; `short` leaves the peers' figures out."""
+    """The table with ratios, and the machine; `short` leaves the peers' figures out."""
     head = ["work", "bilprov", *([] if short else ["beside it, same run"]), "bilprov is", "reach"]
     lines = [
         f"| {' | '.join(head)} |",

@@ -97,6 +97,8 @@ def _is_file(path: Path) -> bool:
 def _begins_like_a_capture(path: Path) -> bool:
     from bilprov.captures.storage.records import MAGIC
 
+    if not path.is_file():  # a pipe's bytes can be read only once
+        return False
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC

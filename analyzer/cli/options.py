@@ -18,6 +18,22 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
+class Finite(click.FloatRange):
+    """A range of numbers up to 1e10, which as seconds still fit into a capture.
+
+    It leaves out nan, which click's own lets pass.
+    """
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """The number of an option's value."""
+        number: float = super().convert(value, param, ctx)
+        if not abs(number) <= 1e10:
+            self.fail(f"{value} is not a number up to 1e10", param, ctx)
+        return number
+
+
 def line_options(command: Command) -> Command:
     """Add the line options `baud`, `parity`, `stopbits`; None stands for the grammar's value."""
     options = (
@@ -75,7 +91,7 @@ session_format_option = click.option(
 timeout_option = click.option(
     "--truncation-timeout",
     metavar="MS",
-    type=click.FloatRange(0, min_open=True, max=60_000),
+    type=Finite(0, min_open=True, max=60_000),
     help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
 )
 

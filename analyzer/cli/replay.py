@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bilprov.analyzer.cli.options import (
+    Finite,
     compiled,
     confirm_motion,
     filter_option,
@@ -55,13 +56,13 @@ if TYPE_CHECKING:
 @click.argument("path", metavar="FILE.mcap")
 @click.option(
     "--rate",
-    type=click.FloatRange(0),
+    type=Finite(0),
     default=1.0,
     show_default=True,
     help="1 is recorded time, 2 twice as fast, 0 as fast as it goes.",
 )
-@click.option("--start", type=click.FloatRange(0), help="Begin at this second of the capture.")
-@click.option("--end", type=click.FloatRange(0), help="End before this second of the capture.")
+@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
+@click.option("--end", type=Finite(0), help="End before this second of the capture.")
 @filter_option
 @session_format_option
 @click.option(

@@ -12,6 +12,7 @@ import click
 
 from bilprov.analyzer.cli.options import (
     Command,
+    Finite,
     compiled,
     filter_option,
     judge_option,
@@ -65,7 +66,7 @@ def tap_options(command: Command) -> Command:
 @filter_option
 @session_format_option
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
-@click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after S seconds.")
+@click.option("--duration", type=Finite(0, min_open=True), help="End after S seconds.")
 @click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
 @judge_option
 @line_options
@@ -161,6 +162,8 @@ def sniff(
         lost = _listen(source, pipeline, stopper, duration)
         pipeline.events([Line(source.now(), "close")])
         pipeline.finish()
+        if recorder:  # before the text, which waits for somebody to read it
+            recorder.close()
     _tell(statistics, recorder, queue, always=quiet or style == "live")
     code = tell_findings(judge.finish(), style) if judge else 0
     if lost:

@@ -10,6 +10,8 @@ from bilprov.captures.schemas import Direction, State
 from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
+_MOST = 1 << 62  # instructions: numbers of some more still fit into 64 bits
+
 
 class WaitingFrames(msgspec.Struct, frozen=True):
     """Instructions that wait for an answer: whole frames, of which the last may be cut short.
@@ -76,7 +78,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(0 <= t <= self.time for t in past)
             and self.frame_start <= self.frame_end
             and (len(set(self.heard)) > 1 or not (self.waiting or self.held))
-            and 0 <= count <= self.sequence
+            and 0 <= count <= self.sequence <= _MOST
             and expiries == sorted(expiries)
             and all(group.frames for group in self.waiting)
             and all(0 <= byte <= 255 for _, byte in self.held)

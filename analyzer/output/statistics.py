@@ -46,8 +46,8 @@ class Snapshot:
     """The statistics at one time, `t` (ns since the start).
 
     Rates are per second, over the last two seconds; `loads` is the share of the line's capacity
-    that host and device use, 0 to 1. `faults` counts anomalies by kind, without those of severity
-    info.
+    that host and device use, 0 to 1. `faults` counts anomalies by kind, the most frequent
+    first, without those of severity info.
     """
 
     t: int
@@ -108,7 +108,7 @@ class Statistics:
 
     def _records(self, records: Sequence[Record]) -> None:
         """Count records; this is done for each frame of a line that is not very busy."""
-        frames, latencies = 0, []
+        latencies: list[int] = []
         faulty: list[Record] = []
         for record in records:
             if type(record) is DeviceRecord:
@@ -118,7 +118,7 @@ class Statistics:
                 if record.faults:
                     faulty.append(record)
             elif type(record) is HostRecord:
-                frames += 1
+                self._frames.add(record.end, 1)
                 self.instructions += record.sequence is not None
                 if record.reason:
                     faulty.append(record)
@@ -127,8 +127,6 @@ class Statistics:
         if not records:
             return
         self._state = records[-1].state
-        if frames:
-            self._frames.add(records[-1].t, frames)
         if latencies:
             self._latencies.extend(latencies)
             self._longest = max(self._longest, *latencies)
@@ -202,6 +200,8 @@ class _Newest:
         self._count = 0
 
     def add(self, part: Part, count: int) -> None:
+        if not count:  # such parts would never be too many
+            return
         self._parts.append((part, count))
         self._count += count
         while self._count - self._parts[0][1] >= self._most:

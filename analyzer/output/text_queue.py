@@ -38,10 +38,10 @@ class TextQueue(Closing):
 
     def write(self, text: str) -> None:
         """Write text now, or as soon as the stream takes it. Raises what the stream raised."""
-        if not self._size:
+        if self._failure is None and not self._size:
             text = self._put_at_once(text)
-        if not text:
-            return
+            if not text:
+                return
         with self._changed:
             if self._size and self._size + len(text) > MOST and self._failure is None:
                 began = time.monotonic_ns()

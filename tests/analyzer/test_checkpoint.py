@@ -138,6 +138,7 @@ NONSENSE: dict[str, dict[str, Any]] = {
     "an answer that is no byte": {"waiting": (), "held": ((0, 256),)},
     "an answer that waits beside an instruction": {"held": ((0, 0),)},
     "more that waits than ever came": {"sequence": 1},
+    "more instructions than there can be": {"sequence": 1 << 63},
     "nothing waits": {"waiting": (WaitingFrames(0, 1000 * MS, b""),)},
     "what waits is given up out of order": {
         "waiting": (WaitingFrames(1, 2, b"\0"), WaitingFrames(1, 1, b"\0"))

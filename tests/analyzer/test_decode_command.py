@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -137,3 +138,15 @@ def test_another_grammar_is_followed(tmp_path: Path, horn_text: str) -> None:
 
     (line,) = json_lines(run.stdout)
     assert (line["name"], line["fields"], line["judgement"]) == ("Horn", {"sound": 2}, "OK")
+
+
+@pytest.mark.waits
+def test_a_pipe_with_a_name_is_read_from_its_first_byte() -> None:
+    ours, theirs = os.pipe()
+    os.write(theirs, b"\x20\x00\x81\x05")
+    os.close(theirs)
+
+    run = process("decode", f"/dev/fd/{ours}", "--format", "jsonl", pass_fds=[ours])
+    os.close(ours)
+
+    assert [line["hex"] for line in json_lines(run.stdout)] == ["20", "00", "81 05"]

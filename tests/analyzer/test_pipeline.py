@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import pytest
@@ -16,6 +17,8 @@ from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Snapshot, Statistics
 from bilprov.analyzer.pipeline import Pipeline
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.codec import raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, BATCHES, Act, played
@@ -94,7 +97,7 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
 
     assert text == one_by_one
     for name in Snapshot.__dataclass_fields__:
-        if name not in ("frame_rate", "recent_faults"):  # of the moments when they were counted
+        if name != "recent_faults":  # of the moments when they were counted
             assert getattr(snapshot, name) == getattr(expected, name), name
 
 
@@ -116,6 +119,29 @@ def test_parts_are_counted_as_their_records_are(
     for name in ("instructions", "responses", "faults", "latencies", "state", "recent"):
         assert getattr(snapshot, name) == getattr(expected, name), name
     assert set(snapshot.recent_faults) == set(expected.recent_faults)
+
+
+def test_each_frame_of_a_part_counts_when_it_came(protocol: Protocol) -> None:
+    stop = raw_frame(protocol, protocol.stop.id, 0)
+    session, statistics = Session(protocol), Statistics(protocol, 86_806)
+    frames = [Chunk(second * 1000 * MS, "host", stop) for second in range(10)]
+    part = Records([record for event in frames for record in session.feed(event)])
+
+    statistics.part(part, part)
+
+    assert statistics.snapshot(9000 * MS).frame_rate == 1.0
+
+
+def test_parts_of_which_a_filter_shows_nothing_are_not_kept(protocol: Protocol) -> None:
+    statistics = Statistics(protocol, 86_806)
+    empty = [Records([]) for _ in range(1000)]
+    held = [sys.getrefcount(part) for part in empty]
+
+    for part in empty:
+        statistics.part(part, part)
+    del part
+
+    assert [sys.getrefcount(part) for part in empty] == held
 
 
 def _count(statistics: Statistics, event: Event, part: Part) -> None:

@@ -297,7 +297,15 @@ def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
 
 
 @pytest.mark.parametrize(
-    "more", [["--start", "2", "--end", "1"], ["--rate", "-1"], ["--filter", "x"]]
+    "more",
+    [
+        ["--start", "2", "--end", "1"],
+        ["--start", "nan"],
+        ["--end", "inf"],
+        ["--rate", "nan"],
+        ["--rate", "-1"],
+        ["--filter", "x"],
+    ],
 )
 def test_wrong_use_is_one_sentence(capture: Write, more: list[str]) -> None:
     run = commands.command("replay", str(capture(conversation(TALK))), *more)

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 
 from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import NoOutput, Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Statistics
@@ -27,7 +28,9 @@ START = 1_790_000_000_000_000_000
 TIMEOUT, SKEW = 50 * MS, 20 * MS
 
 
-def made(protocol: Protocol, path: Path, seed: int, *, attached: bool = False) -> Path:
+def made(
+    protocol: Protocol, path: Path, seed: int, *, attached: bool = False, judged: bool = False
+) -> Path:
     """A capture of some seconds with checkpoints: busy and quiet, with whatever can go wrong."""
     draw = random.Random(seed)
     metadata = session_metadata(
@@ -46,6 +49,7 @@ def made(protocol: Protocol, path: Path, seed: int, *, attached: bool = False) -
             Statistics(protocol, 86_806),
             Shown(NoOutput()),
             recorder,
+            PassiveJudge(protocol, paired=True, attached=attached) if judged else None,
             patience=draw.choice([0, 50 * MS]),
         )
         t = 0
@@ -100,10 +104,11 @@ def later(full: list[str], start: int) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "attached"), [(1, False), (2, True), (3, False), (4, True)])
+@pytest.mark.parametrize("judged", [False, True])
 def test_the_lines_from_a_checkpoint_are_those_of_a_full_replay(
-    protocol: Protocol, tmp_path: Path, seed: int, attached: bool
+    protocol: Protocol, tmp_path: Path, seed: int, attached: bool, judged: bool
 ) -> None:
-    path = made(protocol, tmp_path / "made.mcap", seed, attached=attached)
+    path = made(protocol, tmp_path / "made.mcap", seed, attached=attached, judged=judged)
     assert open_capture(path).contents.counts[CHECKPOINT] >= 5
     full = lines(path, protocol, 0, seek=False)
     draw = random.Random(seed)

@@ -202,6 +202,28 @@ def test_a_reader_that_goes_ends_it_quietly(tmp_path: Path) -> None:
     assert not open_capture(path).unfinished
 
 
+def test_the_capture_is_finished_though_nobody_reads_the_text(tmp_path: Path) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device)
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x20")
+            _read(command, 1)
+            _write(host, TROUBLESOME * 1000)  # more text than a pipe takes
+            give_up = time.monotonic() + PATIENCE
+            while len(_kept(path, "host")) < 8001:
+                assert time.monotonic() < give_up
+            command.process.send_signal(signal.SIGINT)
+            while open_capture(path).unfinished:
+                assert time.monotonic() < give_up
+
+            assert command.process.poll() is None
+            code, out, _ = command.result()
+
+    assert code == 0
+    assert out.endswith(b"}\n")
+
+
 def test_a_kill_loses_nothing_that_is_older_than_a_moment(tmp_path: Path) -> None:
     with open_pty() as host:
         path = tmp_path / "run.mcap"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from io import TextIOWrapper
@@ -11,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.cli.streams import standard_streams
 from bilprov.analyzer.output import text_queue
 from bilprov.analyzer.output.text_queue import TextQueue
 
@@ -33,6 +36,18 @@ def _read(ours: int, size: int) -> bytes:
     while len(taken) < size:
         taken += os.read(ours, 1 << 16)
     return bytes(taken)
+
+
+def _nobody_reads(ours: int) -> None:
+    nowhere = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nowhere, ours)
+    os.close(nowhere)
+
+
+def _write_little(queue: TextQueue, times: int) -> None:
+    for _ in range(times):
+        queue.write("little\n")
+        time.sleep(0.001)
 
 
 def test_a_little_text_goes_out_at_once_and_by_no_thread(pipe: Pipe) -> None:
@@ -90,13 +105,26 @@ def test_what_the_stream_raises_is_raised_in_the_writers_thread(pipe: Pipe) -> N
     ours, stream = pipe
     queue = TextQueue(stream)
     queue.write("x" * 200_000)  # more than the pipe takes, so it is under way
-    nowhere = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nowhere, ours)  # nobody reads any more
-    os.close(nowhere)
+    _nobody_reads(ours)
 
     with pytest.raises(BrokenPipeError):
         queue.close()
     queue.close()
+
+
+def test_what_the_stream_raised_is_raised_though_it_takes_all_that_follows(
+    pipe: Pipe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, stream = pipe
+    monkeypatch.setattr(sys, "stdout", stream)
+    with standard_streams():  # their output is discarded once the reader has gone
+        queue = TextQueue(sys.stdout)
+        queue.write("x" * 200_000)
+        _nobody_reads(ours)
+
+        with pytest.raises(SystemExit):
+            _write_little(queue, 1000)
+        queue.close()
 
 
 def test_a_file_is_written_at_once(tmp_path: Path) -> None:
