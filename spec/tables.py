@@ -138,9 +138,9 @@ class FrameTables:
                 frames = both
             frames = frames[: np.searchsorted(frames, size)]
             frames += base
-            if at > len(data):
-                at = int(frames[-1])
-                frames = frames[:-1]
+            if at > len(data):  # the last frame is not complete, and may end in a block to come
+                yield frames[:-1], int(frames[-1])
+                return
             yield frames, at
 
     def offsets(self, data: NDArray[np.uint8], start: int = 0) -> tuple[NDArray[np.int64], int]:

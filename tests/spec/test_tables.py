@@ -190,6 +190,20 @@ def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(
                 assert end == start + ends[whole - 1]
 
 
+@pytest.mark.parametrize("before", [1, 2, 5, 15])
+def test_a_frame_over_the_end_of_a_block_is_left_open_until_it_is_whole(
+    protocol: Protocol, before: int
+) -> None:
+    longest = protocol.lengths.index(protocol.longest_frame - 1)
+    begun = BLOCK - before
+    stream = bytes([protocol.pad_byte]) * begun + bytes([longest]) * protocol.longest_frame
+    places = list(range(begun))
+
+    for length in range(1, protocol.longest_frame):
+        assert found(frame_tables(protocol), stream[: begun + length]) == (places, begun)
+    assert found(frame_tables(protocol), stream) == ([*places, begun], len(stream))
+
+
 def test_no_bytes_hold_no_frames(each_protocol: Protocol) -> None:
     assert found(frame_tables(each_protocol), b"") == ([], 0)
 
