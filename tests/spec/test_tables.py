@@ -190,18 +190,18 @@ def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(
                 assert end == start + ends[whole - 1]
 
 
-@pytest.mark.parametrize("before", [1, 2, 5, 15])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
 def test_a_frame_over_the_end_of_a_block_is_left_open_until_it_is_whole(
-    protocol: Protocol, before: int
+    protocol: Protocol, seed: int
 ) -> None:
-    longest = protocol.lengths.index(protocol.longest_frame - 1)
-    begun = BLOCK - before
-    stream = bytes([protocol.pad_byte]) * begun + bytes([longest]) * protocol.longest_frame
-    places = list(range(begun))
+    stream = Random(seed).randbytes(BLOCK + protocol.longest_frame)
+    places, header = framed(protocol, stream)
+    starts = [*places, header]
 
-    for length in range(1, protocol.longest_frame):
-        assert found(frame_tables(protocol), stream[: begun + length]) == (places, begun)
-    assert found(frame_tables(protocol), stream) == ([*places, begun], len(stream))
+    for length in range(BLOCK, len(stream)):
+        whole = bisect_right(starts[1:], length)
+        assert found(frame_tables(protocol), stream[:length]) == (places[:whole], starts[whole])
 
 
 def test_no_bytes_hold_no_frames(each_protocol: Protocol) -> None:
