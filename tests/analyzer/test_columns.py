@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
@@ -21,6 +22,7 @@ from bilprov.analyzer.replay.capture_session import capture_decoder, capture_ses
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.decoding import MS, Event
@@ -78,6 +80,50 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
             Chunk(number * MS + 1000, "device", answer),
         ]
     return events
+
+
+@pytest.mark.slow
+@settings(max_examples=150)
+@given(
+    ACTS,
+    BATCHES,
+    SETTINGS,
+    st.lists(
+        st.sampled_from([0, 1000, MS, 5 * MS, 16 * MS, 19 * MS, 20 * MS, 25 * MS]),
+        min_size=1,
+        max_size=6,
+    ),
+)
+def test_answers_that_a_tap_stamps_before_their_instructions_are_those_of_a_session(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    chosen: dict[str, Any],
+    shifts: list[int],
+) -> None:
+    events = played(each_protocol, acts)
+    stamped = [
+        (max(0, event.t - shifts[place % len(shifts)]), event)
+        if isinstance(event, Chunk) and event.direction == "device"
+        else (event.t, event)
+        for place, event in enumerate(events)
+    ]
+    stamped.sort(key=lambda one: one[0])
+
+    same(each_protocol, [replace(event, t=t) for t, event in stamped], batches, **chosen)
+
+
+def test_early_answers_are_columns_too(protocol: Protocol) -> None:
+    frame, ok = bytes([protocol.pad_byte]), bytes([protocol.answers[Outcome.VALID].code])
+    events: list[Event] = []
+    for turn in range(50):
+        t = turn * 30 * MS
+        events += [Chunk(t, "device", ok * 3), Chunk(t + MS, "host", frame * 5)]
+        events.append(Chunk(t + 2 * MS, "device", ok * 2))
+
+    parts = same(protocol, events)
+
+    assert {type(part) for part in parts} == {Stretch}
 
 
 def test_traffic_without_oddities_is_columns_alone(each_protocol: Protocol) -> None:
