@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
-from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
-from bilprov.analyzer.decode.decoder import LOSSES, QUIET
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
+from bilprov.analyzer.decode.decoder import LOSSES
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol

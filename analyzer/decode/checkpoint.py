@@ -6,11 +6,15 @@ from collections.abc import Iterator
 
 import msgspec
 
-from bilprov.captures.schemas import Direction, State
+from bilprov.captures.schemas import MS, Direction, State
 from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
 _MOST = 1 << 62  # instructions: numbers of some more still fit into 64 bits
+
+
+QUIET = 20 * MS
+"""Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
 
 
 class WaitingFrames(msgspec.Struct, frozen=True):
@@ -60,6 +64,12 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     unsynced_since: int | None = None
     spoken: bool = False
 
+    @property
+    def _may_be_out_of_step(self) -> bool:
+        """Whether an answer is held that came in the open frame and shows that it is given up."""
+        times = [t + QUIET for t, _ in self.held]
+        return bool(self.frame) and self.out_of_step in times
+
     def require_sense(self, protocol: Protocol) -> None:
         """Raise ValueError unless a session of this protocol can be in this state."""
         state = self.state
@@ -84,7 +94,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
             and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])
-            and (self.out_of_step is None or bool(self.frame))
+            and (self.out_of_step is None or self._may_be_out_of_step)
         )
         if not sane:
             raise ValueError("no session is ever in this state")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
@@ -21,15 +21,12 @@ from bilprov.analyzer.decode.records import (
     Record,
     written_state,
 )
-from bilprov.captures.schemas import MS, Line, State
+from bilprov.captures.schemas import Line, State
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind
 from bilprov.spec.motion import is_moving
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import Step, Steps
-
-QUIET = 20 * MS
-"""Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})

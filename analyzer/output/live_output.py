@@ -23,7 +23,9 @@ DRAW_EVERY = 0.1  # s
 # Largest share of the time that drawing may take; on a slow terminal the view is drawn less often.
 _DRAWING_SHARE = 0.08
 _LAST_HEIGHT = 24  # lines of the last view, which stays on the terminal
-_SWITCH = 0.00005  # s after which the drawing thread yields to the reading one; Python's own is 5 ms
+_SWITCH = 0.00005  # s after which the drawing thread yields to the reading one (Python: 5 ms)
+    0.00005  # s after which the drawing thread yields to the reading one; Python's own is 5 ms
+)
 
 
 class LiveOutput:
