@@ -24,8 +24,6 @@ DRAW_EVERY = 0.1  # s
 _DRAWING_SHARE = 0.08
 _LAST_HEIGHT = 24  # lines of the last view, which stays on the terminal
 _SWITCH = 0.00005  # s after which the drawing thread yields to the reading one (Python: 5 ms)
-    0.00005  # s after which the drawing thread yields to the reading one; Python's own is 5 ms
-)
 
 
 class LiveOutput:
