@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LEAST = 512
 """Bytes from which on events are decoded into columns; fewer are decoded faster by a Session."""
 
-FIRST = 1 << 15
+FIRST = 1 << 17
 """Bytes that a Session decodes before columns are used: to load numpy takes as long as that."""
 
 # After an event that is not regular, so many go through the Session; more and more if none of
