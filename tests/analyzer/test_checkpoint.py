@@ -20,6 +20,8 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, SETTINGS, Act, played, records_of, told
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_bytes_are_enough() -> Any:

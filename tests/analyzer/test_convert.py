@@ -36,6 +36,8 @@ from tests.support.commands import Done, command
 from tests.support.recordings import attachments_of
 from tests.support.traffic import records_of
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 SAMPLES = ROOT / "captures" / "samples"
 START = 1_790_000_000_000_000_000
 DECODED = ("/host/instructions", "/device/responses", "/state", "/faults")

@@ -22,6 +22,8 @@ from tests.support.decoding import MS, Event, devices, hosts
 from tests.support.expressions import expressions
 from tests.support.traffic import ACTS, SETTINGS, Act, played, told
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_bytes_are_enough() -> Any:

@@ -27,6 +27,8 @@ from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 START = 1_790_000_000_000_000_000
 
 

@@ -21,6 +21,8 @@ from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import MS, Event, conversation
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
 
 

@@ -21,6 +21,8 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, devices, hosts
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
+pytestmark = pytest.mark.slow  # more than make quick has time for
+
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_bytes_are_enough() -> Any:
