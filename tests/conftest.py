@@ -14,6 +14,7 @@ from random import Random
 import pytest
 from hypothesis import settings
 
+from bilprov.analyzer.columns import decoder
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
@@ -174,3 +175,12 @@ def drive() -> Drive:
         return seen
 
     return driven
+
+
+@pytest.fixture(scope="module")
+def columns_at_once() -> Iterator[None]:
+    """Columns decode any number of bytes from the first on, which is else not worth the trouble."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(decoder, "LEAST", 0)
+        patch.setattr(decoder, "FIRST", 0)
+        yield

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames, decoded, encoded
 from bilprov.analyzer.decode.session import Session
@@ -20,15 +19,8 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, SETTINGS, Act, played, records_of, told
 
-pytestmark = pytest.mark.slow  # more than make quick has time for
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
+# Slow: more than make quick has time for.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
 @pytest.mark.slow

@@ -28,16 +28,8 @@ from tests.support import ROOT
 from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
-pytestmark = pytest.mark.slow  # more than make quick has time for
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    """Columns are used for any number of bytes, which is else not worth the trouble."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
+# Slow: more than make quick has time for.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
 def same(

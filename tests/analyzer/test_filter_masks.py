@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.output.filter import Filter, compile_filter
@@ -22,15 +21,8 @@ from tests.support.decoding import MS, Event, devices, hosts
 from tests.support.expressions import expressions
 from tests.support.traffic import ACTS, SETTINGS, Act, played, told
 
-pytestmark = pytest.mark.slow  # more than make quick has time for
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
+# Slow: more than make quick has time for.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
 def driving(protocol: Protocol, count: int, seed: int) -> list[Event]:

@@ -7,20 +7,13 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.output.json_lines import encode, json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.spec.protocol import Protocol
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, told
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
+pytestmark = pytest.mark.usefixtures("columns_at_once")
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.filter import compile_filter
@@ -23,15 +22,9 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, BATCHES, Act, played
 
+pytestmark = pytest.mark.usefixtures("columns_at_once")
+
 FILTERS = [None, "faulty", "direction == device and not agrees", "state.moving or latency > 0.001"]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
 
 
 def shown(

@@ -76,6 +76,7 @@ def test_a_reader_that_pauses_holds_nobody_up_and_misses_nothing(pipe: Pipe) -> 
     assert queue.waited_ns == 0
 
 
+@pytest.mark.waits
 def test_a_full_queue_makes_the_writer_wait_and_tells_how_long(
     pipe: Pipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from bilprov.analyzer.columns import decoder as columns
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.columns.latencies import Latencies
 from bilprov.analyzer.columns.stretch import Stretch
@@ -21,15 +20,8 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, devices, hosts
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
-pytestmark = pytest.mark.slow  # more than make quick has time for
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_bytes_are_enough() -> Any:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(columns, "LEAST", 0)
-        patch.setattr(columns, "FIRST", 0)
-        yield
+# Slow: more than make quick has time for.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
 def totals(protocol: Protocol, parts: Sequence[Part]) -> Totals:
