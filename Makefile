@@ -7,9 +7,10 @@ SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
 # Without its cache of compiled files each start of Python would take two seconds, not a half.
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST_ARGS ?= -n 4 --dist worksteal
-# A browser for the pages, compilers and emulators for the firmware, other people's serial programs.
+# A browser for the pages, compilers and emulators for the firmware, other people's serial programs,
+# a reader of exported traffic, a terminal for the screen, shells for their completion.
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
-	gcc-arm-none-eabi qemu-system-arm ser2net socat
+	gcc-arm-none-eabi qemu-system-arm ser2net socat tshark tmux zsh fish
 
 .PHONY: help setup packages demo test quick whole slow mutants check format lint types bench noise pictures clean
 

@@ -111,6 +111,10 @@ class Filter:
         """Whether the line passes."""
         return self._get(line) is True
 
+    def started(self, start_wall: int) -> Filter:
+        """The filter for a recording that began at this time (ns since 1970)."""
+        return self
+
     def masks(self, stretch: Stretch) -> tuple[Mask, Mask]:
         """Which of the new host rows pass, and which device rows. Line events are not asked."""
         from bilprov.analyzer.output.filter_masks import masks
