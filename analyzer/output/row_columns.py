@@ -7,18 +7,22 @@ and as `fields.NAME`; where a field is called like a column, only the latter rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import lru_cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from bilprov.analyzer.output.json_lines import JsonLine
-from bilprov.analyzer.output.text_lines import state_words
+from bilprov.analyzer.decode.records import Record, severity_of
+from bilprov.analyzer.output.json_lines import JsonLine, json_line
+from bilprov.analyzer.output.text_lines import painted, state_words
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.columns.stretch import Stretch
 
 Value: TypeAlias = "str | int | float | bool | None"
 """What a column has in a row; None where the row lacks it."""
@@ -62,6 +66,10 @@ class Times:
         """The text of the next row's time `t` (ns since the start)."""
         previous, self._previous = self._previous, t
         return self.text(t, previous)
+
+    def padded(self, t: int) -> str:
+        """The same as wide as all others, for a list."""
+        return f"{self.shown(t):>{self.width}}"
 
     def text(self, t: int, previous: int | None = None) -> str:
         """The text of a time (ns since the start); `previous` is that of the row before, if any."""
@@ -273,8 +281,20 @@ def _no_column(name: str, known: Mapping[str, Column]) -> str:
     from difflib import get_close_matches
 
     close = get_close_matches(name.lower(), known, n=1)
-    hint = f", did you mean {close[0]}?" if close else ";"
-    return f"there is no column {printable(name)!r}{hint} there are {', '.join(known)}"
+    hint = f", did you mean {close[0]}?" if close else f"; there are {', '.join(known)}"
+    return f"there is no column {printable(name)!r}{hint}"
+
+
+@dataclass(frozen=True, slots=True)
+class RowStyle:
+    """What was asked for of each row: `--time` and `--columns`; None for what was not."""
+
+    time: TimeStyle | None = None
+    columns: tuple[Column, ...] | None = None
+
+    def times(self, start_wall: int) -> Times:
+        """The times of a recording that began at this time (ns since 1970)."""
+        return Times(self.time or TimeStyle.RELATIVE, start_wall)
 
 
 def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:
@@ -294,3 +314,37 @@ def row_values(line: JsonLine, columns: Sequence[Column], times: Times) -> list[
         times.shown(nanoseconds(line.t)) if column is TIME else column.value(line)
         for column in columns
     ]
+
+
+class ColumnLines:
+    """Renders records as lines of chosen columns; what has no row has no line.
+
+    `colour` paints the rows with anomalies by their severity, which only a terminal should get.
+    """
+
+    def __init__(self, columns: Sequence[Column], times: Times, *, colour: bool) -> None:
+        self._columns = columns
+        self._times = times
+        self._colour = colour
+        self._widths = [times.width if column is TIME else column.width for column in columns]
+
+    def records(self, records: Iterable[Record]) -> str:
+        """The lines of the records, each with its newline."""
+        return "".join(
+            self._line(record, line) for record in records if (line := json_line(record))
+        )
+
+    def stretch(self, stretch: Stretch) -> str:
+        """The lines of all records of a stretch."""
+        return self.records(stretch.records())
+
+    def _line(self, record: Record, line: JsonLine) -> str:
+        padded = (
+            cell.rjust(width) if column.right else cell.ljust(width)
+            for cell, width, column in zip(
+                cells(line, self._columns, self._times), self._widths, self._columns, strict=True
+            )
+        )
+        text = "  ".join(padded).rstrip()
+        severity = severity_of(record)
+        return f"{painted(text, severity) if self._colour and severity else text}\n"
