@@ -36,11 +36,11 @@ class Spread:
 
 
 class Bin(NamedTuple):
-    """How many latencies there are from `start` up to, not including, `stop` (ns)."""
+    """The `amount` of latencies from `start` up to, not including, `stop` (ns)."""
 
     start: int
     stop: int
-    count: int
+    amount: int
 
 
 class Latencies:
@@ -62,7 +62,7 @@ class Latencies:
         found: NDArray[np.int64] = np.asarray(latencies, np.int64)
         if not len(found):
             return
-        group: NDArray[np.int64] = np.asarray(groups, np.int64)
+        group = np.broadcast_to(np.asarray(groups, np.int64), found.shape)
         shortest, longest = int(found.min()), int(found.max())
         low, high = self._place(shortest), self._place(longest)
         cells = found // _STEP
@@ -103,9 +103,9 @@ class Latencies:
         return Spread(count, shortest, median, most, nearly, longest)
 
     def histogram(self) -> list[Bin]:
-        """All of them in at most 12 bins of equal width, a round one; the last has all that is left.
+        """All of them in at most 12 bins; the last has all that is left.
 
-        The width is such that 99 of 100 fall into the other bins.
+        The others have the same width, a round one such that 95 of 100 latencies fall into them.
         """
         touched = self._touched()
         if touched.start == touched.stop:
@@ -113,7 +113,7 @@ class Latencies:
         upto = np.append(0, np.cumsum(self._counts[touched].sum(axis=1)))
         start, end = _time(touched.start), _time(touched.stop)
         nearly = _time(
-            touched.start + int(np.searchsorted(upto[1:], upto[-1] * 99 // 100, "right"))
+            touched.start + int(np.searchsorted(upto[1:], upto[-1] * 95 // 100, "right"))
         )
         width = _round_width((nearly - start) // (_BINS - 2))
         first = start // width * width

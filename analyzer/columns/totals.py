@@ -194,7 +194,7 @@ class Totals:
     # -- a stretch ---------------------------------------------------------------------------------
 
     def _add_stretch(self, stretch: Stretch, chosen: Chosen | None) -> list[int]:
-        """Count what is chosen of a stretch; returns its first and last time (ns), if it has any."""
+        """Count what is chosen of a stretch; returns the times (ns) of its ends."""
         # None of their states is asked for, so that no state is ever worked out.
         lines = [
             stretch.line(at, stretch.carried)
@@ -210,13 +210,11 @@ class Totals:
 
     def _add_hosts(self, stretch: Stretch, rows: NDArray[np.int64] | None) -> list[int]:
         header, verdict, kinds = stretch.new.key >> 8, stretch.new.verdict, host_kinds(stretch)
-        size, start = stretch.size[stretch.carried :], stretch.start
-        end = stretch.end[stretch.carried :]
+        start, end = stretch.start, stretch.end[stretch.carried :]
+        size = stretch.size[stretch.carried :]
         if rows is not None:
-            header, verdict, size, start, end = (
-                column[rows] for column in (header, verdict, size, start, end)
-            )
-            kinds = kinds._replace(code=kinds.code[rows])
+            header, verdict, size = header[rows], verdict[rows], size[rows]
+            start, end, kinds = start[rows], end[rows], kinds._replace(code=kinds.code[rows])
         if not len(header):
             return []
         self._headers += np.bincount(header, minlength=256)

@@ -38,7 +38,7 @@ Counts have these keys:
 - `latency`: null where nothing is paired, else `count`, `min`, `median`, `p95`, `p99`, `max`: from
   the last byte of a frame to its answer; `min` and `max` are exact, the rest rounded down to 1 us.
 - `latency_bins`: a histogram of all latencies: how many (`count`) are from `least` up to, not
-  including, `below`. 99 of 100 fall into bins of equal width, the last bin has what is left.
+  including, `below`. 95 of 100 fall into bins of equal width, the last bin has what is left.
 
 Instructions and responses of the grammar are there even where the count is 0.
 """
@@ -197,11 +197,12 @@ def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> FileStat
 def _mean_load(files: list[FileStats], duration: float) -> Load | None:
     if not duration:
         return None
-    loads = [(file.counts.load, file.counts.duration) for file in files if file.counts.load]
-    return Load(
-        sum(load.host * span for load, span in loads if load) / duration,
-        sum(load.device * span for load, span in loads if load) / duration,
-    )
+    host = device = 0.0
+    for file in files:
+        if load := file.counts.load:
+            host += load.host * file.counts.duration
+            device += load.device * file.counts.duration
+    return Load(host / duration, device / duration)
 
 
 def _rates(rates: Rates) -> RateCounts | None:
@@ -241,8 +242,8 @@ def _counts(totals: Totals, duration: float, load: Load | None) -> Counts:
         },
         latency=_latency(totals.latencies.spread()),
         latency_bins=[
-            LatencyBin(start / SECOND, stop / SECOND, count)
-            for start, stop, count in totals.latencies.histogram()
+            LatencyBin(start / SECOND, stop / SECOND, amount)
+            for start, stop, amount in totals.latencies.histogram()
         ],
     )
 

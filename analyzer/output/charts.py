@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,5 +49,5 @@ def means(values: Sequence[float], most: int) -> list[float]:
     if count <= most:
         return list(values)
     bounds = [place * count // most for place in range(most + 1)]
-    pieces = (values[low:high] for low, high in zip(bounds, bounds[1:], strict=False))
+    pieces = (values[low:high] for low, high in pairwise(bounds))
     return [sum(piece) / len(piece) for piece in pieces]

@@ -14,6 +14,7 @@ from bilprov.captures.text import printable
 
 _SPARK = 36  # columns of a sparkline
 _BAR = 36  # columns of the longest bar
+_FEWEST = 4  # counts by time that are worth a sparkline
 
 
 def drawn(stats: Stats, charts: Charts) -> Iterator[RenderableType]:
@@ -35,7 +36,7 @@ def _part(
 ) -> Iterator[RenderableType]:
     yield heading(title)
     yield facts(_about(counts, file))
-    if file and file.rates and len(file.rates.frames) > 1:
+    if file and file.rates and len(file.rates.frames) >= _FEWEST:
         yield from _rates(counts, file.rates, charts)
     yield from _instructions(counts)
     yield from _responses(counts)
@@ -44,7 +45,7 @@ def _part(
 
 
 def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
-    share = f" ({counts.moving / counts.duration:.0%})" if counts.duration else ""
+    share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
     yield "duration", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
     yield "host", f"{counts.host_bytes:,} bytes, {_frames(counts)}"
     yield "device", f"{counts.device_bytes:,} bytes"
@@ -159,7 +160,7 @@ def _ms(seconds: float) -> str:
 
 
 def _share(load: float) -> str:
-    return f"{load:.0%}" if load >= 0.1 else f"{load:.1%}" if load >= 0.001 else f"{load:.3%}"
+    return f"{load * 100:,.0f} %" if load >= 0.1 else f"{load * 100:.2g} %"
 
 
 def _count(count: int) -> str:
