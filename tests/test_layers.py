@@ -39,6 +39,7 @@ ROOMS = (
         "captures.writer",
     ),
     ("analyzer",),  # files, grammar_file, version
+    ("analyzer.html",),
     ("analyzer.transport",),
     ("analyzer.taps",),
     ("analyzer.decode",),
@@ -47,6 +48,7 @@ ROOMS = (
     ("analyzer.output",),
     ("analyzer.client",),
     ("analyzer.replay",),
+    ("analyzer.plot",),
     ("analyzer.pipeline", "analyzer.api"),
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),
