@@ -40,6 +40,12 @@ COMMANDS = {
         "stats",
         "Count what captures hold: frames, answers.",
     ),
+    "plot": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.plot",
+        "plot",
+        "Draw a capture along its time, as a page.",
+    ),
     "convert": Row(
         "Analyze",
         "bilprov.analyzer.cli.convert",
