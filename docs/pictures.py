@@ -7,6 +7,7 @@ picture again.
 from __future__ import annotations
 
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -34,6 +35,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.summary import show
 from bilprov.spec.codec import build, raw_frame
+from bilprov.spec.motion import MOTIONS, Moment, moment_of
 from bilprov.spec.protocol import Protocol
 from examples.demo import examples
 
@@ -87,22 +89,17 @@ def drive(protocol: Protocol) -> list[Chunk]:
                 busy = due + int(random.lognormvariate(0, 0.6) * MS)
                 events.append(Chunk(busy, "device", answer))
 
-    motions = [
-        spec for spec in protocol.instructions if spec.effect.motion not in (None, "stopped")
-    ]
-    settings = [
-        spec for spec in protocol.instructions if spec.effect.sets("steering") and spec.fields
-    ]
-    speed = next(
-        spec for spec in protocol.instructions if spec.effect.sets("speed") and spec.fields
-    )
+    moves = [spec for spec in protocol.instructions if moment_of(spec.effect) in MOTIONS]
+    sets = [spec for spec in protocol.instructions if moment_of(spec.effect) is Moment.SETTING]
+    turns = [spec for spec in sets if spec.effect.sets("steering")]
+    speed = next(spec for spec in sets if spec.effect.sets("speed"))
     while now < 60_000 * MS:
-        say(build(protocol, random.choice(motions).name), 300 * MS)
+        say(build(protocol, random.choice(moves).name), 300 * MS)
         top = random.randrange(90, 256)
         for value in range(20, top, 9):
             say(build(protocol, speed.name, {speed.fields[0].name: value}), 40 * MS)
         for _ in range(random.randrange(4)):
-            turn = random.choice(settings)
+            turn = random.choice(turns)
             value = random.randrange(40, 256)
             say(build(protocol, turn.name, {turn.fields[0].name: value}), 500 * MS)
         if random.random() < 0.3:
@@ -118,13 +115,13 @@ def plot_picture(protocol: Protocol, picture: Path) -> None:
     with tempfile.TemporaryDirectory() as place:
         file, page = Path(place) / "drive.mcap", Path(place) / "drive.html"
         about = {"attached": "no", "heard": "host device"}
-        with CaptureWriter(
-            file, start_wall=_BEGUN, metadata=about, version=kit_version()
-        ) as writer:
+        version = kit_version()
+        with CaptureWriter(file, start_wall=_BEGUN, metadata=about, version=version) as writer:
             for event in drive(protocol):
                 writer.chunk(event)
         plot.main([str(file), "--html", str(page)], standalone_mode=False, obj=None)
-        take(page.read_text(encoding="utf-8"), f"t={22_000 * MS}", picture)
+        text = page.read_text(encoding="utf-8")
+        take(text, re.findall(r'href="#(t=\d+)"', text)[3], picture)  # at one of the anomalies
 
 
 def draw(folder: Path) -> None:

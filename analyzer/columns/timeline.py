@@ -121,6 +121,8 @@ class Timeline:
     def states(self) -> States:
         """The states, from `begin` on."""
         table, step = self._states.reduced()
+        if step:
+            table = np.concatenate([table, _held_after(table[-1:], step)])
         t, motion, seen, *ranges = (column.tolist() for column in table.T)
         return States(t, motion, seen, Range(*ranges[:3]), Range(*ranges[3:]), step)
 
@@ -254,11 +256,11 @@ class _Rows:
         table = np.concatenate(self._pieces)
         if np.any(np.diff(table[:, 0]) < 0):
             table = table[np.argsort(table[:, 0], kind="stable")]
-        if len(table) > MOST:
+        if self._step or len(table) > MOST:
             since = table[:, 0] - self.begin
             self._step = self._step or _FINEST
             # A step may take two rows: one for what changes in it, one for what holds after it.
-            while _distinct(since // self._step) > MOST // 2:
+            while 2 * _distinct(since // self._step) > MOST:
                 self._step *= 2
             table = self._merge(table, self.begin + since // self._step * self._step, self._step)
         return table, self._step
@@ -286,13 +288,20 @@ def _merged_states(table: Table, start: NDArray[np.int64], step: int) -> Table:
     changing = rows[:, _SEEN] != 1 << rows[:, _MOTION]
     for value in _RANGES:
         changing |= rows[:, value + 1] != rows[:, value + 2]
-    after = rows[changing & (np.diff(rows[:, 0], append=rows[-1, 0]) != step)]
-    after[:, 0] += step
-    after[:, _SEEN] = 1 << after[:, _MOTION]
-    for value in _RANGES:
-        after[:, value + 1] = after[:, value + 2] = after[:, value]
-    both = np.concatenate([rows, after])
+    # More may come in the last step, of which all the same nothing is said beyond it.
+    after = rows[:-1][changing[:-1] & (np.diff(rows[:, 0]) != step)]
+    both = np.concatenate([rows, _held_after(after, step)])
     return both[np.argsort(both[:, 0], kind="stable")]
+
+
+def _held_after(rows: Table, step: int) -> Table:
+    """What holds after steps with such rows, as long as nothing changes."""
+    rows = rows.copy()
+    rows[:, 0] += step
+    rows[:, _SEEN] = 1 << rows[:, _MOTION]
+    for value in _RANGES:
+        rows[:, value + 1] = rows[:, value + 2] = rows[:, value]
+    return rows
 
 
 def _merged_latencies(table: Table, start: NDArray[np.int64], step: int) -> Table:

@@ -143,10 +143,11 @@ def _picture(timeline: Timeline) -> Safe:
         tag("button", said, type="button", class_="chip", data_do=do)
         for do, said in buttons.items()
     )
-    names = ("time", "motion", "speed", "steering", "latency", "anomaly")
+    names = {name: name for name in ("time", "motion", "speed", "steering")}
+    names |= {"latency": "last latency", "anomaly": "anomaly"}
     values = (
-        tag("div", tag("dt", name), tag("dd", "", data_of=name), class_=f"of-{name}")
-        for name in names
+        tag("div", tag("dt", said), tag("dd", "", data_of=name), class_=f"of-{name}")
+        for name, said in names.items()
     )
     return tag(
         "section",
