@@ -348,10 +348,10 @@ def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
     before = Path(capture).read_bytes()
 
     assert "missing argument" in wrong()
-    assert "does not exist" in wrong("/nowhere/c.mcap")
+    assert "does not exist" in wrong(str(tmp_path / "no.mcap"))
     assert "is a folder" in wrong(str(tmp_path))
     assert "is not MCAP" in wrong(__file__)
-    assert "cannot be written" in wrong(capture, "--json", "/nowhere/stats.json")
+    assert "cannot be written" in wrong(capture, "--json", str(tmp_path / "no" / "stats.json"))
     assert "would overwrite the input" in wrong(capture, "--json", capture)
     assert "both go to standard output" in wrong(capture, "--json", "-", "--csv", "-")
     assert "would overwrite --json" in wrong(capture, "--json", "x", "--csv", "./x")
@@ -362,7 +362,7 @@ def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
 def test_one_capture_that_cannot_be_read_leaves_no_json(tmp_path: Path) -> None:
     file = tmp_path / "stats.json"
 
-    wrong(EXAMPLES, "/nowhere/c.mcap", "--json", str(file))
+    wrong(EXAMPLES, str(tmp_path / "no.mcap"), "--json", str(file))
 
     assert not file.exists()
 

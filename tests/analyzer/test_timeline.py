@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bilprov.analyzer.columns import timeline
 from bilprov.analyzer.columns.decoder import StreamDecoder
@@ -107,15 +108,14 @@ def require_latencies(found: Timeline, records: Sequence[Record], most: int) -> 
         assert (low, high) == (min(mine), max(mine))
 
 
-@pytest.mark.parametrize("most", [1 << 14, 30, 8])
-@settings(max_examples=40)
-@given(acts=ACTS, batches=BATCHES, chosen=SETTINGS)
+@settings(max_examples=60)
+@given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, most=st.sampled_from([1 << 14, 30, 8]))
 def test_a_timeline_has_what_the_records_have(
     each_protocol: Protocol,
-    most: int,
     acts: list[Act],
     batches: list[int],
     chosen: dict[str, Any],
+    most: int,
 ) -> None:
     parts = told(StreamDecoder(each_protocol, **chosen), played(each_protocol, acts), batches)
     records = records_of(parts)
