@@ -78,9 +78,8 @@ class Latencies:
             self._counts[low : high + 1] += counts.reshape(-1, many)
         else:
             np.add.at(self._counts[low : high + 1].reshape(-1), cells, 1)
-        if shortest < self._shortest.max() or longest > self._longest.min():
-            np.minimum.at(self._shortest, group, found)
-            np.maximum.at(self._longest, group, found)
+        np.minimum.at(self._shortest, group, found)
+        np.maximum.at(self._longest, group, found)
 
     def merge(self, other: Latencies) -> None:
         """Count the others' too; they must be of the same timing and have the same groups."""
