@@ -12,6 +12,7 @@ import click
 from click import exceptions
 
 from bilprov.analyzer.output.help import Group, with_pages
+from bilprov.analyzer.settings import read_settings
 
 
 class Row(NamedTuple):
@@ -95,6 +96,9 @@ COMMANDS = {
     "spec": Row(
         "Protocol", "bilprov.analyzer.cli.spec", "spec", "Show protocol, readings and errata."
     ),
+    "config": Row(
+        "Protocol", "bilprov.analyzer.cli.config", "config", "Show settings and where they are set."
+    ),
     "completion": Row(
         "Protocol", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
     ),
@@ -133,7 +137,19 @@ class FrontDoor(Group):
         if name is None or listed is None:  # completion asks for what does not exist
             return name, listed, rest
         row = COMMANDS[name]
-        return name, with_pages(getattr(import_module(row.module), row.attribute)), rest
+        command = with_pages(getattr(import_module(row.module), row.attribute))
+        if ctx.resilient_parsing or "--help" in rest:
+            return name, command, rest
+        settings = read_settings(COMMANDS)
+        if settings.empty:
+            return name, command, rest
+        from bilprov.analyzer.cli.settings import with_settings
+
+        grammar = settings.values_of(name).get("grammar")
+        if grammar is not None and ctx.params.get("grammar") is None:
+            ctx.params["grammar"] = str(grammar.value)
+        command, ctx.default_map = with_settings(command, name, settings, rest)
+        return name, command, rest
 
 
 def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
