@@ -47,6 +47,7 @@ ROOMS = (
     ("analyzer.output",),
     ("analyzer.client",),
     ("analyzer.replay",),
+    ("analyzer.export",),
     ("analyzer.pipeline", "analyzer.api"),
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),
@@ -74,6 +75,7 @@ HOMES = {
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
     "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
+    "pyarrow": ("analyzer/export/parquet.py",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.

@@ -152,6 +152,7 @@ COLUMNS: Mapping[str, Column] = {
         Column("direction", "from", 6, "host or device", lambda r: r.direction),
         Column("kind", "kind", 11, "instruction, response, ...", lambda r: r.kind),
         Column("hex", "hex", 11, "the bytes", lambda r: r.hex),
+        Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
         Column(
             "data",
             "data",

@@ -58,22 +58,22 @@ def paced(
 
 
 def played(
-    events: Iterable[Event],
+    events: Iterable[Paced],
     rate: float,
     *,
     sleep: Callable[[float], object],
     start: int | None = None,
     end: int | None = None,
-) -> Iterator[Event]:
+) -> Iterator[Paced]:
     """Yield the events needed to decode `start <= t < end` (ns), in order; those inside are paced.
 
     Events before the window come without delay, because the predicted state and the framing depend
     on them. So do events shortly after it, because they may complete what began inside.
     """
     rest = iter(events)
-    after: list[Event] = []
+    after: list[Paced] = []
 
-    def inside() -> Iterator[Event]:
+    def inside() -> Iterator[Paced]:
         for event in rest:
             if end is not None and event.t >= end:
                 after.append(event)
