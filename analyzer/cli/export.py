@@ -128,19 +128,24 @@ def export(
     window = _window(start, end)
     test = compiled(expression, protocol)
     capture = _capture(path, protocol)
-    with (
-        _opened(output, path, force, text=form.text) as stream,
-        _progress(capture) as progress,
-    ):
-        form.writer()(
-            capture,
-            protocol,
-            stream,
-            test=test.started(capture.start) if test else None,
-            window=window,
-            progress=progress,
-            **more,
-        )
+    try:
+        with (
+            _opened(output, path, force, text=form.text) as stream,
+            _progress(capture) as progress,
+        ):
+            form.writer()(
+                capture,
+                protocol,
+                stream,
+                test=test.started(capture.start) if test else None,
+                window=window,
+                progress=progress,
+                **more,
+            )
+    except click.Abort:
+        to_file = output != STANDARD_OUTPUT
+        note(f"stopped: {printable(output) if to_file else 'the rest'} was not written")
+        raise
 
 
 def _require_alone(path: str | None, style: str | None) -> None:

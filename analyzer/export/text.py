@@ -9,7 +9,7 @@ from bilprov.analyzer.export.decoding import Progress, decoded_parts
 from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import TextForm, Window
-from bilprov.analyzer.output.row_columns import RowStyle
+from bilprov.analyzer.output.row_columns import AS_USUAL, RowStyle
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
@@ -25,7 +25,7 @@ def write_csv(
     test: Filter | None,
     window: Window,
     progress: Progress,
-    rows: RowStyle = RowStyle(),  # noqa: B008
+    rows: RowStyle = AS_USUAL,
 ) -> None:
     """Write the rows in `window` that pass `test` as CSV in UTF-8; see `csv_text`.
 

@@ -298,6 +298,10 @@ class RowStyle:
         return Times(self.time or TimeStyle.RELATIVE, start_wall)
 
 
+AS_USUAL = RowStyle()
+"""Nothing was asked for."""
+
+
 def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:
     """The texts of a row for people, one for each column; safe for a terminal, not padded.
 
