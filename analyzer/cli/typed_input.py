@@ -8,6 +8,35 @@ from collections.abc import Iterable, Sequence
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
+PAUSE = "pause="
+_LONGEST_PAUSE = 60_000  # ms
+
+
+def bytes_or_pause(protocol: Protocol, item: str) -> bytes | float:
+    """Parse what is typed to be sent: an instruction or hex as bytes, `pause=MS` as seconds.
+
+    Raises ValueError, in one sentence.
+    """
+    if item.startswith(PAUSE):
+        try:
+            pause = float(item.removeprefix(PAUSE))
+        except ValueError:
+            pause = -1.0
+        if not 0 <= pause <= _LONGEST_PAUSE:
+            raise ValueError(
+                f"{item!r} is no pause; write {PAUSE}MS with 0 to {_LONGEST_PAUSE} milliseconds"
+            )
+        return pause / 1000
+    name, *words = item.split() or [""]
+    names = [spec.name for spec in protocol.instructions]
+    if name.lower() in map(str.lower, names):
+        return encoded(protocol, name, words)
+    try:
+        return bytes_from_hex(item)
+    except ValueError as error:
+        guess = meant(name, names)
+        raise ValueError(f"{error}, or an instruction{guess or ': ' + ', '.join(names)}") from error
+
 
 def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
     """Encode an instruction as its frame.
