@@ -75,6 +75,7 @@ HOMES = {
     "mcap": ("captures/",),
     "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
+    "prompt_toolkit": ("conformance/cli/shell/prompt.py",),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.
     "pytest": (

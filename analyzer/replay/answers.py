@@ -22,6 +22,7 @@ from bilprov.spec.protocol import Protocol
 FLOOD = 64
 """Bytes that answer no instruction, from which on a device counts as flooding the line."""
 
+FLOOD_WORDS = f"the device floods the line: {FLOOD} bytes came that answer no instruction"
 UNANSWERED_STOPS = "the device did not answer the stops at the end: it may still be moving"
 
 
@@ -77,7 +78,7 @@ class AnswerCheck:
     def unasked_words(self) -> str:
         """Tells of bytes that answer no instruction, in a sentence; "" if none came."""
         if self.flooded:
-            return f"the device floods the line: {FLOOD} bytes came that answer no instruction"
+            return FLOOD_WORDS
         if self.unasked:
             return f"{_number(self.unasked, 'byte')} came without an instruction"
         return ""

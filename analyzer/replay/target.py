@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
@@ -25,8 +25,8 @@ class Target(Closing):
     """One device on an open port; a context manager that homes it on every way out.
 
     `timeout` (ns) is the longest pause inside a frame as it is sent here. `heard` is called with
-    each record. `answered_stops` tells whether the device answered the last homing: one that did
-    not may still be moving.
+    each record. `state` is what the instructions so far predict. `answered_stops` tells whether the
+    device answered the last homing: one that did not may still be moving.
     """
 
     def __init__(
@@ -37,6 +37,7 @@ class Target(Closing):
         stopper: Stopper,
         heard: Callable[[Record], object],
     ) -> None:
+        self.state = written_state(protocol.power_on)
         self.answered_stops = False
         self._heard = heard
         self._protocol = protocol
@@ -58,8 +59,7 @@ class Target(Closing):
     def send(self, data: bytes) -> None:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
-        for record in self._session.feed(Chunk(self._now(), "host", data)):
-            self._heard(record)
+        self._show(self._session.feed(Chunk(self._now(), "host", data)))
         self._port.write(data)
 
     def pump(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
@@ -73,8 +73,7 @@ class Target(Closing):
         _, ready = wait_readable([self._port], max(0.0, seconds), waited)
         data = self._port.read()
         records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
-        for record in [*records, *self._session.advance(now)]:
-            self._heard(record)
+        self._show([*records, *self._session.advance(now)])
         return [descriptor for descriptor in also if descriptor in ready]
 
     def wait(self, seconds: float) -> None:
@@ -95,19 +94,19 @@ class Target(Closing):
         """
         self.settle()
         self.wait(self._protocol.timing.answer_deadline / 1000)  # for answers too many
-        self._end()
+        self._show(self._session.finish())
 
     def home(self) -> None:
         """Stop the device in mid-run; what follows is decoded as after a stop. Raises LinkError."""
-        self._end()
+        self._show(self._session.finish())
         self.answered_stops = home_once(self._protocol, self._wire)
-        was = self._session.saved()
-        if was is not None:  # frame boundaries are always known here: all was sent from here
-            old = was.state
-            before = State(Motion(old.motion), old.speed, old.steering, old.led)
-            stopped = written_state(self._protocol.stop.effect.apply(before))
+        was = self.state
+        before = State(Motion(was.motion), was.speed, was.steering, was.led)
+        self.state = written_state(self._protocol.stop.effect.apply(before))
+        saved = self._session.saved()
+        if saved is not None:  # frame boundaries are known: all that was sent came from here
             self._session.resume(
-                msgspec.structs.replace(was, time=self._now(), state=stopped, waiting=())
+                msgspec.structs.replace(saved, time=self._now(), state=self.state, waiting=())
             )
 
     def close(self) -> None:
@@ -117,9 +116,9 @@ class Target(Closing):
             self.answered_stops = home_once(self._protocol, self._wire)
         self._port.close()
 
-    def _end(self) -> None:
-        """Record what is left of the decoding: a frame that is cut short."""
-        for record in self._session.finish():
+    def _show(self, records: Iterable[Record]) -> None:
+        for record in records:
+            self.state = record.state
             self._heard(record)
 
     def _now(self) -> int:

@@ -59,7 +59,7 @@ def test_what_is_not_answered_ends_with_1() -> None:
         result = process("send", served.port, "90", "--yes")
 
     assert result.returncode == 1
-    assert "1 of 1 instructions were not answered" in result.stderr.decode()
+    assert "no answer came to 1 of 1 instruction" in result.stderr.decode()
 
 
 @pytest.mark.parametrize(
