@@ -13,10 +13,10 @@ _NOTHING = "no values"
 _LONGEST_PAUSE = 60_000  # ms
 
 
-def bytes_or_pause(protocol: Protocol, item: str) -> bytes | float:
+def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) -> bytes | float:
     """Parse what is typed to be sent: an instruction or hex as bytes, `pause=MS` as seconds.
 
-    Raises ValueError, in one sentence.
+    `others` are words that may have been meant. Raises ValueError, in one sentence.
     """
     if item.startswith(PAUSE):
         try:
@@ -35,7 +35,7 @@ def bytes_or_pause(protocol: Protocol, item: str) -> bytes | float:
     try:
         return bytes_from_hex(item)
     except ValueError as error:
-        guess = meant(name, names)
+        guess = meant(name, [*names, *others])
         raise ValueError(f"{error}, or an instruction{guess or ': ' + ', '.join(names)}") from error
 
 

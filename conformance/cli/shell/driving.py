@@ -89,10 +89,10 @@ class Driving(Closing):
         for action in actions:
             action()
             if self._broken_off:
-                return False
-        if actions:
+                break
+        else:
             self._look_if_cheap()
-        return True
+        return not (self._abandoned or self._stopper.stopped)
 
     def attend(self, seconds: float = 0.0, also: Sequence[int] = ()) -> list[int]:
         """Read what the robot sends, waiting at most `seconds` for it or for a descriptor.
@@ -113,11 +113,15 @@ class Driving(Closing):
         return ready
 
     def halt(self, why: str) -> None:
-        """Stop the robot now, say why, and abandon the rest of the line. Raises LinkError."""
+        """Stop the robot now, say why, and abandon the rest of the line.
+
+        Raises LinkError and ProbeError.
+        """
         self._abandoned = True
         self._home()
         answered = self.target.answered_stops
         note(f"{'stopped' if answered else 'the robot does not answer the stops'}: {why}")
+        self._look_if_cheap()
 
     def close(self) -> None:
         """Stop the robot and close its port; further calls do nothing."""
@@ -148,7 +152,7 @@ class Driving(Closing):
         instructions = {spec.name.lower() for spec in self._protocol.instructions}
         if word in self.words and word not in instructions:
             return self.words[word][0]
-        what = bytes_or_pause(self._protocol, item)
+        what = bytes_or_pause(self._protocol, item, self.words)
         if isinstance(what, float):
             return partial(self._pause, what)
         return partial(self._send, what)
