@@ -8,13 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cli.shell.completion import Candidate, candidates
+from bilprov.conformance.cli.shell.completion import candidates
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -349,11 +349,10 @@ def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) 
 def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
     protocol: Protocol,
 ) -> None:
-    with car(protocol) as (device, port, _):
-        terminals = on_terminal("shell", port, "--yes")
-        terminal = terminals.__enter__()
-        driving(terminal, device)
-    with terminals:
+    with ExitStack() as stack:
+        with car(protocol) as (device, port, _):
+            terminal = stack.enter_context(on_terminal("shell", port, "--yes"))
+            driving(terminal, device)
         assert terminal.end() == 2
     assert terminal.shown.count(f"bilprov: {port} disappeared while it was in use") == 1
     assert "Traceback" not in terminal.shown
@@ -367,8 +366,10 @@ def test_tab_completes_and_the_history_outlives_the_shell(
     with car(protocol) as (device, port, _):
         with on_terminal("shell", port, "--yes", **state) as terminal:
             terminal.wait_for("led 0>")
-            terminal.type(f"le{TAB} {TAB}5; rotater{TAB}\r")
-            terminal.wait_for("LED rgb=5; RotateRight")
+            for typed, shown in [("le", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
+                terminal.type(typed + TAB)
+                terminal.wait_for(shown)
+            terminal.type("\r")
             terminal.wait_for("rotate_right speed 0 led 5>")
             terminal.type(CTRL_D)
             assert terminal.end() == 0
@@ -384,7 +385,7 @@ def test_tab_completes_and_the_history_outlives_the_shell(
 
 
 @pytest.mark.waits
-@pytest.mark.parametrize("home", ["/dev/null", "/nowhere", "relative"])
+@pytest.mark.parametrize("home", ["/dev/null", "relative"])
 def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
     with car(protocol) as (_, port, _):
         variables = {"XDG_STATE_HOME": home, "HOME": "/dev/null"}
@@ -404,7 +405,8 @@ def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, 
 def test_each_instruction_field_and_value_of_the_grammar_completes(each_protocol: Protocol) -> None:
     def texts(line: str) -> list[str]:
         return [
-            line[: len(line) - one.replaced] + one.text for one in _offered(each_protocol, line)
+            line[: len(line) - one.replaced] + one.text
+            for one in candidates(each_protocol, {}, line)
         ]
 
     for spec in each_protocol.instructions:
@@ -432,7 +434,3 @@ def test_words_and_pauses_complete_and_an_instruction_goes_before_a_word(
     assert found["Stop"] == protocol.by_name["Stop"].prose
     assert [one.text for one in candidates(protocol, words, "pa")] == ["pause="]
     assert list(candidates(protocol, words, "81 ")) == []
-
-
-def _offered(protocol: Protocol, line: str) -> list[Candidate]:
-    return list(candidates(protocol, {}, line))
