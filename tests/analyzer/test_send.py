@@ -11,6 +11,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import Done, command, process
 from tests.support.robots import sentence, served_here, simulate
+from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 
@@ -87,6 +88,20 @@ def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
     assert state["speed"] == 0
 
 
+def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    with (
+        served_here(device) as (port, _),
+        running("send", port, "Speed 9", "Forward", "pause=60000", "Stop", "--yes") as command,
+    ):
+        while b"Forward" not in command.stdout.readline():
+            pass
+        code, _, err = command.end()
+
+    assert (code, err) == (1, b"2 of 3 instructions were sent\n")
+    assert (device.state.moving, device.state.speed) == (False, 9)
+
+
 # -- what the answers are worth -------------------------------------------------------------------
 
 
@@ -103,7 +118,7 @@ def sent(protocol: Protocol, *words: str, fault: str = "") -> tuple[Done, Simula
         ("wrong-code-for-bad-data", ["81 09"], "an answer is not allowed: the device says BAD_HE"),
         ("wrong-code-for-bad-data", ["81 09", "81 0a"], "2 answers are not allowed: the device"),
         ("unused-code-for-faults", ["90"], "an answer is not allowed: 5 is an unused response"),
-        ("answers-twice", ["Speed 1", "Stop"], "came without an instruction"),
+        ("double-answer", [], "1 byte came without an instruction"),
     ],
 )
 def test_an_answer_that_no_reading_allows_ends_with_1(

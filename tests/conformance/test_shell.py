@@ -21,6 +21,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import Done, command
+from tests.support.grammars import wide_grammar
 from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here
 from tests.support.signals import ignoring
 from tests.support.terminals import CTRL_C, CTRL_D, TAB, UP, Terminal, on_terminal
@@ -171,6 +172,23 @@ def test_the_words_and_the_completion_are_those_of_the_grammar(
     assert "91 02        Horn sound=2" in told
     assert "Horn sound=0..3" in told
     assert "pause=500" in told
+
+
+@pytest.mark.waits
+def test_after_homing_the_state_is_that_of_a_stop_in_any_grammar(
+    grammar_text: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "wide.py"
+    file.write_text(wide_grammar(grammar_text))
+    words = ("--grammar", str(file), "shell", "sim", "--truncation-timeout", "1000")
+    result = command(*words, stdin=b"Cruise 300 5; Right 7; state; home; state; look")
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert [line.decode() for line in result.stdout.splitlines() if line[:1] != b" "] == [
+        "predicted: backward speed 300 steering +7 led -10, moving",
+        "predicted: stopped speed 300 led -10, not moving",
+        "seen stopped: motion stopped speed 300 steering 0 led -10 left 0 right 0",
+    ]
 
 
 @pytest.mark.waits

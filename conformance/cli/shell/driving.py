@@ -80,10 +80,12 @@ class Driving(Closing):
     def do(self, line: str) -> bool:
         """Do what a line says, one item after the other; return whether all of it was done.
 
-        A line with a mistake is not begun. A signal, the limit of driving, and a device that floods
-        abandon the rest. Raises ValueError for a mistake, in one sentence; LinkError, ProbeError.
+        Pasted text may hold several lines. One with a mistake is not begun. A signal, the limit of
+        driving, and a device that floods abandon the rest. Raises ValueError for a mistake, in one
+        sentence; LinkError and ProbeError.
         """
-        items = [item.strip() for item in line.partition(COMMENT)[0].split(SEPARATOR)]
+        parts = [part.partition(COMMENT)[0] for part in line.splitlines()]
+        items = [item.strip() for item in SEPARATOR.join(parts).split(SEPARATOR)]
         actions = [self._action(item) for item in items if item]
         self._unasked, self._abandoned = 0, False
         for action in actions:
