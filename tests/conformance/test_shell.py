@@ -417,6 +417,20 @@ def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, 
             assert terminal.end() == 0
 
 
+@pytest.mark.waits
+def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
+    protocol: Protocol,
+) -> None:
+    with (
+        car(protocol) as (_, port, _),
+        on_terminal("shell", port, "--yes", TERM="dumb") as terminal,
+    ):
+        terminal.type("Speeed 1\nSpeed 9\nstate\nquit\n")
+        terminal.wait_for("did you mean Speed?; see help")
+        terminal.wait_for("predicted: stopped speed 9")
+        assert terminal.end() == 0
+
+
 # -- completion -----------------------------------------------------------------------------------
 
 

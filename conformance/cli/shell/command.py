@@ -21,8 +21,9 @@ from bilprov.analyzer.cli.options import (
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.text import printable
 from bilprov.conformance.dut.probes import PROBES, open_probe
-from bilprov.conformance.dut.target import SIM
+from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
 
 
@@ -74,6 +75,11 @@ def shell(
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     timeout = timeout_in_ns(protocol, truncation_timeout)
+    if target.startswith(BOARD):
+        raise click.UsageError(
+            f"{printable(target)} is for conform: start `bilprov emulate FILE --pty` and name the "
+            "pty that it prints"
+        )
     with ExitStack() as stack:
         port = target
         if target == SIM:

@@ -1,4 +1,4 @@
-"""Lines from a pipe or a file, for scripts: done as they come, with plain output."""
+"""Lines from a pipe, a file or a plain terminal: done as they come, with plain output."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.spec.errors import UserError
@@ -30,7 +31,9 @@ def do_lines(driving: Driving, stopper: Stopper) -> bool:
         try:
             done &= driving.do(line.decode(errors="backslashreplace"))
         except ValueError as error:
-            raise ScriptError(f"line {number}: {error}") from error
+            if not sys.stdin.isatty():
+                raise ScriptError(f"line {number}: {error}") from error
+            note(f"{error}; see help")  # typed by somebody who can type it again
         if driving.over:
             break
     return done
