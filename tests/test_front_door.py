@@ -33,6 +33,7 @@ UNUSED = {
     "spec emit c": HEAVY - {"construct", "msgspec"},
     "completion fish": HEAVY,
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
+    "shell sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
     "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
 } | {f"{name} --help": {"numpy", "rich"} for name in front_door.COMMANDS}
 

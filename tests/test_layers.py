@@ -82,6 +82,7 @@ HOMES = {
     ),
     "pyarrow": ("analyzer/export/parquet.py",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
+    "prompt_toolkit": ("conformance/cli/shell/prompt.py",),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.
     "pytest": (

@@ -56,6 +56,9 @@ COMMANDS = {
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
     ),
+    "shell": Row(
+        "Analyze", "bilprov.conformance.cli.shell.command", "shell", "Drive a device by hand."
+    ),
     "ports": Row(
         "Analyze",
         "bilprov.analyzer.cli.text_commands",
