@@ -15,7 +15,7 @@ PORTS = {
     "sniff": ("host", "device", "bridge"),
     "replay": ("port",),
     "send": ("port",),
-    "shell": ("port",),
+    "shell": ("target",),
     "doctor": ("port", "device"),
     "line": ("a", "b"),
     "conform": ("target",),
