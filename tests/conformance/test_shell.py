@@ -326,8 +326,8 @@ def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol:
             terminal.type(CTRL_C)
             terminal.wait_for("stopped: Ctrl-C")
             terminal.wait_for("seen stopped>")
-            terminal.type("half a li" + CTRL_C)
-            terminal.wait_for("seen stopped>")
+            terminal.type("half a li" + CTRL_C + "state\r")
+            terminal.wait_for("predicted: ")
             terminal.wait_for("seen stopped>")
             terminal.type(CTRL_C)
             assert terminal.end() == 0
