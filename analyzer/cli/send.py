@@ -16,7 +16,12 @@ from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import stream_output
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS, AnswerCheck, first_difference
+from bilprov.analyzer.replay.answers import (
+    FLOOD_WORDS,
+    UNANSWERED_STOPS,
+    AnswerCheck,
+    first_difference,
+)
 from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
@@ -111,10 +116,11 @@ def send(
                     if not together:
                         target.settle()
                 target.finish()
+    told = [FLOOD_WORDS if check.flooded else check.unasked_words]
     if expectations:
-        told = [check.unasked_words, first_difference(protocol, run, expected)]
+        told.append(first_difference(protocol, run, expected))
     else:
-        told = [*check.complaints()]
+        told += [check.wrong_words, check.missing_words]
     if stopper.stopped and check.sent < planned:
         told.append(f"{check.sent} of {planned} instructions were sent")
     if not target.answered_stops:

@@ -6,7 +6,7 @@ one that no listed reading of the document allows to this instruction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bilprov.analyzer.decode.records import (
@@ -60,34 +60,30 @@ class AnswerCheck:
         """Whether so many bytes came that answer no instruction that no answer can be trusted."""
         return self._unpaired >= FLOOD
 
-    def complaints(self) -> Iterator[str]:
-        """Yield what is wrong, in sentences; nothing if each instruction was answered as allowed.
-
-        Call it once the last answer was waited for.
-        """
-        if self.unasked_words:
-            yield self.unasked_words
-        if self.wrong:
-            which = "an answer is" if self.wrong == 1 else f"{self.wrong} answers are"
-            yield f"{which} not allowed: {self.first_wrong}{' ...' * (self.wrong > 1)}"
-        if self.answered < self.sent:
-            missing = self.sent - self.answered
-            yield f"no answer came to {missing} of {_number(self.sent, 'instruction')}"
-
     @property
     def unasked_words(self) -> str:
-        """Tells of bytes that answer no instruction, in a sentence; "" if none came."""
-        if self.flooded:
-            return FLOOD_WORDS
-        if self.unasked:
-            return f"{_number(self.unasked, 'byte')} came without an instruction"
-        return ""
+        """Tells of the unasked bytes in a sentence; "" if none came."""
+        count = self.unasked
+        return f"{_number(count, 'byte')} came without an instruction" if count else ""
+
+    @property
+    def wrong_words(self) -> str:
+        """Tells of the answers that are not allowed in a sentence; "" if all are."""
+        if self.wrong > 1:
+            return f"{self.wrong} answers are not allowed, first: {self.first_wrong}"
+        return f"an answer is not allowed: {self.first_wrong}" if self.wrong else ""
+
+    @property
+    def missing_words(self) -> str:
+        """Tells of unanswered instructions in a sentence, once the last answer was waited for."""
+        missing = self.sent - self.answered
+        if missing <= 0:
+            return ""
+        return f"no answer came to {missing} of {_number(self.sent, 'instruction')}"
 
 
-def first_difference(
-    protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]
-) -> str | None:
-    """Return where the answers of a run first differ from the expected codes; None if nowhere.
+def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]) -> str:
+    """Tell where the answers of a run first differ from the expected codes; "" if nowhere.
 
     None is expected where no answer should come.
     """
@@ -103,7 +99,7 @@ def first_difference(
     if len(frames) != len(expected):
         sent = _number(len(frames), "instruction")
         return f"{_number(len(expected), 'answer')} expected, but {sent} sent"
-    return None
+    return ""
 
 
 def _number(count: int, noun: str) -> str:

@@ -116,7 +116,11 @@ def sent(protocol: Protocol, *words: str, fault: str = "") -> tuple[Done, Simula
     ("fault", "items", "words"),
     [
         ("wrong-code-for-bad-data", ["81 09"], "an answer is not allowed: the device says BAD_HE"),
-        ("wrong-code-for-bad-data", ["81 09", "81 0a"], "2 answers are not allowed: the device"),
+        (
+            "wrong-code-for-bad-data",
+            ["81 09", "81 0a"],
+            "2 answers are not allowed, first: ",
+        ),
         ("unused-code-for-faults", ["90"], "an answer is not allowed: 5 is an unused response"),
         ("double-answer", [], "1 byte came without an instruction"),
     ],

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from tests.support import ROOT
 from tests.support.signals import ignoring
 
-PATIENCE = 10.0  # s; a test that waits longer hangs
+PATIENCE = 30.0  # s; a test that waits longer hangs
 CTRL_C, CTRL_D, UP, TAB = "\x03", "\x04", "\x1b[A", "\t"
 _ESCAPE = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|\][^\x07]*\x07|[()][A-Z0-9]|.)")
 

@@ -109,7 +109,8 @@ def shell(
                 driving.target.finish()
     told = [] if driving.target.answered_stops else [UNANSWERED_STOPS]
     if not interactive:
-        told += driving.check.complaints()
+        check = driving.check
+        told += filter(None, (check.unasked_words, check.wrong_words, check.missing_words))
     for sentence in told:
         note(sentence)
     return 1 if told or not (interactive or done) else 0
