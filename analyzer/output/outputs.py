@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
-    from bilprov.analyzer.output.row_columns import RowStyle, Times
+    from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.analyzer.output.statistics import Statistics
 
 Format = Literal["live", "lines", "jsonl", "csv"]
@@ -88,18 +88,18 @@ def write_out(text: str) -> None:
 def stream_output(
     style: Literal["lines", "jsonl"],
     write: Callable[[str], object] = write_out,
-    times: Times | None = None,
+    time: Callable[[int], str] | None = None,
 ) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
-    Lines of text have colours on a terminal only, unless NO_COLOR is set; `times` writes their
-    times.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set; `time` writes their
+    times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
     arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
     colour = _wants_colour(sys.stdout)
-    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, times=times))
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
 
 
 def opened_output(
@@ -130,7 +130,7 @@ def opened_output(
         colour = _wants_colour(sys.stdout)
         return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
     if style != "live":
-        return stream_output(style, write, times if rows.time else None)
+        return stream_output(style, write, times.padded if rows.time else None)
     from bilprov.analyzer.output.live_output import LiveOutput
 
     return LiveOutput(protocol, statistics, title, captured)
