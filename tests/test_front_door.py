@@ -31,6 +31,7 @@ UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},
+    "spec emit wireshark": HEAVY - {"construct", "msgspec"},
     "completion fish": HEAVY,
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
     "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
