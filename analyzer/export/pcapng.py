@@ -21,7 +21,7 @@ import re
 import struct
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from enum import IntEnum
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -91,23 +91,20 @@ class Packet(NamedTuple):
     lines: int | None = None
 
 
-_ALWAYS = Window()
-
-
 def write_pcapng(
     capture: Capture,
     protocol: Protocol,
     stream: BinaryIO,
     *,
-    test: Filter | None = None,
-    window: Window = _ALWAYS,
-    progress: Callable[[Sequence[Chunk | Line]], object] = lambda events: None,
+    test: Filter | None,
+    window: Window,
+    progress: Callable[[int], object],
 ) -> None:
     """Write a capture's traffic to `stream` as pcapng, in the order of time.
 
     `test` and `window` choose as in `replay`; an instruction that passes the filter brings its
-    answer, so that a reader can pair them. `progress` is called with each batch of events read.
-    Raises CaptureError if the capture cannot be read, and OSError from the stream.
+    answer, so that a reader can pair them. `progress` is told the bytes of each batch. Raises
+    OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """
     stream.write(_section(capture, protocol))
     for tap in _TAPS:
@@ -118,7 +115,7 @@ def write_pcapng(
     for batch in batches(_needed(capture.events(), window), at_once=True):
         packets.take(decoder.feed(batch))
         stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
-        progress(batch)
+        progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
 
@@ -143,7 +140,7 @@ class _Packets:
         self._test = test
         self._window = window
         self._paired = paired
-        self._everything = test is None and window == _ALWAYS
+        self._everything = test is None and window == Window()
         # Chosen instructions whose answers may follow; bounded, since a device may never answer.
         self._asked: deque[int] = deque(maxlen=_MOST_ASKED)
         self._waiting: list[Packet] = []

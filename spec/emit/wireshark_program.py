@@ -224,12 +224,18 @@ local function after(verdict, state)
     return new
 end
 
-local function pair(answer, frame)
-    answer.frame, frame.answer = frame, answer
-end
-
-local function give_up(frame)
-    frame.unanswered = true
+-- The response that came before the frame's end: one tap may be late, or the device's time-out is
+-- the shorter one. A packet tells only when the last of its bytes came.
+local function early_answer(frame)
+    local begun = frame.begun
+    if frame.parts == 1 then
+        begun = begun - (#frame.data - 1) * robot.prefs.truncation_timeout * US
+    end
+    local early
+    repeat
+        early = table.remove(now.early, 1)
+    until not early or early.t + robot.prefs.skew * US > begun
+    return early
 end
 
 local function ended(frame, kind)
@@ -246,11 +252,12 @@ local function ended(frame, kind)
     if verdict.came < verdict.length then
         frame.expires = frame.expires + GRAMMAR.truncation_longest * MS
     end
-    frame.expires = math.max(frame.expires, now.expires)
-    now.expires = frame.expires -- responses come in order: none is given up before
-    local early = table.remove(now.early, 1)
+    if now.first < now.last then -- responses come in order: none is given up before
+        frame.expires = math.max(frame.expires, now.waiting[now.last - 1].expires)
+    end
+    local early = early_answer(frame)
     if early then
-        pair(early, frame)
+        early.frame, frame.answer = frame, early
     else
         now.waiting[now.last] = frame
         now.last = now.last + 1
@@ -272,24 +279,11 @@ end
 
 -- Let time pass until `t` (ns), which packet `number` tells.
 local function pass(t, number)
-    local timeout, skew = robot.prefs.truncation_timeout * US, robot.prefs.skew * US
-    local open = now.open
-    if open and t >= open.t + timeout then
+    if now.open and t >= now.open.t + robot.prefs.truncation_timeout * US then
         cut_short(number)
-        open = nil
-    end
-    while now.early[1] do
-        local due = now.early[1].t + skew
-        if open then
-            due = math.max(due, open.t + timeout + skew)
-        end
-        if t < due then
-            break
-        end
-        table.remove(now.early, 1)
     end
     while now.first < now.last and now.waiting[now.first].expires <= t do
-        give_up(next_waiting())
+        next_waiting().unanswered = true
     end
 end
 
@@ -299,14 +293,15 @@ local function host(bytes, t, number)
     while at <= #bytes do
         local frame = now.open
         if not frame then
-            frame = { data = "", first = number, size = 1 + part_of(bytes:byte(at), "length") }
+            frame = { data = "", first = number, begun = t, parts = 0,
+                size = 1 + part_of(bytes:byte(at), "length") }
             now.open = frame
         end
         local stop = math.min(#bytes, at + frame.size - #frame.data - 1)
         note(number, { kind = "host", frame = frame, at = at - 1, size = stop - at + 1 })
         frame.data = frame.data .. bytes:sub(at, stop)
         frame.t, frame.last = t, number
-        frame.parts = (frame.parts or 0) + 1
+        frame.parts = frame.parts + 1
         if #frame.data == frame.size then
             ended(frame, "instruction")
         end
@@ -322,10 +317,11 @@ local function device(bytes, t, number)
         if second and answer.byte ~= first.verdict.code and answer.byte == second.verdict.code
             and (first.verdict.came < first.verdict.length
                 or t - first.t > GRAMMAR.answer_deadline * MS) then
-            give_up(next_waiting()) -- the first may have gone unanswered
+            next_waiting().unanswered = true -- the first may have gone unanswered
         end
         if first then
-            pair(answer, next_waiting())
+            answer.frame = next_waiting()
+            answer.frame.answer = answer
         else
             now.early[#now.early + 1] = answer
         end
@@ -341,7 +337,7 @@ local function lost()
 end
 
 -- The serial event types of the link type.
-local HOST, DEVICE, HOST_END, DEVICE_END, LOST = 1, 2, 3, 4, 5
+local HOST, DEVICE, HOST_END, DEVICE_END, LOST, OVERFLOW = 1, 2, 3, 4, 5, 10
 
 local function learn(event, bytes, t, number)
     pass(t, number)
@@ -363,7 +359,7 @@ local function learn(event, bytes, t, number)
             local answer = { byte = bytes:byte(at), t = t, number = number, known = true }
             note(number, { kind = "device", answer = answer, at = at - 1, size = 1 })
         end
-    elseif event == LOST then
+    elseif event == LOST or event == OVERFLOW then
         lost()
     end
 end
@@ -375,7 +371,7 @@ function robot.init()
     end
     shown = {}
     now = { state = state, sequence = 0, waiting = {}, first = 1, last = 1, early = {},
-        expires = -math.huge, host = false }
+        host = false }
 end
 
 -- Showing what was found. Each function draws one item and returns its words for the info column.
