@@ -463,8 +463,8 @@ local function draw_host(item, tree, range, number)
         end
         return draw_frame(tree, frame, range)
     end
-    local words = string.format("%s of a frame of %d bytes", #frame.data < frame.size
-        and "beginning" or "part", frame.size)
+    local words = string.format("%s of a frame of %d bytes",
+        frame.first == number and "beginning" or "part", frame.size)
     local branch = tree:add(robot, range, GRAMMAR.title .. ": " .. words)
     branch:add(F.data, range)
     if frame.last ~= number then
