@@ -6,8 +6,10 @@ import errno
 import os
 import secrets
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 
 def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
@@ -38,26 +40,42 @@ def why_not_writable(file: Path) -> str:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file atomically: to a temporary file beside it, synced, which then replaces it.
+    """Write a file atomically, as `whole_file` does. Raises OSError."""
+    with whole_file(file) as out:
+        out.write(data)
 
-    So a reader, or a crash, finds the old content or the new one, never a half. The temporary file
-    is always a new one: nobody can plant a link under its name. A pipe or a terminal is written to
-    directly. Raises OSError.
+
+@contextmanager
+def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
+    """Write a file atomically: a temporary file beside it, which is synced and then renamed.
+
+    So a reader, or a crash, finds the old content or the new one, never a half; where the block
+    raises, the temporary file goes. It is always a new one: nobody can plant a link under its name.
+    A pipe or a terminal is written to directly. Raises OSError, and FileExistsError where there is
+    a file, now or at the end, which `replace` does not allow to be replaced.
     """
     file = file.resolve()
     if file.exists() and not file.is_file():
-        file.write_bytes(data)
+        with file.open("wb") as pipe:
+            yield pipe
         return
     part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
-    with part.open("xb") as beside:
-        try:
-            beside.write(data)
+    try:
+        _require_new(file, replace)
+        with part.open("xb") as beside:
+            yield beside
             beside.flush()
             os.fsync(beside.fileno())
-            if file.exists():
-                shutil.copymode(file, part)
-            part.replace(file)
-        except BaseException:
-            with suppress(OSError):
-                part.unlink()
-            raise
+        _require_new(file, replace)
+        if file.exists():
+            shutil.copymode(file, part)
+        part.replace(file)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink()
+        raise
+
+
+def _require_new(file: Path, replace: bool) -> None:
+    if not replace and file.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(file))

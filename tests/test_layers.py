@@ -74,7 +74,13 @@ HOMES = {
     "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
-    "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
+    "numpy": (
+        "spec/tables.py",
+        "analyzer/columns/",
+        "analyzer/output/filter_masks.py",
+        "analyzer/output/stretch_rows.py",
+    ),
+    "pyarrow": ("analyzer/export/parquet.py",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.

@@ -1,1 +1,1 @@
-"""Writes the decoded traffic of a capture in the formats of other programs, one module for each."""
+"""Captures written for other programs, a module for each format; memory does not grow with them."""

@@ -19,9 +19,10 @@ from __future__ import annotations
 
 import re
 import struct
+import time
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from enum import IntEnum
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -29,10 +30,11 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.export.decoding import Progress
 from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
-from bilprov.analyzer.replay.playback import AFTERMATH, batches
+from bilprov.analyzer.replay.playback import batches, played
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk, Line
@@ -74,6 +76,7 @@ _LINE_EVENTS = {
 _MODEM_LINES = {"cts": 1, "dcd": 2, "dsr": 4, "rts": 8, "dtr": 16, "ri": 32, "ring": 32}
 _TAPS = ("host", "device")  # the interfaces, in order
 
+_CUT_SHORT = "the frame before it was cut short"
 _ELSEWHERE = "the instruction that it answers is not in this file"
 
 
@@ -98,7 +101,7 @@ def write_pcapng(
     *,
     test: Filter | None,
     window: Window,
-    progress: Callable[[int], object],
+    progress: Progress,
 ) -> None:
     """Write a capture's traffic to `stream` as pcapng, in the order of time.
 
@@ -112,20 +115,13 @@ def write_pcapng(
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
-    for batch in batches(_needed(capture.events(), window), at_once=True):
+    events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
+    for batch in batches(events, at_once=True):
         packets.take(decoder.feed(batch))
         stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
         progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
-
-
-def _needed(events: Iterable[Chunk | Line], window: Window) -> Iterator[Chunk | Line]:
-    """Yield the events from which all that is in the window can be decoded."""
-    for event in events:
-        if window.after is not None and event.t > window.after + AFTERMATH:
-            return
-        yield event
 
 
 class _Packets:
@@ -226,7 +222,7 @@ def _of_host(record: HostRecord) -> Iterator[Packet]:
         return
     yield Packet(record.end, 0, Event.DATA_TX_START, record.data)
     if record.kind == "truncated":
-        yield Packet(record.known, 0, Event.DATA_TX_END, b"", "a pause, or lost bytes, ended it")
+        yield Packet(record.known, 0, Event.DATA_TX_END, b"", _CUT_SHORT)
 
 
 def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:

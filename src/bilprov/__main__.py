@@ -40,6 +40,12 @@ COMMANDS = {
         "stats",
         "Count what captures hold: frames, answers.",
     ),
+    "export": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.export",
+        "export",
+        "Write a capture for other programs.",
+    ),
     "convert": Row(
         "Analyze",
         "bilprov.analyzer.cli.convert",
