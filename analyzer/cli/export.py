@@ -79,7 +79,13 @@ FORMATS = {
 
 @click.command()
 @click.argument("path", metavar="[FILE.mcap]", required=False)
-@click.option("--format", "style", type=click.Choice(list(FORMATS)), help="What is written.")
+@click.option(
+    "--format",
+    "style",
+    metavar="FORMAT",
+    type=click.Choice(list(FORMATS)),
+    help=f"What is written: {', '.join(FORMATS)}.",
+)
 @click.option("-o", "--output", metavar="OUT", help="Where to; - is standard output.")
 @filter_option
 @click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
@@ -110,8 +116,8 @@ def export(
 
     csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
     them; docs/times.md says what their columns are. pcapng has a packet for each frame, answer and
-    line event, for Wireshark: bilprov spec emit wireshark writes the dissector. Memory does not grow with the capture. OUT
-    appears when it is whole.
+    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
+    grow with the capture. OUT appears when it is whole.
 
     Examples: bilprov export drive.mcap --format csv -o drive.csv, and bilprov export
     --foxglove-layout -o bilprov.json
