@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.export.decoding import Progress
+from bilprov.analyzer.export.decoding import BATCH, Progress
 from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
@@ -116,7 +116,7 @@ def write_pcapng(
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
     events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
-    for batch in batches(events, at_once=True):
+    for batch in batches(events, at_once=True, largest=BATCH):
         packets.take(decoder.feed(batch))
         stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
         progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
