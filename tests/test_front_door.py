@@ -31,6 +31,7 @@ UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},
+    "spec emit wireshark": HEAVY - {"construct", "msgspec"},
     "export --foxglove-layout": {"serial", "mcap", "numpy", "rich", "pyarrow"},
     "export captures/samples/examples.mcap --format csv -o -": {
         "serial",

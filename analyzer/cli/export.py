@@ -63,16 +63,29 @@ def _parquet() -> Callable[..., None]:
     return write_parquet
 
 
+def _pcapng() -> Callable[..., None]:
+    from bilprov.analyzer.export.pcapng import write_pcapng
+
+    return write_pcapng
+
+
 FORMATS = {
     "csv": Format(_csv, text=True, columns=True, times=True),
     "jsonl": Format(_jsonl, text=True),
     "parquet": Format(_parquet, columns=True),
+    "pcapng": Format(_pcapng),
 }
 
 
 @click.command()
 @click.argument("path", metavar="[FILE.mcap]", required=False)
-@click.option("--format", "style", type=click.Choice(list(FORMATS)), help="What is written.")
+@click.option(
+    "--format",
+    "style",
+    metavar="FORMAT",
+    type=click.Choice(list(FORMATS)),
+    help=f"What is written: {', '.join(FORMATS)}.",
+)
 @click.option("-o", "--output", metavar="OUT", help="Where to; - is standard output.")
 @filter_option
 @click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
@@ -102,8 +115,9 @@ def export(
     """Write what a capture holds for other programs.
 
     csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
-    them; docs/times.md says what their columns are. Memory does not grow with the capture. OUT
-    appears when it is whole.
+    them; docs/times.md says what their columns are. pcapng has a packet for each frame, answer and
+    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
+    grow with the capture. OUT appears when it is whole.
 
     Examples: bilprov export drive.mcap --format csv -o drive.csv, and bilprov export
     --foxglove-layout -o bilprov.json

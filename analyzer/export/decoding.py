@@ -17,7 +17,8 @@ from bilprov.spec.protocol import Protocol
 if TYPE_CHECKING:
     from bilprov.analyzer.output.filter import Filter
 
-_BATCH = 1 << 16  # bytes of the line decoded at once: their rows take up to 300 times as much
+BATCH = 1 << 16
+"""Bytes of the line decoded at once: what is made of them may take up to 300 times as much."""
 
 Progress = Callable[[int], object]
 """Told how many bytes of the line were read more."""
@@ -37,7 +38,7 @@ def decoded_parts(
     shown = Shown(NoOutput(), test, window=window)
     decoder = capture_decoder(capture, protocol)
     events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
-    for batch in batches(events, at_once=True, largest=_BATCH):
+    for batch in batches(events, at_once=True, largest=BATCH):
         for part in decoder.feed(batch):
             yield shown.show(part)
         progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
