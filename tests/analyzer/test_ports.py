@@ -367,8 +367,28 @@ def test_a_port_that_is_not_there() -> None:
 
 
 def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
-    assert refusal(pty.name) == f"{pty.name} is in use by another program; close it"
-    assert "is in use" in refusal(f"spy://{pty.name}")
+    already = f"{pty.name} is open in this program already; a port is opened once"
+    assert refusal(pty.name) == refusal(f"spy://{pty.name}") == already
+
+
+def test_a_port_in_use_by_another_program_says_which_and_how_to_end_it(pty: PtyPair) -> None:
+    code = (
+        "import sys; from bilprov.analyzer.transport.ports import open_port\n"
+        "port = open_port(sys.argv[1]); print(flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, pty.name],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    ) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        with pytest.raises(LinkError) as caught:
+            open_port(pty.name)
+        assert caught.value.command == f"kill {holder.pid}"
+        assert f"(pid {holder.pid}); close it there, or end it: kill" in str(caught.value)
+        holder.communicate()
 
 
 def test_a_port_without_permission(pty: PtyPair) -> None:
@@ -381,8 +401,8 @@ def test_a_port_without_permission(pty: PtyPair) -> None:
         cwd=ROOT,
     )
     assert child.stdout == (
-        f"permission to open {pty.name} is denied; add yourself to the dialout group: "
-        "sudo usermod -aG dialout $USER, then log in again\n"
+        f"permission to open {pty.name} is denied: it belongs to {Path(pty.name).owner()} alone; "
+        f"until it is plugged in again this lets everybody: sudo chmod a+rw {pty.name}\n"
     )
 
 
