@@ -6,7 +6,13 @@ from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+    timeout_option,
+)
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
 from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.grammar_file import load_protocol
@@ -58,6 +64,7 @@ def send(
     timeout = timeout_in_ns(protocol, truncation_timeout)
     opened = open_port(port, settings)
     with opened:
+        note_hindrances(port)
         confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
         output = stream_output(style)
         with (

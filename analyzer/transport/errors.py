@@ -42,7 +42,7 @@ _SAME_AS = {
 }
 
 
-_NEAR = 0.7  # how alike two names are, of 1, where one may be meant by the other
+_NEAR = 0.85  # how alike two names are, of 1, where one may be meant by the other
 
 
 class LinkError(UserError):
@@ -70,8 +70,8 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
         )
     from difflib import get_close_matches
 
-    titles = {Path(path).name: path for path in ports_here}
-    near = get_close_matches(Path(name).name, titles, n=1, cutoff=_NEAR)
+    titles = {Path(path).name.lower(): path for path in ports_here}
+    near = get_close_matches(Path(name).name.lower(), titles, n=1, cutoff=_NEAR)
     advice = f"did you mean {titles[near[0]]}?" if near else "see `bilprov ports`"
     listed = ", ".join(ports_here) or "none"
     return LinkError(f"there is no {name}; ports here: {listed}; {advice}")

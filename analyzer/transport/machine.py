@@ -101,6 +101,11 @@ class Machine:
         """Whether the name leads to a pseudo terminal."""
         return self.device(name).startswith(_PTYS)
 
+    def is_terminal(self, name: str) -> bool:
+        """Whether the device is a serial port or another terminal; true where nothing is known."""
+        known = self.file("/sys/class/tty")
+        return self.is_pty(name) or not known.is_dir() or (known / self.title(name)).exists()
+
     # Who holds a port
 
     def held(self, *names: str) -> dict[str, Held]:
