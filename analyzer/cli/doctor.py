@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -142,6 +143,7 @@ class _Report:
                 show(drawn(finding))
                 if finding.command:  # by itself: it must stay on one line to be copied
                     click.secho(" " * INDENT + escape_controls(finding.command), bold=True)
+                sys.stdout.flush()  # listening and asking take their time
 
     def end(self, names: Sequence[str]) -> int:
         """Tell whether the ports can be used, and return the exit code."""

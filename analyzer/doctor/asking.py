@@ -78,7 +78,7 @@ def asked(
                 tune(rate)
             except LinkError:
                 continue
-            answered = _link_check(protocol, wire, rate)
+            answered = _link_check(protocol, wire, rate, expected=rate == rates[0])
             if answered.reply is not Reply.NOTHING:
                 found.append(answered)
             if answered.reply in (Reply.ANSWERS, Reply.ECHO):
@@ -91,23 +91,30 @@ def asked(
     return tuple(found)
 
 
-def _link_check(protocol: Protocol, wire: Wire, rate: int) -> Answered:
-    """Home the device and, if anything comes back, send the link check."""
+def _link_check(protocol: Protocol, wire: Wire, rate: int, *, expected: bool) -> Answered:
+    """Home the device and, if anything comes back, send the link check.
+
+    At another rate than the `expected` one a stray 0 is no proof: a refusal has to be right too.
+    """
     if not home_once(protocol, wire):
         return Answered(rate, Reply.NOTHING)
-    codes = {spec.code for spec in protocol.responses}
     setting, unused, short = link_check(protocol)
-    patience = round(protocol.timing.answer_longest * MS)
+    longest, more = (
+        round(milliseconds * MS)
+        for milliseconds in (protocol.timing.answer_longest, protocol.timing.answer_deadline)
+    )
     exchanges = []
-    for frame in (unused, setting, short):
-        if frame:
-            wire.send(frame)
-            came = [*wire.listen(1, patience), *wire.listen(None, 0)]
-            exchanges.append((frame, bytes(byte for _, byte in came)))
-    heard = b"".join(came for _, came in exchanges)
+    for frame in filter(None, (unused, setting, short)):
+        wire.send(frame)
+        came = [*wire.listen(1, longest), *wire.listen(None, more)]
+        exchanges.append((frame, bytes(byte for _, byte in came)))
+    codes = {spec.code for spec in protocol.responses}
+    due = {frame: judge(protocol, frame).response.code for frame, _ in exchanges}
+    sure = any(due[frame] and came == bytes([due[frame]]) for frame, came in exchanges)
+    single = all(len(came) <= 1 and set(came) <= codes for _, came in exchanges)
     if all(came[: len(frame)] == frame for frame, came in exchanges):
         reply = Reply.ECHO
-    elif heard and set(heard) <= codes:
+    elif single and (sure or expected) and any(came for _, came in exchanges):
         reply = Reply.ANSWERS
     else:
         reply = Reply.GARBAGE

@@ -47,9 +47,9 @@ def heard(
     count = sum(map(len, data.values()))
     for event in events:
         if isinstance(event, Line) and event.event == "unplugged":
-            last = printable(data[event.tap].decode("latin-1"))
-            after = f", after it had sent {last!r}" if last else ""
-            yield Finding("line", Grade.BLOCKS, event.detail + after)
+            last = printable(data[event.tap].decode("latin-1").strip())
+            said = f"it sent {last!r}, then " if last else ""
+            yield Finding("line", Grade.BLOCKS, said + event.detail)
     yield from _miscounted(names, events, count)
     if not count:
         why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"

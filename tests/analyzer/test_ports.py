@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import select
+import shutil
 import socket
 import subprocess
 import sys
@@ -391,18 +392,33 @@ def test_a_port_in_use_by_another_program_says_which_and_how_to_end_it(pty: PtyP
         holder.communicate()
 
 
-def test_a_port_without_permission(pty: PtyPair) -> None:
-    Path(pty.name).chmod(0)
+def refused_to_nobody(name: str) -> str:
+    """What somebody who is not root is told of a port."""
     child = subprocess.run(
-        [sys.executable, "-c", AS_NOBODY, pty.name],
+        [sys.executable, "-c", AS_NOBODY, name],
         capture_output=True,
         text=True,
         check=True,
         cwd=ROOT,
     )
-    assert child.stdout == (
+    return child.stdout
+
+
+def test_a_port_without_permission(pty: PtyPair) -> None:
+    Path(pty.name).chmod(0)
+    assert refused_to_nobody(pty.name) == (
         f"permission to open {pty.name} is denied: it belongs to {Path(pty.name).owner()} alone; "
         f"until it is plugged in again this lets everybody: sudo chmod a+rw {pty.name}\n"
+    )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a pty to another group")
+def test_a_port_of_a_group_says_which_to_join(pty: PtyPair) -> None:
+    shutil.chown(pty.name, group="dialout")
+    Path(pty.name).chmod(0o660)
+    assert refused_to_nobody(pty.name) == (
+        f"permission to open {pty.name} is denied: it belongs to root and the group dialout; join "
+        "the group, then log in again: sudo usermod -aG dialout $USER\n"
     )
 
 
