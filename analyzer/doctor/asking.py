@@ -151,8 +151,8 @@ def told(
 def _at_rate(name: str, expected: int, baud: int) -> Finding:
     if baud == expected:
         return Finding("answers", Grade.FINE, f"a device answers at {baud} baud")
-    sentence = f"a device answers at {baud} baud, not at {expected}: give --baud {baud}"
-    command = f"bilprov doctor {quote(name)} --baud {baud}"
+    sentence = f"a device answers at {baud} baud, not at {expected}; give each command that rate"
+    command = f"bilprov conform {quote(name)} --baud {baud}"
     return Finding("baud rate", Grade.BLOCKS, sentence, command)
 
 

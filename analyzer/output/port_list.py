@@ -1,4 +1,4 @@
-"""Shows the serial ports of a machine as tables that fit 80 columns: state, device, lasting name."""
+"""Shows the serial ports of a machine as tables that fit 80 columns."""
 
 from __future__ import annotations
 

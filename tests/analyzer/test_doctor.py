@@ -317,7 +317,7 @@ def test_the_rate_at_which_a_device_answers_is_found_and_the_device_homed(
         assert first.grade is Grade.FINE
     else:
         assert first.grade is Grade.BLOCKS
-        assert first.command == f"bilprov doctor /dev/ttyUSB0 --baud {baud}"
+        assert first.command == f"bilprov conform /dev/ttyUSB0 --baud {baud}"
 
 
 def test_where_nobody_answers_every_rate_is_tried_and_stops_are_sent_last(
@@ -457,7 +457,8 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
         result = command("--grammar", str(grammar), *asks)
         assert result.returncode == 2
         said = result.stdout.decode()
-        assert "a device answers at 9600 baud, not at 115200: give --baud 9600" in said
+        assert "a device answers at 9600 baud, not at 115200;" in said
+        assert f"bilprov conform {pty.name} --baud 9600\n" in said
         assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0
 
 
