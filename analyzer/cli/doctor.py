@@ -60,7 +60,7 @@ def doctor(
     With --ask the link check is sent at each common baud rate, and the device that answers is
     homed. At a wrong rate it hears other bytes, and may drive.
 
-    Exit code: 0 the port can be used as it is, with or without advice; 2 it cannot.
+    Exit code: 0 the port can be used as it is, with or without advice; 2 it cannot; 130 Ctrl-C.
     """
     from bilprov.analyzer.doctor.asking import longest_time, rates_of
     from bilprov.analyzer.doctor.examination import of_line, of_system
@@ -104,6 +104,8 @@ def doctor(
             if device is not None:
                 report.begin("both taps")
             report.tell(of_line(protocol, names, settings, seconds, stopper, rates))
+        if stopper.stopped:  # by a signal: no verdict was reached
+            raise KeyboardInterrupt
     return report.end(names)
 
 

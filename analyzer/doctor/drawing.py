@@ -28,8 +28,8 @@ def title(name: str, machine: Machine | None = None) -> str:
     """The name of a port with what the system knows of its device: a title, ids, its driver."""
     machine = machine or Machine()
     path = path_in(name)
-    if path is None:
-        return name
+    if not path:
+        return name or "''"
     device = machine.device(path)
     usb = machine.usb(path)
     driver = machine.driver(path)
@@ -60,7 +60,7 @@ def drawn(finding: Finding) -> RenderableType:
 
 def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
     """The last line: whether the ports can be used."""
-    which = escape_controls(" and ".join(names))
+    which = escape_controls(" and ".join(name or "''" for name in names))
     if not usable(findings):
         return Text(
             f"{which} cannot be used as {'they are' if len(names) > 1 else 'it is'}", "bold"

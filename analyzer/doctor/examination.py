@@ -37,6 +37,7 @@ def of_line(
 ) -> Iterator[Finding]:
     """Open the ports and yield what is heard in `seconds`; `names` are one, or host and device.
 
+    What is under way when `stopper` stops it is not told, but a device is homed all the same.
     Nothing is sent unless there are `rates`: at each the link check is sent to the first port until
     a device answers, which is homed. Opening raises DTR, which resets an Arduino.
     """
@@ -48,7 +49,8 @@ def of_line(
             return
         yield Finding("opening", Grade.FINE, f"opened with {settings}")
         taps = Taps(ports[0], ports[1] if len(ports) > 1 else None)
-        yield from heard(protocol, taps.names, listened(taps, seconds, stopper), seconds)
+        events = listened(taps, seconds, stopper)
+        yield from heard(protocol, taps.names, events, min(seconds, taps.now() / 1e9))
         if rates and not stopper.stopped:
             yield from _of_answers(protocol, ports[0], rates, stopper)
 
@@ -61,7 +63,5 @@ def _of_answers(
     except LinkError as error:
         yield refused("answers", error)
         return
-    if stopper.stopped and not found:
-        yield Finding("answers", Grade.UNSEEN, "interrupted before anybody answered")
-    else:
+    if found or not stopper.stopped:
         yield from told(protocol, port.name, rates, found)

@@ -53,7 +53,7 @@ def heard(
     yield from _miscounted(names, events, count)
     if not count:
         why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"
-        sentence = f"not a byte was heard in {seconds:g} s: {why}"
+        sentence = f"not a byte was heard in {seconds:.3g} s: {why}"
         yield Finding("traffic", Grade.UNSEEN, sentence)
         return
     for side, told in data.items():
@@ -66,7 +66,7 @@ def heard(
     if len(names) > 1:
         yield _wired(protocol, names, events, data)
     else:
-        sentence = f"{count} byte{'s were' if count > 1 else ' was'} heard in {seconds:g} s"
+        sentence = f"{count} byte{'s were' if count > 1 else ' was'} heard in {seconds:.3g} s"
         yield Finding("traffic", Grade.FINE, sentence)
 
 

@@ -59,7 +59,7 @@ class Check(NamedTuple):
 
 
 def _there(port: Subject) -> Finding | None:
-    if port.machine.file(port.machine.device(port.name)).exists():
+    if port.name and port.machine.file(port.machine.device(port.name)).exists():
         return None
     return refused("there", missing(port.name, port.ports_here, port.machine))
 

@@ -152,6 +152,10 @@ class Machine:
         """What anybody may see of a process."""
         name = printable(self._read(f"/proc/{pid}/comm"))
         words = [word for word in self._read(f"/proc/{pid}/cmdline").split("\0") if word]
+        if words and Path(words[0]).name.startswith(
+            "python"
+        ):  # what it runs says more than where that is
+            words[1:2] = [Path(word).name for word in words[1:2]]
         line = " ".join([Path(words[0]).name, *words[1:]]) if words else name
         if len(line) > _COMMAND_CHARACTERS:
             line = line[: _COMMAND_CHARACTERS - 1] + "…"

@@ -424,6 +424,16 @@ def test_without_a_yes_nothing_is_asked(protocol: Protocol) -> None:
     assert robot.frames == []
 
 
+@pytest.mark.waits
+def test_an_interrupted_examination_gives_no_verdict() -> None:
+    with open_pty() as pty, running("doctor", pty.name, "--seconds", "600") as doctor:
+        while b"opened" not in doctor.stdout.readline():
+            pass
+        code, out, err = doctor.end()
+    assert (code, err) == (130, b"")
+    assert b"can be used" not in out
+
+
 @contextmanager
 def robot_at(protocol: Protocol, speed: int, pty: PtyPair) -> Iterator[None]:
     """A robot at a pty's other end that is deaf unless the pty is set to its speed."""
