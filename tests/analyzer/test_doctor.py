@@ -212,6 +212,17 @@ def test_stops_and_their_answers_are_alike_so_nothing_is_said_of_the_taps(
     assert usable(heard(protocol, NAMES, events, 2))
 
 
+def test_answers_that_fit_neither_way_round_are_not_laid_to_the_taps(protocol: Protocol) -> None:
+    events = attached(protocol, Talk(), random.Random(1)).events
+    odd = [
+        Chunk(event.t, event.direction, bytes(byte ^ 0xA5 for byte in event.data))
+        for event in events
+    ]
+    (found,) = heard(protocol, NAMES, odd, 2)
+    assert found.grade is Grade.ADVICE
+    assert "either way round" in found.sentence
+
+
 def test_two_taps_on_one_wire_are_told(protocol: Protocol) -> None:
     events = [Chunk(n, side, b"\x11\x50\x20") for n in range(3) for side in ("host", "device")]
     (found,) = heard(protocol, NAMES, events, 2)
@@ -295,10 +306,11 @@ GARBLES: list[Callable[[bytes], bytes]] = [
     lambda data: b"",
     lambda data: bytes(byte ^ 0xE6 for byte in data),
     lambda data: bytes(2 * len(data)),
+    lambda data: bytes(len(data)),
 ]
 
 
-@pytest.mark.parametrize("garble", GARBLES, ids=["nothing", "bits", "zeros"])
+@pytest.mark.parametrize("garble", GARBLES, ids=["nothing", "bits", "two zeros", "a zero"])
 @pytest.mark.parametrize("baud", [9600, 57600, 115200])
 def test_the_rate_at_which_a_device_answers_is_found_and_the_device_homed(
     each_protocol: Protocol, baud: int, garble: Callable[[bytes], bytes]

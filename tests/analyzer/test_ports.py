@@ -404,8 +404,10 @@ def refused_to_nobody(name: str) -> str:
     return child.stdout
 
 
-def test_a_port_without_permission(pty: PtyPair) -> None:
-    Path(pty.name).chmod(0)
+@pytest.mark.parametrize("mode", [0, 0o660])  # the second lets a group that nobody should join
+def test_a_port_without_permission(pty: PtyPair, mode: int) -> None:
+    shutil.chown(pty.name, group=os.getegid())
+    Path(pty.name).chmod(mode if os.geteuid() == 0 else 0)
     assert refused_to_nobody(pty.name) == (
         f"permission to open {pty.name} is denied: it belongs to {Path(pty.name).owner()} alone; "
         f"until it is plugged in again this lets everybody: sudo chmod a+rw {pty.name}\n"
