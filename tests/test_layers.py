@@ -46,6 +46,7 @@ ROOMS = (
     ("analyzer.monitor",),
     ("analyzer.output",),
     ("analyzer.client",),
+    ("analyzer.doctor",),
     ("analyzer.replay",),
     ("analyzer.export",),
     ("analyzer.pipeline", "analyzer.api"),

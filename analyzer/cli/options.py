@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from bilprov.captures.text import escape_controls
+
 if TYPE_CHECKING:
     from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.row_columns import RowStyle
@@ -169,6 +171,15 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+def note_hindrances(*names: str) -> None:
+    """Print a note for what makes opened ports slow or unsafe; URLs and ptys have nothing."""
+    from bilprov.analyzer.doctor.system import notes
+
+    for name in names:
+        for sentence in notes(name):
+            note(escape_controls(sentence))
 
 
 class NotConfirmed(click.ClickException):

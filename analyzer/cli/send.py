@@ -8,7 +8,13 @@ from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+    timeout_option,
+)
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.columns.decoder import Records
@@ -92,6 +98,7 @@ def send(
     settings = line_settings(protocol, baud, parity, stopbits)
     output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
     with open_port(port, settings) as opened:
+        note_hindrances(port)
         confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
         with Stopper() as stopper:
 

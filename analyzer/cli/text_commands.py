@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bilprov.analyzer.cli.options import sender_option, text_format_option
+from bilprov.analyzer.cli.options import note, sender_option, text_format_option
 from bilprov.analyzer.output.console import show, show_as, show_json
 
 
@@ -84,33 +84,29 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
 @click.command()
 @text_format_option
 def ports(style: str) -> None:
-    """List the serial ports of this machine; USB adapters and boards are marked with a star."""
+    """List the serial ports of this machine, their adapters, and who holds them.
+
+    USB adapters and boards are marked with a star. The latency is how long an adapter holds bytes
+    back; what is wrong with a port tells bilprov doctor PORT.
+    """
     from dataclasses import asdict
 
-    from bilprov.analyzer.output.console import table
+    from bilprov.analyzer.output.port_list import drawn, unseen
     from bilprov.analyzer.transport.ports import list_ports
-    from bilprov.captures.text import printable
 
     found = list_ports()
     if style == "json":
         show_json([asdict(port) for port in found])
     elif found:
-        rows = [
-            (
-                "*" if port.likely else "",
-                printable(port.path),
-                printable(port.description),
-                printable(port.hardware_id),
-            )
-            for port in found
-        ]
-        show(table(("usb", "port", "description", "hardware"), rows))
+        show(*drawn(found))
     else:
         click.echo(
             "No serial port here. Plug the robot or its USB adapter in and look again, give the "
             "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
             "bilprov simulate"
         )
+    if unseen(found):
+        note(unseen(found))
 
 
 @click.command()

@@ -15,7 +15,12 @@ from typing import Any, TypeVar
 import click
 import msgspec
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+)
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
@@ -263,6 +268,7 @@ def _tested(
         target = stack.enter_context(opened(stopper))
         count = planned(target.protocol, options, cases)
         if target.moves:
+            note_hindrances(robot.target)
             seconds = estimated_seconds(target.protocol, cases, options, target.line)
             what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=robot.yes)

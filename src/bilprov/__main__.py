@@ -65,6 +65,9 @@ COMMANDS = {
         "ports",
         "List the serial ports of this machine.",
     ),
+    "doctor": Row(
+        "Analyze", "bilprov.analyzer.cli.doctor", "doctor", "Find what keeps a port from use."
+    ),
     "conform": Row(
         "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
     ),

@@ -16,6 +16,7 @@ from bilprov.analyzer.cli.options import (
     confirm_motion,
     line_options,
     note,
+    note_hindrances,
     timeout_option,
 )
 from bilprov.analyzer.grammar_file import load_protocol
@@ -91,6 +92,7 @@ def shell(
         if eye is not None:
             stack.callback(eye.close)
         if target != SIM:
+            note_hindrances(port)
             confirm_motion(f"the robot at {port} will do what is typed", yes=yes)
         output = stream_output("lines")
         stopper = stack.enter_context(Stopper())
