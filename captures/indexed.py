@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from bilprov.captures import topics
-from bilprov.captures.reader import Capture, events_of, sights_of
+from bilprov.captures.reader import Capture, Recorded, events_of, recorded_of, sights_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
 from bilprov.captures.storage.index import Index, IndexedChunk, read_index
@@ -76,11 +76,15 @@ class IndexedCapture(Capture):
 
         Raises CaptureError if the file changed since it was opened or cannot be read.
         """
-        return events_of(self, self._stored(after))
+        return events_of(self, self._stored(after), begun=after is not None)
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, as `events` does."""
-        return sights_of(self, self._stored(after))
+        return sights_of(self, self._stored(after), begun=after is not None)
+
+    def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
+        """Yield all that was recorded and not decoded from the bytes, as `events` does."""
+        return recorded_of(self, self._stored(after), begun=after is not None)
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
         def read(file: BufferedReader, contents: Contents) -> Iterator[Stored]:

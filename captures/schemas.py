@@ -179,6 +179,22 @@ class Checkpoint(msgspec.Struct, frozen=True):
         return True
 
 
+class Resumption(Line, frozen=True, kw_only=True):
+    """A place from which decoding goes on in a known state; a reader gives it, no file holds it.
+
+    It stands for a `gap` and the checkpoint right behind it: what came in between was left out.
+    With `silent` it is a checkpoint before all raw bytes, without a gap: the capture begins there.
+    """
+
+    checkpoint: Checkpoint
+    silent: bool = False
+
+    @property
+    def gap(self) -> Line:
+        """The line event without the checkpoint, as a file holds it."""
+        return Line(self.t, self.event, self.tap, self.detail)
+
+
 def _crc(t: int, grammar: str, decoder: str) -> int:
     return zlib.crc32(f"{t}\n{grammar}\n{decoder}".encode("utf-8", "surrogatepass"))
 
