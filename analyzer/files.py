@@ -6,7 +6,8 @@ import errno
 import os
 import secrets
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -61,3 +62,38 @@ def write_whole(file: Path, data: bytes) -> None:
             with suppress(OSError):
                 part.unlink()
             raise
+
+
+@contextmanager
+def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
+    """Give a name beside `file` to write to; at the end of the block that becomes the file.
+
+    If the block raises, what was written is removed. Raises FileExistsError, and keeps the old
+    file, if there is one by then, unless `force`.
+    """
+    file = file.resolve()
+    part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
+    try:
+        yield part
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        if force:
+            part.replace(file)
+        elif not _linked(part, file):
+            part.rename(file)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _linked(part: Path, file: Path) -> bool:
+    """Give a file a second name, which must be new; false where the file system knows no links."""
+    try:
+        os.link(part, file)
+    except FileExistsError:
+        raise
+    except OSError:
+        if file.exists():
+            raise FileExistsError(errno.EEXIST, "it exists", str(file)) from None
+        return False
+    return True

@@ -76,15 +76,15 @@ class IndexedCapture(Capture):
 
         Raises CaptureError if the file changed since it was opened or cannot be read.
         """
-        return events_of(self, self._stored(after), begun=after is not None)
+        return events_of(self, self._stored(after))
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, as `events` does."""
-        return sights_of(self, self._stored(after), begun=after is not None)
+        return sights_of(self, self._stored(after))
 
     def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
         """Yield all that was recorded and not decoded from the bytes, as `events` does."""
-        return recorded_of(self, self._stored(after), begun=after is not None)
+        return recorded_of(self, self._stored(after))
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
         def read(file: BufferedReader, contents: Contents) -> Iterator[Stored]:

@@ -82,9 +82,9 @@ class Capture:
     def events(self) -> Iterator[Chunk | Line]:
         """Yield the chunks and line events in order, for decoding.
 
-        Where messages are lost by damage to the file, a Line `gap` is inserted. A checkpoint right
-        behind a `gap`, or before all raw bytes, makes it a Resumption. Raises CaptureError if the
-        file changed since it was opened or cannot be read.
+        Where messages are lost by damage to the file, a Line `gap` is inserted. A checkpoint that
+        `resumes` is a Resumption, with the `gap` right before it if there is one. Raises
+        CaptureError if the file changed since it was opened or cannot be read.
         """
         return events_of(self, self._stored())
 
@@ -132,24 +132,17 @@ class Capture:
             raise unreadable(self.path, error) from error
 
 
-def events_of(
-    capture: Capture, stored: Iterator[Stored], *, begun: bool = False
-) -> Iterator[Chunk | Line]:
-    """The chunks and line events among stored messages, as `Capture.events` says.
-
-    `begun` is true if the messages are not the first ones of the capture.
-    """
-    for value in recorded_of(capture, stored, {topics.LINE, topics.CHECKPOINT}, begun=begun):
+def events_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line]:
+    """The chunks and line events among stored messages, as `Capture.events` says."""
+    for value in recorded_of(capture, stored, {topics.LINE, topics.CHECKPOINT}):
         if isinstance(value, Chunk | Line):
             yield value
 
 
-def sights_of(
-    capture: Capture, stored: Iterator[Stored], *, begun: bool = False
-) -> Iterator[Chunk | Line | Look]:
+def sights_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line | Look]:
     """The events and looks among stored messages, as `Capture.sights` says."""
     wanted = {topics.LINE, topics.LOOKS, topics.CHECKPOINT}
-    for value in recorded_of(capture, stored, wanted, begun=begun):
+    for value in recorded_of(capture, stored, wanted):
         if isinstance(value, Chunk | Line | Look):
             yield value
 
@@ -158,18 +151,15 @@ def recorded_of(
     capture: Capture,
     stored: Iterator[Stored],
     wanted: Collection[str] = _RECORDED.keys(),
-    *,
-    begun: bool = False,
 ) -> Iterator[Recorded]:
     """The raw chunks among stored messages, and the values of the topics that are `wanted`."""
     gap: Line | None = None
     for value in _recorded(capture, stored, wanted):
-        if isinstance(value, Checkpoint) and (gap or not begun):
+        if isinstance(value, Checkpoint) and value.resumes:
             at = gap or Line(value.t, "gap")
-            yield Resumption(
-                at.t, at.event, at.tap, at.detail, checkpoint=value, silent=gap is None
-            )
-            gap, begun = None, True
+            silent = gap is None
+            yield Resumption(at.t, at.event, at.tap, at.detail, checkpoint=value, silent=silent)
+            gap = None
             continue
         if gap:
             yield gap
@@ -178,7 +168,6 @@ def recorded_of(
             gap = value
         else:
             yield value
-        begun = begun or isinstance(value, Chunk | Line)
     if gap:
         yield gap
 
