@@ -180,7 +180,7 @@ def write_selected(
             saved = stepper.state
             if saved is not None and not selected:
                 decoder.resume(saved)
-                selection.passed(0)
+                selection.passed(saved)
                 state, stepper = saved, None
         else:
             for one in batch:
@@ -189,7 +189,8 @@ def write_selected(
             decoder.feed(events_in(batch))
             saved = decoder.saved()
             if saved is not None:
-                selection.passed(size_of([one for one in since if window.has(one.now)]))
+                missed = [one for one in since if window.has(one.now)]
+                selection.passed(saved, size_of(missed))
                 state, since = saved, []
         _told(progress, batch)
     if stepper is not None and not behind:

@@ -97,6 +97,26 @@ def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str
     return about
 
 
+def cut_metadata(
+    capture: Capture,
+    protocol: Protocol,
+    first: int | None,
+    after: int | None,
+    expression: str | None,
+) -> dict[str, str]:
+    """The metadata of a part: what a filter selects from `first` to `after` (ns) of a capture."""
+    window = {"--start": first, "--end": after}
+    words = [f"{name} {t / 1e9:g}" for name, t in window.items() if t is not None]
+    words += [f"--filter {printable(expression)}"] if expression else []
+    about = edited_metadata(capture, protocol, f"cut {said_of(capture.path)} {' '.join(words)}")
+    if first is not None:
+        about[CUT_START] = str(first)
+        about["attached"] = "yes"  # for decoders that cannot use the checkpoint
+    if after is not None:
+        about[CUT_END] = str(after)
+    return about
+
+
 def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
     """Settings of a Session as the metadata of a capture says them, without loss."""
     return {

@@ -88,6 +88,7 @@ class Selection:
         self._before: dict[str, int] = {}  # bytes that the next records have from before the steps
         self._fresh = True  # whether the next step does not follow the last one
         self._in_step = False
+        self._under_way = False  # whether the part ends in an open frame, or a held answer
         self._now: int | None = None  # how far the part's decoder has come (ns)
         self._left_out = 0  # bytes since the last one that was written
         self._chunk: Chunk | None = None  # what is written next, as more bytes of it may follow
@@ -122,12 +123,15 @@ class Selection:
         self._entries.append((value, t))
         self._write_decided()
 
-    def passed(self, size: int) -> None:
-        """Nothing is selected up to the next step; so many bytes before it are missed."""
+    def passed(self, state: DecoderState, size: int = 0) -> None:
+        """Nothing is selected up to the next step; so many bytes before it are missed.
+
+        `state` is that after the last step.
+        """
         self._forget()
         self._write_decided()
         self._fresh = True
-        self._in_step = False
+        self._fall_behind(state)
         self._left_out += size
 
     def close(self, state: DecoderState, end: int) -> None:
@@ -135,7 +139,7 @@ class Selection:
         self._forget()
         self._write_decided()
         self._write_chunk()
-        if not self._in_step:
+        if not self._in_step and (self._left_out or self._under_way or self._now is None):
             # What is under way there would be told as if the recording had ended.
             quiet = replace(
                 state,
@@ -221,7 +225,7 @@ class Selection:
         step, told = entry.step, entry.told
         kept_hunt = step.hunt is not None and step.hunt.keep
         if step.apart:
-            self._in_step = False
+            self._fall_behind(step.state)
         if step.event is None:
             self._write_moment(step, kept_hunt or any(one.keep for one in told), bool(told))
             return
@@ -229,7 +233,7 @@ class Selection:
         assert owner is not None
         wanted = kept_hunt or owner.keep
         if isinstance(step.event, Resumption):
-            self._in_step = False
+            self._fall_behind(step.state)
             return
         if isinstance(step.event, Line):
             wanted = wanted or any(one.keep for one in told)
@@ -238,7 +242,7 @@ class Selection:
                     self._write_event(step)
                 return
         if not wanted:
-            self._in_step = False
+            self._fall_behind(step.state)
             self._left_out += isinstance(step.event, Chunk) and self._counts(step.t)
             return
         self.frames += sum(is_frame(record) for record in step.records)
@@ -254,7 +258,13 @@ class Selection:
             self.frames += sum(is_frame(record) for record in step.records)
             self._now = step.t
         elif tells:
+            self._fall_behind(step.state)
+
+    def _fall_behind(self, state: DecoderState) -> None:
+        """What comes next does not come to the part's decoder, which stays in this state."""
+        if self._in_step:
             self._in_step = False
+            self._under_way = bool(state.frame or state.held)
 
     def _write_event(self, step: Step) -> None:
         event = step.event
@@ -278,13 +288,19 @@ class Selection:
         """Bring the part's decoder, which has come to `now`, into a state at `t` (ns)."""
         self._write_chunk()
         gap = None
-        if self._left_out:
-            bytes_ = "byte" if self._left_out == 1 else "bytes"
-            detail = f"{self._left_out} {bytes_} left out here by bilprov cut"
-            gap = Line(min(t, state.time) if self._now is None else self._now, "gap", "", detail)
+        if self._left_out or self._now is not None:
+            begin = min(t, state.time) if self._now is None else self._now
+            gap = Line(begin, "gap", "", _said_of(self._left_out))
         write_resumption(self._out, self._protocol, state, t, gap)
         self._in_step, self._left_out = True, 0
         self._now = t
+
+
+def _said_of(size: int) -> str:
+    """The reason for a gap where so many bytes are left out."""
+    if not size:
+        return "no bytes, but what belongs to others, left out here by bilprov cut"
+    return f"{size} {'byte' if size == 1 else 'bytes'} left out here by bilprov cut"
 
 
 def _keep_together(step: Step, told: list[Exchange]) -> None:
