@@ -39,9 +39,9 @@ def cut(
     """Write a part of a capture.
 
     OUT holds the raw bytes and line events between --start and --end as they are, and what a
-    conformance run noted there. A checkpoint at its beginning keeps the predicted state, the numbers
-    of the instructions and the answers that are due, so that OUT is decoded as IN is; times stay
-    those of IN.
+    conformance run noted there. A checkpoint at its beginning keeps the predicted state, the
+    numbers of the instructions and the answers that are due, so that OUT is decoded as IN is; times
+    stay those of IN.
 
     With --filter it holds the frames for which EXPR holds, each instruction with its answer. Where
     others are left out, a gap says how many bytes, and a checkpoint how decoding goes on.
@@ -86,6 +86,59 @@ def cut(
     note(f"{new} holds {what} of {path}")
 
 
+@click.command()
+@click.argument(
+    "paths", metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--output",
+    "new",
+    metavar="OUT.mcap",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="The new capture.",
+)
+@force_option
+@click.pass_obj
+def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -> None:
+    """Put captures together by the time of day at which their bytes came.
+
+    Two sniffers, of which one listened to the host and one to the device, give a capture of both
+    directions: their clocks must agree to some milliseconds. Recordings that follow each other give
+    one with a gap between them. Where two hold the same direction at the same time, every byte
+    would be there twice: that is refused, and says how to cut one of them.
+
+    Raw bytes, line events and what conformance runs noted are kept as they are, with the metadata
+    and attachments of all. Decoded topics are left out: bilprov convert --decoded writes them.
+    Ctrl-C leaves no OUT.
+
+    Example: bilprov join host.mcap device.mcap -o both.mcap
+    """
+    from bilprov.analyzer.edit.join import Joined, write_joined
+    from bilprov.analyzer.edit.new_capture import new_capture, require_new
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.captures.reader import open_capture
+
+    if len(paths) < 2:
+        raise click.UsageError("name two captures or more to put together")
+    protocol = load_protocol(grammar)
+    captures = [open_capture(path) for path in paths]
+    require_new(new, list(paths), force=force)
+    joined = Joined(protocol, captures)
+    for capture in captures:
+        _say(said_about(capture, protocol))
+        _say_left_out(capture)
+    _say(joined.notes())
+    with (
+        _progress(captures) as progress,
+        new_capture(new, joined.start, joined.metadata(), force=force) as out,
+    ):
+        size = write_joined(joined, protocol, out, progress)
+    note(f"{new} holds {size:,} bytes of {len(paths)} captures")
+
+
 def _say(sentences: Iterator[str], *more: str) -> None:
     for sentence in (*sentences, *more):
         if sentence:
@@ -109,9 +162,9 @@ def _progress(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
     from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
     total = times * sum(
-        capture.contents.sizes.get(topic, 0)
+        sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
+        or capture.contents.size
         for capture in captures
-        for topic in (HOST_RAW, DEVICE_RAW)
     )
     with Stopper() as stopper, _bar(total) as shown:
 

@@ -19,14 +19,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
-from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
 from bilprov.analyzer.edit.new_capture import Progress, Stopped, write_resumption
+from bilprov.analyzer.edit.recorded_values import (
+    Timed,
+    batched,
+    events_in,
+    first_state,
+    saved_text,
+    size_of,
+    timed,
+    write_values,
+)
 from bilprov.analyzer.edit.selection import Selection
 from bilprov.analyzer.edit.steps import Stepper
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
@@ -34,7 +43,6 @@ from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.replay.seek import Opened
-from bilprov.captures.reader import Recorded
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 
@@ -42,54 +50,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.filter import Filter
 
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which goes on behind it"
-
-_BATCH_VALUES = 1 << 12
-_BATCH_BYTES = 1 << 15
-
-
-class Timed(NamedTuple):
-    """A recorded value, and when it came as a decoder takes it (ns): never before another one."""
-
-    now: int
-    value: Recorded
-
-
-def timed(values: Iterator[Recorded], now: int) -> Iterator[Timed]:
-    """Yield recorded values, the first of which come at `now` (ns) or later, with their times."""
-    for value in values:
-        now = max(now, value.t)
-        yield Timed(now, value)
-
-
-def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
-    """Yield values in lists of at most 4,096, with about 32 KiB of raw bytes."""
-    batch: list[Timed] = []
-    size = 0
-    for one in values:
-        batch.append(one)
-        size += len(one.value.data) if isinstance(one.value, Chunk) else 0
-        if len(batch) >= _BATCH_VALUES or size >= _BATCH_BYTES:
-            yield batch
-            batch, size = [], 0
-    if batch:
-        yield batch
-
-
-def events_in(batch: list[Timed]) -> list[Chunk | Line]:
-    """The chunks and line events of a batch."""
-    return [one.value for one in batch if isinstance(one.value, Chunk | Line)]
-
-
-def size_of(batch: list[Timed]) -> int:
-    """How many raw bytes a batch holds."""
-    return sum(len(one.value.data) for one in batch if isinstance(one.value, Chunk))
-
-
-def first_state(decoder: StreamDecoder) -> DecoderState:
-    """The state of a decoder that was fed nothing since it was opened."""
-    state = decoder.saved()
-    assert state is not None  # boundaries are looked for only from a byte on
-    return state
 
 
 def write_window(
@@ -118,14 +78,10 @@ def write_window(
     behind: list[Timed] = []
     checkpoints = Checkpoints(protocol.sha256)
     for batch in batched(_before(values, window.after, behind)):
-        for one in batch:
-            if isinstance(one.value, Chunk | Line):
-                out.event(one.value)
-            elif not isinstance(one.value, Checkpoint):
-                out.write(one.value, one.value.t)
+        write_values(out, batch)
         decoder.feed(events_in(batch))
         kept += size_of(batch)
-        made = checkpoints.made(batch[-1].now, kept, lambda: _saved_text(decoder))
+        made = checkpoints.made(batch[-1].now, kept, lambda: saved_text(decoder))
         if made:
             out.write(made, made.t)
         _told(progress, batch)
@@ -341,11 +297,6 @@ def _seen(record: Record) -> object:
         return record.kind, record.data
     assert isinstance(record, DeviceRecord)
     return record.byte, record.instruction
-
-
-def _saved_text(decoder: StreamDecoder) -> str | None:
-    state = decoder.saved()
-    return None if state is None else checkpoint.encoded(state)
 
 
 def _told(progress: Progress, batch: list[Timed]) -> None:
