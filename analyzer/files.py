@@ -59,23 +59,44 @@ def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
         with file.open("wb") as pipe:
             yield pipe
         return
+    if not replace and file.exists():  # before all the work
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(file))
+    with replaced_whole(file, force=replace) as part, part.open("xb") as beside:
+        yield beside
+
+
+@contextmanager
+def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
+    """Give a name beside `file` to write to; at the end of the block that becomes the file.
+
+    If the block raises, what was written is removed. Raises FileExistsError, and keeps the old
+    file, if there is one by then, unless `force`.
+    """
+    file = file.resolve()
     part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
     try:
-        _require_new(file, replace)
-        with part.open("xb") as beside:
-            yield beside
-            beside.flush()
-            os.fsync(beside.fileno())
-        _require_new(file, replace)
-        if file.exists():
-            shutil.copymode(file, part)
-        part.replace(file)
-    except BaseException:
+        yield part
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        if force:
+            if file.exists():
+                shutil.copymode(file, part)
+            part.replace(file)
+        elif not _linked(part, file):
+            part.rename(file)
+    finally:
         with suppress(OSError):
             part.unlink()
+
+
+def _linked(part: Path, file: Path) -> bool:
+    """Give a file a second name, which must be new; false where the file system knows no links."""
+    try:
+        os.link(part, file)
+    except FileExistsError:
         raise
-
-
-def _require_new(file: Path, replace: bool) -> None:
-    if not replace and file.exists():
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(file))
+    except OSError:
+        if file.exists():
+            raise FileExistsError(errno.EEXIST, "it exists", str(file)) from None
+        return False
+    return True

@@ -53,6 +53,11 @@ COMMANDS = {
         "convert",
         "Write a capture anew, all of it decoded.",
     ),
+    "cut": Row("Analyze", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
+    "join": Row("Analyze", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
+    "compare": Row(
+        "Analyze", "bilprov.analyzer.cli.compare", "compare", "Tell where two captures differ."
+    ),
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
     ),
