@@ -1,24 +1,27 @@
-"""Draws the README's pictures: the live view, a faulty robot's summary and page, the doctor.
+"""Draws the README's pictures: a drive live and as a plot, a faulty robot's report, the doctor.
 
-The page is taken by Chromium (apt-get install chromium); the same browser and fonts give the same
+Pages are taken by Chromium (apt-get install chromium); the same browser and fonts give the same
 picture again.
 """
 
 from __future__ import annotations
 
 import io
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from random import Random
 from urllib.parse import quote
 
 from rich.console import Console, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from bilprov.analyzer.cli.plot import plot
 from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told
@@ -31,20 +34,25 @@ from bilprov.analyzer.output.live_view import View, live_view
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
+from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.summary import show
+from bilprov.spec.codec import build, raw_frame
+from bilprov.spec.motion import MOTIONS, Moment, moment_of
 from bilprov.spec.protocol import Protocol
 from examples.demo import examples
 from tests.support.machines import FakeMachine
 
 _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
-_WIDTH, _HEIGHT = 1120, 900  # pixels of the page's picture
+_WIDTH, _HEIGHT = 1120, 900  # pixels of a page's picture
+_BEGUN = 1_790_000_000_000_000_000  # ns since 1970: when the drive of the plot is said to begin
 _PATIENCE = 120  # s for the browser
 
 
@@ -91,6 +99,57 @@ def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[
     yield conclusion([port], findings)
 
 
+def drive(protocol: Protocol) -> list[Chunk]:
+    """A minute of driving about on the simulator: smooth, with now and then a frame gone wrong."""
+    random, device = Random(5), Simulator(protocol, latency=_LATENCY)
+    events: list[Chunk] = []
+    now = busy = 0
+
+    def say(frame: bytes, pause: int) -> None:
+        nonlocal now, busy
+        now = max(now + pause, busy)
+        events.append(Chunk(now, "host", frame))
+        device.receive(frame, now)
+        while (due := device.deadline()) is not None:
+            if answer := device.advance(due):
+                busy = due + int(random.lognormvariate(0, 0.6) * MS)
+                events.append(Chunk(busy, "device", answer))
+
+    moves = [spec for spec in protocol.instructions if moment_of(spec.effect) in MOTIONS]
+    sets = [spec for spec in protocol.instructions if moment_of(spec.effect) is Moment.SETTING]
+    turns = [spec for spec in sets if spec.effect.sets("steering")]
+    speed = next(spec for spec in sets if spec.effect.sets("speed"))
+    while now < 60_000 * MS:
+        say(build(protocol, random.choice(moves).name), 300 * MS)
+        top = random.randrange(90, 256)
+        for value in range(20, top, 9):
+            say(build(protocol, speed.name, {speed.fields[0].name: value}), 40 * MS)
+        for _ in range(random.randrange(4)):
+            turn = random.choice(turns)
+            value = random.randrange(40, 256)
+            say(build(protocol, turn.name, {turn.fields[0].name: value}), 500 * MS)
+        if random.random() < 0.3:
+            say(raw_frame(protocol, random.choice(protocol.unused_ids), 0), 200 * MS)
+        for value in range(top, 20, -15):
+            say(build(protocol, speed.name, {speed.fields[0].name: value}), 40 * MS)
+        say(build(protocol, protocol.stop.name), 200 * MS)
+    return events
+
+
+def plot_picture(protocol: Protocol, picture: Path) -> None:
+    """Take a picture of the plot of a drive. Raises OSError without Chromium."""
+    with tempfile.TemporaryDirectory() as place:
+        file, page = Path(place) / "drive.mcap", Path(place) / "drive.html"
+        about = {"attached": "no", "heard": "host device"}
+        version = kit_version()
+        with CaptureWriter(file, start_wall=_BEGUN, metadata=about, version=version) as writer:
+            for event in drive(protocol):
+                writer.chunk(event)
+        plot.main([str(file), "--html", str(page)], standalone_mode=False, obj=None)
+        text = page.read_text(encoding="utf-8")
+        take(text, re.findall(r'href="#(t=\d+)"', text)[3], picture)  # at one of the anomalies
+
+
 def draw(folder: Path) -> None:
     """Write the pictures as SVG files into the folder."""
     protocol = load_protocol()
@@ -111,21 +170,23 @@ def draw(folder: Path) -> None:
     show(report, console)
     console.save_svg(str(folder / "conform.svg"), title="bilprov conform", unique_id="conform")
     failed = next(result.id for result in report.results if result.verdict is Verdict.FAIL)
-    take(as_html([report], protocol), failed, folder / "report.png")
+    case = f"case={quote(failed, safe='')}"
+    take(as_html([report], protocol), case, folder / "report.png")
+    plot_picture(protocol, folder / "plot.png")
 
 
-def take(page: str, case: str, picture: Path) -> None:
-    """Take a picture of a report's page with one case open. Raises OSError without Chromium."""
+def take(page: str, fragment: str, picture: Path) -> None:
+    """Take a picture of a page at a fragment of its address. Raises OSError without Chromium."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise FileNotFoundError("no Chromium to take the page's picture: apt-get install chromium")
     with tempfile.TemporaryDirectory() as place:
-        (Path(place) / "report.html").write_text(page, encoding="utf-8")
+        (Path(place) / "page.html").write_text(page, encoding="utf-8")
         # The browser takes its picture from the top: what scrolls must be a frame in the page.
         frame = Path(place) / "frame.html"
         frame.write_text(
             "<!doctype html><body style='margin: 0'><iframe style='border: 0; display: block' "
-            f"width={_WIDTH} height={_HEIGHT} src='report.html#case={quote(case, safe='')}'>",
+            f"width={_WIDTH} height={_HEIGHT} src='page.html#{fragment}'>",
             encoding="utf-8",
         )
         subprocess.run(

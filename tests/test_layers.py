@@ -39,6 +39,7 @@ ROOMS = (
         "captures.writer",
     ),
     ("analyzer",),  # files, grammar_file, version
+    ("analyzer.html",),
     ("analyzer.transport",),
     ("analyzer.taps",),
     ("analyzer.decode",),
@@ -49,6 +50,7 @@ ROOMS = (
     ("analyzer.doctor",),
     ("analyzer.replay",),
     ("analyzer.export",),
+    ("analyzer.plot",),
     ("analyzer.pipeline", "analyzer.api"),
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),

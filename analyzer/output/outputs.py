@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import Record, is_frame
+from bilprov.analyzer.output.console import can_show
 from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
@@ -97,7 +98,7 @@ def stream_output(
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
-    arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
+    arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
     colour = _wants_colour(sys.stdout)
     return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
 
@@ -225,11 +226,3 @@ class Shown:
 def _wants_colour(stream: TextIO) -> bool:
     # https://no-color.org: any value that is not empty.
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def _can_encode(stream: TextIO, text: str) -> bool:
-    try:
-        text.encode(stream.encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli.outputs import (
-    STANDARD_OUTPUT,
     Output,
     onto_standard_output,
     output_options,

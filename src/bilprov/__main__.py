@@ -47,6 +47,12 @@ COMMANDS = {
         "export",
         "Write a capture for other programs.",
     ),
+    "plot": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.plot",
+        "plot",
+        "Draw a capture along its time, as a page.",
+    ),
     "convert": Row(
         "Analyze",
         "bilprov.analyzer.cli.convert",
