@@ -249,6 +249,7 @@ def test_silence_is_no_verdict(protocol: Protocol) -> None:
     assert "not a byte was heard in 2 s" in found.sentence
 
 
+@pytest.mark.waits
 def test_a_server_that_hangs_up_is_told_with_its_last_words(protocol: Protocol) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener, Stopper() as stopper:
         name = f"socket://127.0.0.1:{listener.getsockname()[1]}"
@@ -381,6 +382,7 @@ def test_a_device_that_answers_otherwise_is_advised_to_be_tested(protocol: Proto
 # The command, on real lines
 
 
+@pytest.mark.waits
 def test_a_robot_on_a_pty_is_usable_and_hears_nothing(protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
     with served(robot) as name:
@@ -495,6 +497,7 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
         assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0
 
 
+@pytest.mark.waits
 def test_an_echo_is_told() -> None:
     result = command("doctor", "loop://", "--ask", "--yes", "--seconds", "0")
     assert result.returncode == 2
