@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -54,7 +54,7 @@ def line_options(command: Command) -> Command:
 
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.output.filter import HELP
+    from bilprov.analyzer.filters.filter import HELP
 
     return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
 
@@ -108,7 +108,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     """Compile a filter expression; None if there is none. Raises FilterError."""
     if expression is None:
         return None
-    from bilprov.analyzer.output.filter import compile_filter
+    from bilprov.analyzer.filters.filter import compile_filter
 
     return compile_filter(expression, protocol)
 

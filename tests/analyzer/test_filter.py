@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.filter import FilterError, compile_filter
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
+
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, conversation, decoded

@@ -7,13 +7,13 @@ from random import Random
 from typing import Any
 
 import pytest
+from bilprov.analyzer.output.filter import Filter, compile_filter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.output.filter import Filter, compile_filter
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import judge, nearest
 from bilprov.spec.protocol import Protocol, load

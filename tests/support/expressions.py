@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bilprov.analyzer.output.filter import names, words
 from hypothesis import strategies as st
 
-from bilprov.analyzer.output.filter import names, words
 from bilprov.spec.protocol import Protocol
 
 _NUMBERS = [0, 1, -1, 2, 7, 100, 255, 0.5, 0.001, 0.1, 1e-9, 1e308 * 10, (1 << 53) + 1, -(1 << 80)]
