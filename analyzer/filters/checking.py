@@ -73,6 +73,8 @@ class _Checker:
 
     def _comparison(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
         one, other = self._fields(left, right)
+        if one and (one.kind is Kind.TEXT or sign.text.endswith("contains")):
+            other = None  # any word is text there
         if one and other:
             return self._two_fields(left, sign, right)
         if one:

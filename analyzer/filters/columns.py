@@ -271,10 +271,11 @@ class DeviceRows(Rows):
     _id = _len = _sequence = _none
 
     def _data(self) -> Octets:
-        return Octets(self._stretch.byte, np.zeros((), np.int64), np.array(-1))
+        none = np.full(self.count, -1)
+        return Octets(self._stretch.byte, np.zeros(self.count, np.int64), none)
 
     def _hex(self) -> Octets:
-        return Octets(self._stretch.byte, np.arange(self.count), np.array(1))
+        return Octets(self._stretch.byte, np.arange(self.count), np.ones(self.count, np.int64))
 
     def _direction(self) -> Words:
         return _one("device")

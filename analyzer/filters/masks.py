@@ -179,12 +179,11 @@ def _compared(left: Column, sign: str, right: Column) -> Mask:
 
 def _equal(column: Octets, part: NDArray[np.uint8]) -> Mask:
     """In which rows the bytes are these."""
-    true = np.broadcast_to(column.size == len(part), np.broadcast(column.start, column.size).shape)
-    rows = np.flatnonzero(true)
+    rows = np.flatnonzero(column.size == len(part))
     for place, byte in enumerate(part.tolist()):
         rows = rows[column.data.take(column.start[rows] + place) == byte]
-    true = np.zeros(true.shape, np.bool_)
-    true.flat[rows] = True
+    true = np.zeros(len(column.size), np.bool_)
+    true[rows] = True
     return true
 
 
