@@ -44,6 +44,7 @@ ROOMS = (
     ("analyzer.decode",),
     ("analyzer.columns",),
     ("analyzer.monitor",),
+    ("analyzer.filters",),
     ("analyzer.output",),
     ("analyzer.client",),
     ("analyzer.replay",),
@@ -73,7 +74,12 @@ HOMES = {
     "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
-    "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
+    "numpy": (
+        "spec/tables.py",
+        "analyzer/columns/",
+        "analyzer/filters/columns.py",
+        "analyzer/filters/masks.py",
+    ),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.

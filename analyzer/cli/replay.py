@@ -115,6 +115,7 @@ def replay(
     window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
+    test = test and test.started(capture.start)
     for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)

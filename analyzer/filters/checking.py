@@ -86,18 +86,19 @@ class _Checker:
     def _fields(self, left: Part, right: Part) -> tuple[Field | None, Field | None]:
         """The fields of both sides, None for a side that is the same in all rows.
 
-        A word that names a value of the other side is one (`name == speed`), and so is one beside
-        another word that is spelled like a value, not like the name of a field (`Speed != OK`).
+        A word that names a value of the other side is one (`name == speed`). So is a word that is
+        spelled like a value, and like a field in another case only, unless it is compared with a
+        number (`Speed != OK`).
         """
         one, other = self._field(left), self._field(right)
         if one and names_value(right, one):
             return one, None
         if other and names_value(left, other):
             return None, other
-        words = parts.Word | parts.Quoted
-        if isinstance(right, words) and only_a_value(self._protocol, left):
+        numbers = parts.Number | parts.Range | parts.Listed
+        if not isinstance(right, numbers) and only_a_value(self._protocol, left):
             one = None
-        if isinstance(left, words) and only_a_value(self._protocol, right):
+        if not isinstance(left, numbers) and only_a_value(self._protocol, right):
             other = None
         return one, other
 

@@ -6,12 +6,12 @@ import sys
 from typing import Any
 
 import pytest
-from bilprov.analyzer.output.filter import compile_filter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Snapshot, Statistics
