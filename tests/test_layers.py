@@ -45,6 +45,7 @@ ROOMS = (
     ("analyzer.decode",),
     ("analyzer.columns",),
     ("analyzer.monitor",),
+    ("analyzer.filters",),
     ("analyzer.output",),
     ("analyzer.client",),
     ("analyzer.doctor",),
@@ -80,7 +81,8 @@ HOMES = {
     "numpy": (
         "spec/tables.py",
         "analyzer/columns/",
-        "analyzer/output/filter_masks.py",
+        "analyzer/filters/columns.py",
+        "analyzer/filters/masks.py",
         "analyzer/output/stretch_rows.py",
     ),
     "pyarrow": ("analyzer/export/parquet.py",),

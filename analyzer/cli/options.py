@@ -14,7 +14,7 @@ import click
 from bilprov.captures.text import escape_controls
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.spec.protocol import Protocol
 
@@ -57,7 +57,7 @@ def line_options(command: Command) -> Command:
 
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.output.filter import HELP
+    from bilprov.analyzer.filters.filter import HELP
 
     return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
 
@@ -163,7 +163,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     """Compile a filter expression; None if there is none. Raises FilterError."""
     if expression is None:
         return None
-    from bilprov.analyzer.output.filter import compile_filter
+    from bilprov.analyzer.filters.filter import compile_filter
 
     return compile_filter(expression, protocol)
 

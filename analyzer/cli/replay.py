@@ -132,6 +132,7 @@ def replay(
     window = _window(start, end, duration)
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
+    test = test and test.started(capture.start)
     for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)

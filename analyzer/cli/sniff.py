@@ -142,6 +142,7 @@ def sniff(
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
+        test = test and test.started(source.start_wall)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
         output: Output = NoOutput()
         queue = None

@@ -44,18 +44,9 @@ def _or_sentence(function: Any, *arguments: Any) -> Any:
         raise click.ClickException(str(error)) from None
 
 
-def _instruction_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    """Complete an instruction name from the grammar in use."""
-    from bilprov.analyzer.grammar_file import load_protocol
-
-    protocol = load_protocol(ctx.find_root().params.get("grammar"))
-    names = [spec.name for spec in protocol.instructions]
-    return [name for name in names if name.lower().startswith(incomplete.lower())]
-
-
 # A negative value looks like an option; here it is taken as a value, whose range check refuses it.
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("name", metavar="INSTRUCTION", shell_complete=_instruction_names)
+@click.argument("name", metavar="INSTRUCTION")
 @click.argument("values", metavar="[FIELD=VALUE]...", nargs=-1)
 @click.option("--raw", is_flag=True, help="Write the bytes themselves, for a pipe.")
 @click.pass_obj
@@ -142,6 +133,9 @@ def completion(ctx: click.Context, shell: str) -> None:
     """Print the script that completes bilprov's subcommands, options and names in a shell."""
     from click.shell_completion import get_completion_class
 
+    from bilprov.analyzer.cli.shells import register
+
+    register()
     made = get_completion_class(shell)
     if made is None:
         raise click.ClickException(f"click knows no completion for {shell}")

@@ -47,7 +47,7 @@ from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which goes on behind it"
 

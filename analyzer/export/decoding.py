@@ -15,7 +15,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 BATCH = 1 << 16
 """Bytes of the line decoded at once: what is made of them may take up to 300 times as much."""

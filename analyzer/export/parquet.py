@@ -14,10 +14,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.export.decoding import Progress, decoded_parts
 from bilprov.analyzer.output.csv_text import usual_columns
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import AS_USUAL, COLUMNS, Column, RowStyle
 from bilprov.captures.errors import CaptureError
@@ -28,7 +28,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""

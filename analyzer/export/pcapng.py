@@ -28,10 +28,10 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.export.decoding import BATCH, Progress
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
 from bilprov.analyzer.replay.playback import batches, played
@@ -43,7 +43,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 LINKTYPE_RTAC_SERIAL = 250
 

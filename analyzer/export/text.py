@@ -14,7 +14,7 @@ from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 
 def write_csv(

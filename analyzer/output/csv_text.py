@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from bilprov.analyzer.decode.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.output.row_columns import (
     TIME,
     Column,

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
 
 from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.console import can_show
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
     from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.analyzer.output.statistics import Statistics

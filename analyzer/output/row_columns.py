@@ -14,8 +14,8 @@ from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
 from bilprov.analyzer.output.text_lines import painted, state_words
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError

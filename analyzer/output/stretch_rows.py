@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Span, Stretch, written
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import HostRecord
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
 from bilprov.analyzer.output.row_columns import Column, Value
 from bilprov.captures.schemas import State
 from bilprov.spec.motion import VARIABLES

@@ -161,7 +161,12 @@ class FrontDoor(Group):
             return name, listed, rest
         row = COMMANDS[name]
         command = with_pages(getattr(import_module(row.module), row.attribute))
-        if ctx.resilient_parsing or "--help" in rest:
+        if ctx.resilient_parsing:
+            from bilprov.analyzer.cli.completion import with_completion
+
+            with_completion(command)
+            return name, command, rest
+        if "--help" in rest:
             return name, command, rest
         settings = read_settings(COMMANDS)
         if settings.empty:
@@ -224,9 +229,7 @@ def _run(arguments: list[str]) -> int:
     """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
     asked = os.environ.get("_BILPROV_COMPLETE")
     if asked:
-        from click.shell_completion import shell_complete
-
-        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
+        return _complete(asked)
     try:
         with front_door.make_context("bilprov", arguments) as context:
             result = front_door.invoke(context)
@@ -235,6 +238,23 @@ def _run(arguments: list[str]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2 if stop.code else 0
     return result if type(result) is int else 0
+
+
+def _complete(asked: str) -> int:
+    """Print what a shell's completion asks for; nothing where the line has an error."""
+    from contextlib import suppress
+
+    from click.shell_completion import shell_complete
+
+    from bilprov.analyzer.cli.completion import with_completion
+    from bilprov.analyzer.cli.shells import register
+    from bilprov.spec.errors import UserError
+
+    register()
+    with_completion(front_door)
+    with suppress(UserError, OSError):
+        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
+    return 0
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain, usual_columns
-from bilprov.analyzer.output.json_lines import encode, json_line
 from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol

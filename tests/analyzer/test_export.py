@@ -20,11 +20,11 @@ import pytest
 from hypothesis import given, settings
 
 from bilprov.analyzer.cli.export import FORMATS
+from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.foxglove_layout import foxglove_layout
 from bilprov.analyzer.export.text import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
-from bilprov.analyzer.output.json_lines import encode, json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures import topics

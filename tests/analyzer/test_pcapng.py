@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.export.pcapng import write_pcapng
-from bilprov.analyzer.output.filter import compile_filter
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture

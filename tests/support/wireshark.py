@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bilprov.analyzer.export.pcapng import write_pcapng
-from bilprov.analyzer.output.filter import compile_filter
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
