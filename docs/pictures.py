@@ -1,4 +1,4 @@
-"""Draws the README's pictures: the live view of a drive, its plot, a faulty robot's report.
+"""Draws the README's pictures: a drive live and as a plot, a faulty robot's report, the doctor.
 
 Pages are taken by Chromium (apt-get install chromium); the same browser and fonts give the same
 picture again.
@@ -12,19 +12,28 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 from urllib.parse import quote
 
 from rich.console import Console, RenderableType
+from rich.padding import Padding
+from rich.text import Text
 
 from bilprov.analyzer.cli.plot import plot
 from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told
+from bilprov.analyzer.doctor.drawing import INDENT, conclusion, drawn, heading, title
+from bilprov.analyzer.doctor.finding import Finding, Grade
+from bilprov.analyzer.doctor.listening import heard
+from bilprov.analyzer.doctor.system import examined, subject
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.live_view import View, live_view
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
@@ -38,6 +47,7 @@ from bilprov.spec.codec import build, raw_frame
 from bilprov.spec.motion import MOTIONS, Moment, moment_of
 from bilprov.spec.protocol import Protocol
 from examples.demo import examples
+from tests.support.machines import FakeMachine
 
 _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
@@ -71,6 +81,22 @@ def drive_picture(protocol: Protocol) -> RenderableType:
     return live_view(
         View(protocol, statistics.snapshot(now), "/dev/ttyUSB0, /dev/ttyUSB1", captured)
     )
+
+
+def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[RenderableType]:
+    """What the doctor says of an adapter whose device answers at another rate than expected."""
+    rates = rates_of(port, line_settings(protocol).baud)
+    answered = Answered(57600, Reply.ANSWERS)
+    opened = Finding("opening", Grade.FINE, f"opened with {line_settings(protocol)}")
+    silent = heard(protocol, {"host": port}, [], 2)
+    asking = told(protocol, port, rates, [answered])
+    findings = [*examined(subject(port, machine, [port])), opened, *silent, *asking]
+    yield heading(title(port, machine))
+    for finding in findings:
+        yield drawn(finding)
+        if finding.command:
+            yield Padding(Text(finding.command, "bold"), (0, 0, 0, INDENT))
+    yield conclusion([port], findings)
 
 
 def drive(protocol: Protocol) -> list[Chunk]:
@@ -133,6 +159,11 @@ def draw(folder: Path) -> None:
     console = Console(
         record=True, width=104, file=io.StringIO(), force_terminal=True, highlight=False
     )
+    with tempfile.TemporaryDirectory() as place:
+        machine = FakeMachine(Path(place))
+        machine.run(812, "ModemManager")
+        console.print(*doctor_picture(protocol, machine, machine.adapter()), sep="\n")
+    console.save_svg(str(folder / "doctor.svg"), title="bilprov doctor", unique_id="doctor")
     fault = fault_bank(protocol)["restarts-by-itself"]
     options = Options(only=("bad-data/*", "unused-id/9/*"))
     report = conform(Simulator(protocol, fault), options=options, fault=fault.name)

@@ -132,6 +132,7 @@ def replay(
     window = _window(start, end, duration)
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
+    test = test and test.started(capture.start)
     for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)
@@ -145,11 +146,13 @@ def replay(
         target = None
         if port is not None:
             from bilprov.analyzer.cli.resend import opened_target, send_again
+            from bilprov.analyzer.replay.comparison import ReplayRun
 
             settings = line_settings(protocol, baud, parity, stopbits)
             pause = capture_timeout(capture, protocol, timeout)
+            run = ReplayRun()
             target = stack.enter_context(
-                opened_target(protocol, port, settings, pause, rate, stopper)
+                opened_target(protocol, port, settings, pause, rate, stopper, run)
             )
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
         title = f"replay of {printable(capture.path.name)}"
@@ -164,7 +167,9 @@ def replay(
         shown = Shown(output, test, count, window)
         pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
         if target is not None:
-            return send_again(protocol, capture, pipeline, output, target, rate, window, stopper)
+            return send_again(
+                protocol, capture, pipeline, output, target, run, rate, window, stopper
+            )
         events = capture.sights() if judge else opened.events()
         _show(events, pipeline, rate, window, stopper, judge)
     if judge is None:

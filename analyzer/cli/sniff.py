@@ -18,6 +18,7 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    note_hindrances,
     row_options,
     row_style,
     session_format_option,
@@ -121,6 +122,7 @@ def sniff(
             source = stack.enter_context(opened_tap(given, settings))
         except ValueError as error:
             raise click.UsageError(str(error)) from None
+        note_hindrances(*source.names.values())
         skew = 0 if source.one_clock else SKEW
         recorder = None
         if path:
@@ -140,6 +142,7 @@ def sniff(
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
+        test = test and test.started(source.start_wall)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
         output: Output = NoOutput()
         queue = None

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
 
 from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.console import can_show
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
-    from bilprov.analyzer.output.row_columns import RowStyle, Times
+    from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.analyzer.output.statistics import Statistics
 
 Format = Literal["live", "lines", "jsonl", "csv"]
@@ -89,18 +89,18 @@ def write_out(text: str) -> None:
 def stream_output(
     style: Literal["lines", "jsonl"],
     write: Callable[[str], object] = write_out,
-    times: Times | None = None,
+    time: Callable[[int], str] | None = None,
 ) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
-    Lines of text have colours on a terminal only, unless NO_COLOR is set; `times` writes their
-    times.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set; `time` writes their
+    times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
     arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
     colour = _wants_colour(sys.stdout)
-    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, times=times))
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
 
 
 def opened_output(
@@ -131,7 +131,7 @@ def opened_output(
         colour = _wants_colour(sys.stdout)
         return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
     if style != "live":
-        return stream_output(style, write, times if rows.time else None)
+        return stream_output(style, write, times.padded if rows.time else None)
     from bilprov.analyzer.output.live_output import LiveOutput
 
     return LiveOutput(protocol, statistics, title, captured)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.columns.totals import Chosen, Totals
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.playback import batches
 from bilprov.captures.reader import Capture
@@ -16,7 +16,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 
 def capture_totals(

@@ -18,9 +18,9 @@ from bilprov.analyzer.columns.latencies import Bin, Latencies, Spread
 from bilprov.analyzer.columns.rates import BUCKETS, SECOND, Rates
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.columns.totals import SERIES, Totals
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
-from bilprov.analyzer.output.filter import compile_filter
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.replay.capture_totals import chosen
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
