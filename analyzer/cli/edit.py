@@ -65,11 +65,11 @@ def cut(
     opened = opened_at(path, protocol, window.first or 0)
     capture = opened.capture
     require_new(new, [path], force=force)
-    _say(said_about(capture, protocol), opened.note)
+    _say(said_about(capture, protocol), opened.note if window.first else "")
     _say_left_out(capture)
     metadata = cut_metadata(capture, protocol, window.first, window.after, expression)
     with (
-        _progress([capture], times=1 if test is None else 2) as progress,
+        reading([capture], times=1 if test is None else 2) as progress,
         new_capture(new, capture.start, metadata, force=force) as out,
     ):
         for file in capture.attachments():
@@ -132,7 +132,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
         _say_left_out(capture)
     _say(joined.notes())
     with (
-        _progress(captures) as progress,
+        reading(captures) as progress,
         new_capture(new, joined.start, joined.metadata(), force=force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
@@ -155,8 +155,8 @@ def _say_left_out(capture: Capture) -> None:
 
 
 @contextmanager
-def _progress(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
-    """A bar on a terminal for reading captures so many times; Ctrl-C ends with Abort."""
+def reading(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
+    """A bar on a terminal for reading captures so many times; Ctrl-C ends in click's Abort."""
     from bilprov.analyzer.edit.new_capture import Stopped
     from bilprov.analyzer.transport.signals import Stopper
     from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
@@ -175,7 +175,7 @@ def _progress(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
         try:
             yield progress
         except Stopped:
-            note("stopped: nothing was written")
+            note("stopped before the end: there is no result")
             raise click.Abort from None
 
 

@@ -120,8 +120,8 @@ def cut_metadata(
 def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
     """Settings of a Session as the metadata of a capture says them, without loss."""
     return {
-        "truncation_timeout_ms": repr((settings["timeout"] or 0) / MS),
-        "skew_ms": repr(settings["skew"] / MS),
+        "truncation_timeout_ms": _milliseconds(settings["timeout"] or 0),
+        "skew_ms": _milliseconds(settings["skew"]),
         "heard": " ".join(sorted(settings["heard"])),
         "attached": "yes" if settings["attached"] else "no",
     }
@@ -146,6 +146,11 @@ def write_resumption(
 def said_of(name: Path) -> str:
     """A file's name as it stands in a history: without its folder, safe to show."""
     return re.sub(r"\s+", " ", printable(name.name))
+
+
+def _milliseconds(t: int) -> str:
+    short = f"{t / MS:g}"
+    return short if float(short) * MS == t else repr(t / MS)
 
 
 def _same(one: Path, other: Path) -> bool:

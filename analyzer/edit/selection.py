@@ -32,7 +32,7 @@ from bilprov.spec.protocol import Protocol
 
 
 @dataclass(slots=True)
-class Exchange:
+class _Kept:
     """An instruction with its answer, or whatever else is kept or left out as one.
 
     `open` tells that an answer may still come, which may be the reason to keep it.
@@ -47,8 +47,8 @@ class _Entry:
     """A step that is not written yet: what its byte belongs to, and what its records belong to."""
 
     step: Step
-    owner: Exchange | None = None
-    told: list[Exchange] = field(default_factory=list)
+    owner: _Kept | None = None
+    told: list[_Kept] = field(default_factory=list)
 
     @property
     def undecided(self) -> bool:
@@ -84,7 +84,7 @@ class Selection:
         self._entries: deque[_Entry | tuple[Written, int]] = deque()
         # Bytes and line events that no record has told yet, and open instructions.
         self._untold: dict[str, deque[_Entry]] = {"host": deque(), "device": deque(), "": deque()}
-        self._waiting: dict[int, Exchange] = {}
+        self._waiting: dict[int, _Kept] = {}
         self._before: dict[str, int] = {}  # bytes that the next records have from before the steps
         self._fresh = True  # whether the next step does not follow the last one
         self._in_step = False
@@ -104,7 +104,7 @@ class Selection:
         entry = _Entry(step)
         self._entries.append(entry)
         if isinstance(event, Resumption):
-            entry.owner = Exchange()
+            entry.owner = _Kept()
             self._forget()
             self._fresh = True
         elif isinstance(event, Line):
@@ -112,7 +112,7 @@ class Selection:
         elif event and event.data:
             self._untold[event.direction].append(entry)
         elif event:
-            entry.owner = Exchange()
+            entry.owner = _Kept()
         for record in step.records:
             entry.told.append(self._exchange(record))
         _keep_together(step, entry.told)
@@ -155,7 +155,7 @@ class Selection:
             )
             self._resume(quiet, end)
 
-    def _exchange(self, record: Record) -> Exchange:
+    def _exchange(self, record: Record) -> _Kept:
         """What a record belongs to, with the bytes that it has."""
         exchange = self._belongs(record)
         exchange.keep = exchange.keep or self._test(record)
@@ -169,9 +169,9 @@ class Selection:
                 self._give_up()
         return exchange
 
-    def _belongs(self, record: Record) -> Exchange:
+    def _belongs(self, record: Record) -> _Kept:
         if isinstance(record, HostRecord):
-            exchange = Exchange(open=self._paired and record.sequence is not None)
+            exchange = _Kept(open=self._paired and record.sequence is not None)
             if exchange.open and record.sequence is not None:
                 self._waiting[record.sequence] = exchange
             return exchange
@@ -181,12 +181,12 @@ class Selection:
         elif isinstance(record, FaultRecord):
             number = record.fault.instruction
         if number is None or number not in self._waiting:
-            return Exchange()
+            return _Kept()
         exchange = self._waiting.pop(number)
         exchange.open = False
         return exchange
 
-    def _own(self, side: str, count: int, exchange: Exchange) -> None:
+    def _own(self, side: str, count: int, exchange: _Kept) -> None:
         before = min(count, self._before.get(side, 0))
         if before:
             self._before[side] -= before
@@ -205,7 +205,7 @@ class Selection:
         self._give_up()
         for entries in self._untold.values():
             for entry in entries:
-                entry.owner = Exchange()
+                entry.owner = _Kept()
             entries.clear()
 
     def _write_decided(self) -> None:
@@ -303,7 +303,7 @@ def _said_of(size: int) -> str:
     return f"{size} {'byte' if size == 1 else 'bytes'} left out here by bilprov cut"
 
 
-def _keep_together(step: Step, told: list[Exchange]) -> None:
+def _keep_together(step: Step, told: list[_Kept]) -> None:
     """Keep what a step tells if something is kept that cannot be told without it."""
     pairs = list(zip(step.records, told, strict=True))
     hunt = step.hunt
@@ -312,7 +312,7 @@ def _keep_together(step: Step, told: list[Exchange]) -> None:
         for record, one in pairs
     ):
         hunt.keep = True
-    together: list[Exchange] = []
+    together: list[_Kept] = []
     if isinstance(step.event, Line) or (hunt and hunt.keep):
         together = told
     elif step.event is None:
