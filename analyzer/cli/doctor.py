@@ -84,29 +84,33 @@ def doctor(
         except ValueError as error:
             raise click.UsageError(str(error)) from None
     report = _Report(as_json=style == "json")
-    with Stopper() as stopper:
-        for name in names:
-            report.begin(name)
-            report.tell(of_system(name))
-        if usable(report.findings):
-            rates = rates_of(port, settings.baud) if ask else ()
-            if rates:
-                what = f"the robot at {port} is asked at {rates[0]} baud"
-                if len(rates) > 1:
-                    what += (
-                        f" and {len(rates) - 1} other rates, up to "
-                        f"{longest_time(protocol, rates):.0f} s; at a wrong rate it hears other "
-                        "bytes than are sent, and may drive"
-                    )
-                confirm_motion(what, yes=yes)
-                if yes:
-                    note(what)
-            if device is not None:
-                report.begin("both taps")
+    for name in names:
+        report.begin(name)
+        report.tell(of_system(name))
+    if usable(report.findings):
+        rates = rates_of(port, settings.baud) if ask else ()
+        if rates:
+            what = _what_may_move(port, rates, longest_time(protocol, rates))
+            confirm_motion(what, yes=yes)
+            if yes:
+                note(what)
+        if device is not None:
+            report.begin("both taps")
+        with Stopper() as stopper:
             report.tell(of_line(protocol, names, settings, seconds, stopper, rates))
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return report.end(names)
+
+
+def _what_may_move(port: str, rates: Sequence[int], seconds: float) -> str:
+    first = f"the robot at {port} is asked at {rates[0]} baud"
+    if len(rates) == 1:
+        return first
+    return (
+        f"{first} and {len(rates) - 1} other rates, for up to {seconds:.0f} s; at a wrong rate it "
+        "hears other bytes than are sent, and may drive"
+    )
 
 
 def _require_ports(names: Sequence[str]) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from shlex import quote
 
-from bilprov.analyzer.decode.records import DeviceRecord
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.taps.sources import Events, Source
@@ -58,7 +58,7 @@ def heard(
         return
     for side, told in data.items():
         found = _TEXT.search(told)
-        if found and len(found[0]) * 2 > len(told):
+        if found and len(found[0]) * 2 > len(told) and not _is_traffic(protocol, told):
             text = printable(found[0].decode("ascii").strip())
             sentence = f"{names[side]} carries text, which is another protocol: {text!r}"
             yield Finding("traffic", Grade.ADVICE, sentence)
@@ -66,8 +66,21 @@ def heard(
     if len(names) > 1:
         yield _wired(protocol, names, events, data)
     else:
-        sentence = f"{count} byte{'s were' if count > 1 else ' was'} heard in {seconds:.3g} s"
+        sentence = f"{_counted(count, 'byte')} came in {seconds:.3g} s"
         yield Finding("traffic", Grade.FINE, sentence)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _is_traffic(protocol: Protocol, data: bytes) -> bool:
+    """Whether most of the bytes are valid frames, some of which look like text too."""
+    session = Session(protocol, heard=frozenset({"host"}))
+    records = [*session.feed(Chunk(0, "host", data)), *session.finish()]
+    frames = (record for record in records if isinstance(record, HostRecord))
+    valid = sum(len(one.data) for one in frames if one.judgement and one.judgement.valid)
+    return 2 * valid >= len(data)
 
 
 def _said(events: Sequence[Chunk | Line], side: str) -> bytes:
@@ -83,8 +96,8 @@ def _miscounted(
     for kind, means in _MEANS.items():
         errors = sum(int(line.detail.split()[0]) for line in lines if line.event == kind)
         if errors:
-            plural = "" if errors == 1 else "s"
-            sentence = f"the driver counted {errors} {kind} error{plural} in {count} bytes: {means}"
+            counted = _counted(errors, f"{kind} error")
+            sentence = f"the driver counted {counted} in {_counted(count, 'byte')}: {means}"
             (name, *others) = names.values()
             asks = kind == "framing" and not others
             command = f"bilprov doctor {quote(name)} --ask --yes" if asks else ""
@@ -115,7 +128,8 @@ def _wired(
         command = f"bilprov sniff {quote(names['device'])} {quote(names['host'])}"
         return Finding("taps", Grade.BLOCKS, sentence, command)
     if count < _LEAST_ANSWERS:
-        sentence = f"{count} answers were heard, too few to tell whether the taps are swapped"
+        heard_of = _counted(count, "answer")
+        sentence = f"only {heard_of} came, too few to tell whether the taps are swapped"
         return Finding("taps", Grade.UNSEEN, sentence)
     if straight < _MISFIT:
         sentence = (

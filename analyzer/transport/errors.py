@@ -88,9 +88,15 @@ def denied(name: str, machine: Machine) -> LinkError:
             "lets everybody",
             f"sudo chmod a+rw {device}",
         )
+    belongs = f"it belongs to {owner.user} and the group {owner.group}"
+    if machine.is_member(owner.group):
+        return LinkError(
+            f"permission to open {name} is denied: {belongs}, which you have joined after this "
+            "session began; log in again, or begin a shell that knows it",
+            f"newgrp {quote(owner.group)}",
+        )
     return LinkError(
-        f"permission to open {name} is denied: it belongs to {owner.user} and the group "
-        f"{owner.group}; join the group, then log in again",
+        f"permission to open {name} is denied: {belongs}; join the group, then log in again",
         f"sudo usermod -aG {quote(owner.group)} $USER",
     )
 

@@ -152,9 +152,8 @@ class Machine:
         """What anybody may see of a process."""
         name = printable(self._read(f"/proc/{pid}/comm"))
         words = [word for word in self._read(f"/proc/{pid}/cmdline").split("\0") if word]
-        if words and Path(words[0]).name.startswith(
-            "python"
-        ):  # what it runs says more than where that is
+        # Of a program in Python its name is what counts, not where that is.
+        if words and Path(words[0]).name.startswith("python"):
             words[1:2] = [Path(word).name for word in words[1:2]]
         line = " ".join([Path(words[0]).name, *words[1:]]) if words else name
         if len(line) > _COMMAND_CHARACTERS:
@@ -196,6 +195,11 @@ class Machine:
             return None
         rights = stat.S_IRGRP | stat.S_IWGRP
         return Owner(_user(found.st_uid), _group(found.st_gid), found.st_mode & rights == rights)
+
+    def is_member(self, group: str) -> bool:
+        """Whether this user is listed in a group; a session that began before is not in it yet."""
+        members = _value(self._read("/etc/group"), f"{group}:").rpartition(":")[2]
+        return _user(os.geteuid()) in members.split(",")
 
     def may_open(self, name: str) -> bool:
         """Whether this process may read and write the device."""

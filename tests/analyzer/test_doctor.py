@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import pwd
 import random
 import shlex
+import shutil
 import socket
 import subprocess
 import termios
@@ -22,7 +24,7 @@ from bilprov.analyzer.doctor.examination import of_line
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
 from bilprov.analyzer.doctor.listening import heard
 from bilprov.analyzer.doctor.system import examined, notes, subject
-from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.errors import LinkError, denied
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
@@ -81,6 +83,16 @@ def test_what_is_no_serial_port_is_looked_at_no_further(name: str) -> None:
     *_, found = findings(Machine(), name).values()
     assert (found.check, found.grade) == ("serial port", Grade.BLOCKS)
     assert "not a serial port" in found.sentence
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another group")
+def test_who_has_joined_the_group_has_to_log_in_again(machine: FakeMachine) -> None:
+    port = machine.adapter()
+    shutil.chown(machine.file(port), group="dialout")
+    assert denied(port, machine).command == "sudo usermod -aG dialout $USER"
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    machine.write("/etc/group", f"tty:x:5:{user}\ndialout:x:20:other,{user}\n")
+    assert denied(port, machine).command == "newgrp dialout"
 
 
 def test_a_holder_is_named_with_the_kindest_way_to_end_it(machine: FakeMachine) -> None:
@@ -241,6 +253,13 @@ def test_text_on_the_line_is_shown(protocol: Protocol) -> None:
     events = [Chunk(0, "host", b"\x00Hello from U-Boot\r\n")]
     (found,) = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
     assert found.sentence.endswith("another protocol: 'Hello from U-Boot'")
+
+
+@pytest.mark.parametrize("frame", ["20", "41 0a", "20 30", "41 41 51 42"])
+def test_frames_that_look_like_text_are_none(protocol: Protocol, frame: str) -> None:
+    events = [Chunk(0, "host", bytes.fromhex(frame) * 20)]
+    (found,) = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
+    assert found.grade is Grade.FINE
 
 
 def test_silence_is_no_verdict(protocol: Protocol) -> None:
