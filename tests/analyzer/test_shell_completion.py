@@ -43,7 +43,7 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov sniff --filter 'direction == ", ["direction == host", "direction == device"]),
         ("bilprov replay x.mcap --filter 'na", ["name ==", "name !=", "name in", "name contains"]),
         ("bilprov decode --filter 'faulty", ["faulty"]),
-        ("bilprov sniff --filter 'name in", ["name in"]),
+        ("bilprov sniff --filter 'name in", ["name in {"]),
         ("bilprov sniff --filter 'latency > 20", ["latency > 20us", "latency > 20ms"]),
         ("bilprov conform s", ["sim"]),
         ("bilprov conform em", ["emulator:simavr:", "emulator:qemu:"]),
@@ -86,7 +86,7 @@ def test_another_grammars_names_are_offered(tmp_path: Path, horn_text: str) -> N
 
 
 def test_an_error_on_the_line_prints_nothing(tmp_path: Path) -> None:
-    assert offered("bilprov sniff --filter 'sped > 3 ") == []
+    assert offered("bilprov sniff --filter 'name == ) ") == []
     assert offered("bilprov encode ho", tmp_path / "absent.py") == []
 
 
@@ -132,11 +132,11 @@ STARTS = {"bash": ["bash", "--noprofile", "-i"], "zsh": ["zsh", "-i"], "fish": [
 # What is typed up to the tab and behind it, and the arguments that the command is then given.
 TYPED = [
     ("sniff --filter 'direction == ho", "", ["sniff", "--filter", "direction == host"]),
-    ("sniff --filter 'id in {LED, forw", "}'", ["sniff", "--filter", "id in {LED, Forward }"]),
+    ("sniff --filter 'id in {LED, Forw", "}'", ["sniff", "--filter", "id in {LED, Forward }"]),
     (
-        "sniff --filter 'faults contains lo",
+        "decode --filter 'faults contains lo",
         "",
-        ["sniff", "--filter", 'faults contains "lost bytes"'],
+        ["decode", "--filter", 'faults contains "lost bytes"'],
     ),
     ("conform emulator:sima", "x.elf", ["conform", "emulator:simavr:x.elf"]),
     ("encode led rg", "5", ["encode", "led", "rgb=5"]),
