@@ -48,6 +48,7 @@ ROOMS = (
     ("analyzer.client",),
     ("analyzer.replay",),
     ("analyzer.pipeline", "analyzer.api"),
+    ("analyzer.screen",),
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),
     ("conformance.oracle",),
@@ -73,7 +74,13 @@ HOMES = {
     "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
-    "numpy": ("spec/tables.py", "analyzer/columns/", "analyzer/output/filter_masks.py"),
+    "numpy": (
+        "spec/tables.py",
+        "analyzer/columns/",
+        "analyzer/output/filter_masks.py",
+        "analyzer/screen/",
+    ),
+    "textual": ("analyzer/screen/",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),
     "click": ("analyzer/", "conformance/", FRONT_DOOR),
     # The kit runs without it: these are imported by pytest alone.

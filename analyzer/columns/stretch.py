@@ -105,7 +105,7 @@ class Stretch:
     before: State
     last: State
     lines: tuple[Line, ...]
-    spans: tuple[Span, ...]
+    spans: Sequence[Span]
 
     @property
     def host_rows(self) -> int:
