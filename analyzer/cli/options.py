@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -79,13 +80,64 @@ text_format_option = click.option(
     help="For people or for programs.",
 )
 
-# The format of a session (live, lines or jsonl), as `style`, None if it is not given.
+# The format of a session (live, lines, jsonl or csv), as `style`, None if it is not given.
 session_format_option = click.option(
     "--format",
     "style",
-    type=click.Choice(["live", "lines", "jsonl"]),
-    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
+    type=click.Choice(["live", "lines", "jsonl", "csv"]),
+    help="A picture (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
 )
+
+
+def row_options(command: Command) -> Command:
+    """Add `--time` and `--columns`, whose values `row_style` takes."""
+    command = click.option(
+        "--columns",
+        metavar="NAME,...",
+        shell_complete=_column_names,
+        help="What of each row is shown, like time,name,rgb,latency: keys of the JSON lines, "
+        "state.speed and so on, id, len, data, and fields of instructions.",
+    )(command)
+    return click.option(
+        "--time",
+        "time_style",
+        type=click.Choice(["relative", "delta", "absolute", "utc"]),
+        help="How times are shown: seconds since the start (the usual) or since the row before, "
+        "date and time of day here or in UTC.",
+    )(command)
+
+
+def _column_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.row_columns import columns_of
+
+    before, comma, begun = incomplete.rpartition(",")
+    names = columns_of(load_protocol(ctx.find_root().params.get("grammar")))
+    return [f"{before}{comma}{name}" for name in names if name.startswith(begun.lower())]
+
+
+def row_style(
+    time_style: str | None, columns: str | None, protocol: Protocol, style: str | None = None
+) -> RowStyle:
+    """What was asked for of each row, in the format `style`.
+
+    Raises UsageError where the format has no choice of columns or times, or a time is to be
+    written that is not among the columns. Raises ColumnError for what is no column.
+    """
+    from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
+
+    if style == "jsonl" and (time_style or columns is not None):
+        raise click.UsageError(
+            "--time and --columns are for lines and csv: a JSON line has all its keys, and t in "
+            "seconds since the start"
+        )
+    chosen = None if columns is None else chosen_columns(columns, protocol)
+    if time_style and chosen and TIME not in chosen:
+        raise click.UsageError(
+            f"--time {time_style} is how the column time is written: name it in --columns too"
+        )
+    return RowStyle(TimeStyle(time_style) if time_style else None, chosen)
+
 
 # In ms, as `truncation_timeout`, None if it is not given.
 timeout_option = click.option(

@@ -16,6 +16,8 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    row_options,
+    row_style,
     session_format_option,
     timeout_option,
 )
@@ -65,6 +67,13 @@ if TYPE_CHECKING:
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
 @filter_option
 @session_format_option
+@row_options
+@click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
+@click.option(
+    "--duration",
+    type=Finite(0, min_open=True),
+    help="End after S seconds of the recording, counted from --start.",
+)
 @click.option(
     "--to",
     "port",
@@ -84,6 +93,10 @@ def replay(
     end: float | None,
     expression: str | None,
     style: Format | None,
+    time_style: str | None,
+    columns: str | None,
+    count: int | None,
+    duration: float | None,
     port: str | None,
     judged: bool,
     yes: bool,
@@ -105,14 +118,18 @@ def replay(
     """
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
+    if count is not None and port is not None:
+        raise click.UsageError("--count is of frames shown; what goes to --to ends at --duration")
     if judged:
         promise_verdict()
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
+    style = chosen_format(style)
+    rows = row_style(time_style, columns, protocol, style)
     test = compiled(expression, protocol)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
-    window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    window = _window(start, end, duration)
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
     for sentence in (*said_about(capture, protocol), opened.note):
@@ -136,7 +153,7 @@ def replay(
             )
         statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
         title = f"replay of {printable(capture.path.name)}"
-        output = opened_output(chosen_format(style), protocol, statistics, title)
+        output = opened_output(style, protocol, statistics, title, rows, capture.start)
         stack.callback(output.close)
         judge = None
         if judged:
@@ -144,7 +161,7 @@ def replay(
 
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        shown = Shown(output, test, window=window)
+        shown = Shown(output, test, count, window)
         pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
         if target is not None:
             return send_again(protocol, capture, pipeline, output, target, rate, window, stopper)
@@ -154,7 +171,16 @@ def replay(
         return 0
     from bilprov.analyzer.output.findings import tell_findings
 
-    return tell_findings(judge.finish(), chosen_format(style))
+    return tell_findings(judge.finish(), style)
+
+
+def _window(start: float | None, end: float | None, duration: float | None) -> Window:
+    """The window of time (s) that is shown: up to `end` or for the duration, whichever is first."""
+    ends = [end] if end is not None else []
+    if duration is not None:
+        ends.append((start or 0) + duration)
+    first, after = (None if s is None else round(s * 1e9) for s in (start, min(ends, default=None)))
+    return Window(first, after)
 
 
 def _opened(
@@ -180,7 +206,7 @@ def _show(
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
     for batch in batches(playing, at_once=not rate and judge is None):
-        if stopper.stopped:
+        if stopper.stopped or pipeline.shown.full:
             return
         now = batch[-1].t
         pipeline.events([event for event in batch if not isinstance(event, Look)])

@@ -18,6 +18,8 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    row_options,
+    row_style,
     session_format_option,
     timeout_option,
 )
@@ -65,6 +67,7 @@ def tap_options(command: Command) -> Command:
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
 @filter_option
 @session_format_option
+@row_options
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=Finite(0, min_open=True), help="End after S seconds.")
 @click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
@@ -81,6 +84,8 @@ def sniff(
     path: str | None,
     expression: str | None,
     style: Format | None,
+    time_style: str | None,
+    columns: str | None,
     count: int | None,
     duration: float | None,
     quiet: bool,
@@ -106,6 +111,7 @@ def sniff(
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     test = compiled(expression, protocol)
+    rows = row_style(time_style, columns, protocol, style)
     timeout = timeout_in_ns(protocol, truncation_timeout)
     preload(protocol)
     with ExitStack() as stack:
@@ -141,7 +147,14 @@ def sniff(
             queue = stack.enter_context(TextQueue(sys.stdout))
             shown_as = f"{title} {settings}"
             output = opened_output(
-                style, protocol, statistics, shown_as, _kept(recorder), queue.write
+                style,
+                protocol,
+                statistics,
+                shown_as,
+                rows,
+                source.start_wall,
+                _kept(recorder),
+                queue.write,
             )
         stack.callback(output.close)
         pipeline = Pipeline(

@@ -1,4 +1,4 @@
-"""The outputs for decoded traffic: text lines, JSON lines, live view, nothing.
+"""The outputs for decoded traffic: text lines, JSON lines, CSV, live view, nothing.
 
 What comes together is written and flushed at once, so that a pipe's reader gets it without delay.
 """
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.output.filter import Filter
     from bilprov.analyzer.output.live_output import LiveOutput
+    from bilprov.analyzer.output.row_columns import RowStyle, Times
     from bilprov.analyzer.output.statistics import Statistics
 
-Format = Literal["live", "lines", "jsonl"]
+Format = Literal["live", "lines", "jsonl", "csv"]
 
 
 class TextForm(Protocol):
@@ -85,16 +86,20 @@ def write_out(text: str) -> None:
 
 
 def stream_output(
-    style: Literal["lines", "jsonl"], write: Callable[[str], object] = write_out
+    style: Literal["lines", "jsonl"],
+    write: Callable[[str], object] = write_out,
+    times: Times | None = None,
 ) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
-    Lines of text have colours on a terminal only, unless NO_COLOR is set.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set; `times` writes their
+    times.
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
     arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
-    return StreamOutput(write, LineRenderer(colour=_wants_colour(sys.stdout), arrows=arrows))
+    colour = _wants_colour(sys.stdout)
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, times=times))
 
 
 def opened_output(
@@ -102,12 +107,30 @@ def opened_output(
     protocol: spec.Protocol,
     statistics: Statistics,
     title: str,
+    rows: RowStyle,
+    start_wall: int,
     captured: Callable[[], str] = lambda: "",
     write: Callable[[str], object] = write_out,
 ) -> Output:
-    """Open the output of the format `style` on standard output; see LiveOutput."""
+    """Open the output of the format `style` on standard output; see LiveOutput.
+
+    `start_wall` is the wall clock (ns since 1970) at the recording's start.
+    """
+    times = rows.times(start_wall)
+    if style == "csv":
+        from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+
+        columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
+        form = CsvText(columns, times)
+        write(form.header)
+        return StreamOutput(write, form)
+    if style == "lines" and rows.columns:
+        from bilprov.analyzer.output.row_columns import ColumnLines
+
+        colour = _wants_colour(sys.stdout)
+        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
     if style != "live":
-        return stream_output(style, write)
+        return stream_output(style, write, times if rows.time else None)
     from bilprov.analyzer.output.live_output import LiveOutput
 
     return LiveOutput(protocol, statistics, title, captured)
