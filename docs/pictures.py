@@ -1,4 +1,4 @@
-"""Draws the README's pictures: the live view of a drive, a faulty robot's summary and its page.
+"""Draws the README's pictures: the screen over a drive, a faulty robot's summary and its page.
 
 The page is taken by Chromium (apt-get install chromium); the same browser and fonts give the same
 picture again.
@@ -6,6 +6,7 @@ picture again.
 
 from __future__ import annotations
 
+import asyncio
 import io
 import shutil
 import subprocess
@@ -14,13 +15,14 @@ import tempfile
 from pathlib import Path
 from urllib.parse import quote
 
-from rich.console import Console, RenderableType
+from rich.console import Console
 
-from bilprov.analyzer.columns.decoder import Records
+from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.live_view import View, live_view
-from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.screen.browser import Browser, Told
+from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.conformance.api import Options, conform
@@ -34,16 +36,16 @@ from examples.demo import examples
 
 _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
+_SCREEN = (110, 36)  # columns and lines of the screen's picture
 _WIDTH, _HEIGHT = 1120, 900  # pixels of the page's picture
 _PATIENCE = 120  # s for the browser
 
 
-def drive_picture(protocol: Protocol) -> RenderableType:
-    """The live view after the document's examples were driven on the simulator."""
+def drive_parts(protocol: Protocol) -> list[Part]:
+    """The decoded parts of a drive: the document's examples, driven on the simulator."""
     device = Simulator(protocol, latency=_LATENCY)
     session = Session(protocol, skew=0)
-    settings = line_settings(protocol)
-    statistics = Statistics(protocol, settings.byte_time)
+    parts: list[Part] = []
     now = 0
     # As printed first and as meant last, so that the picture ends with the robot under way.
     for _, frames in reversed(examples(protocol)[:-1]):
@@ -55,22 +57,38 @@ def drive_picture(protocol: Protocol) -> RenderableType:
                 data = device.advance(now)
                 if data:
                     events.append(Chunk(now, "device", data))
-            statistics.events(events)
-            part = Records([record for event in events for record in session.feed(event)])
-            statistics.part(part, part)
+            parts.append(Records([record for event in events for record in session.feed(event)]))
             now += _STEP
-    captured = "drive.mcap"
-    return live_view(
-        View(protocol, statistics.snapshot(now), "/dev/ttyUSB0, /dev/ttyUSB1", captured)
-    )
+    return parts
+
+
+def browse_picture(protocol: Protocol) -> str:
+    """The screen of `browse` over that drive, as SVG: the last fault is chosen."""
+    parts = drive_parts(protocol)
+
+    def add(feed: Feed[None]) -> None:
+        for part in parts:
+            feed.recording.add(part)
+
+    byte_time = line_settings(protocol).byte_time
+    feed = Feed(Recording(protocol), add, stays=True)
+    screen = Browser(feed, Told("drive.mcap", 0, byte_time))
+
+    async def taken() -> str:
+        async with screen.run_test(size=_SCREEN) as pilot:
+            feed.join()
+            screen.tick()
+            await pilot.press("end", "N", "enter", "down", "escape")
+            await pilot.pause()
+            return screen.export_screenshot(title="bilprov browse", simplify=True)
+
+    return asyncio.run(taken())
 
 
 def draw(folder: Path) -> None:
     """Write the pictures as SVG files into the folder."""
     protocol = load_protocol()
-    console = Console(record=True, width=104, height=30, file=io.StringIO(), force_terminal=True)
-    console.print(drive_picture(protocol))
-    console.save_svg(str(folder / "live.svg"), title="bilprov sniff", unique_id="live")
+    (folder / "browse.svg").write_text(browse_picture(protocol), encoding="utf-8")
     console = Console(
         record=True, width=104, file=io.StringIO(), force_terminal=True, highlight=False
     )

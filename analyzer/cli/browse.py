@@ -47,7 +47,7 @@ def browse(
 
     capture = open_indexed(path) or open_capture(path)
 
-    from bilprov.analyzer.screen.terminal import has_terminal
+    from bilprov.analyzer.output.outputs import has_terminal
 
     if not has_terminal():
         raise click.UsageError(

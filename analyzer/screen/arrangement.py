@@ -38,13 +38,12 @@ def arranged(width: int, height: int, more: int = 0, *, zoomed: bool = False) ->
     if zoomed:
         hex_lines = _HEX if body >= _TREE + _HEX else 0
         return Arrangement(False, 0, 0, 0, body - hex_lines, hex_lines, 0)
-    side = width >= SIDE_WIDTH + 46 and body >= _FIGURES
-    car = _CAR if side and body >= _CAR + _FIGURES else 0
-    figures = body - car if side else 0
     left = body - _LEAST_LIST
     hex_lines = _HEX if left >= _HEX else 0
     tree = _TREE if left >= _HEX + _TREE else 0
     faults = _FAULTS if left >= _HEX + _TREE + _FAULTS else 0
+    side = width >= SIDE_WIDTH + 46 and faults > 0
+    car = _CAR if side and body >= _CAR + _FIGURES else 0
     spare = left - hex_lines - tree - faults
     if spare > 0 and tree:
         tree += min(spare * 2 // 5, 12)
@@ -55,4 +54,4 @@ def arranged(width: int, height: int, more: int = 0, *, zoomed: bool = False) ->
     if beside:
         tree += hex_lines
         hex_lines = tree
-    return Arrangement(side, car, figures, faults, tree, hex_lines, beside)
+    return Arrangement(side, car, body - car if side else 0, faults, tree, hex_lines, beside)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Event, Thread
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from rich.text import Text
 from textual.app import App, ComposeResult
@@ -68,7 +68,6 @@ class Told:
 
     `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
     `byte_time` ns a byte on the line. `expression` and `test` are the filter to begin with.
-    `keeps` is true if leaving asks whether the recording is to be kept.
     """
 
     title: str
@@ -77,7 +76,6 @@ class Told:
     rows: RowStyle = field(default_factory=RowStyle)
     expression: str = ""
     test: Filter | None = None
-    keeps: bool = False
 
 
 @dataclass(slots=True)
@@ -131,7 +129,7 @@ class Browser(App[str | None]):
 
     def __init__(
         self,
-        feed: Feed,
+        feed: Feed[Any],
         told: Told,
         signs: Signs = FINE,
         interrupted: Callable[[], bool] = lambda: False,
@@ -185,10 +183,10 @@ class Browser(App[str | None]):
         self.frames.focus()
         self._arrange()
         self.feed.start()
-        self.set_interval(DRAW_EVERY, self._tick)
+        self.set_interval(DRAW_EVERY, self.tick)
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)
-        self._tick()
+        self.tick()
 
     def on_unmount(self) -> None:
         """End what still runs."""
@@ -203,7 +201,7 @@ class Browser(App[str | None]):
 
     # What happens by itself.
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
         """Show what has come since the last time."""
         if self.feed.closes or self.interrupted():
             self.exit(None)
@@ -319,7 +317,6 @@ class Browser(App[str | None]):
             return Text(f"  paused, {waiting:,} waiting", "bold reverse")
         share = self.feed.progress
         doing = f"reading {share:.0%}  " if share is not None else ""
-        doing += "live  " if self.feed.live and not self.feed.ended and not self.follows else ""
         doing += "following  " if self.follows else ""
         at = min(frames.cursor - frames.start + 1, frames.count - frames.start)
         return Text(f"  {doing}{at:,} of {frames.count - frames.start:,}")
@@ -330,9 +327,13 @@ class Browser(App[str | None]):
             return Text(f"filtering {share:.0%}, Esc stops it", "bold")
         if self._export:
             return Text(f"exporting {self._export.share:.0%}, Esc stops it", "bold")
-        if self.feed.result:
-            return Text(printable(self.feed.result), "bold red")
+        if self.feed.said:
+            return Text(printable(self.feed.said), "bold red")
         said = self.said or self.feed.notice
+        if self.feed.let_go and not said:
+            (oldest,) = self._recording.records([self._recording.first]) or (None,)
+            since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
+            said = f"no room for all: the oldest rows went, the rest begins at {since}"
         if said:
             return Text(said, "bold")
         return Text(f"filter: {printable(self.filter_text)}" if self.filter_text else "")
@@ -392,7 +393,7 @@ class Browser(App[str | None]):
         self.said = ""
         thread.start()
         thread.join(0.05)  # mostly it is done by then, and shown at once
-        self._tick()
+        self.tick()
 
     def action_fault(self, step: int) -> None:
         """Go to the next fault, or to the one before."""
@@ -410,9 +411,14 @@ class Browser(App[str | None]):
     def action_pause(self) -> None:
         """Hold the view still, or go on."""
         frames = self.frames
-        frames.held = frames.view.count if frames.held is None else None
         self._shown = ()
-        self._tick()
+        if frames.held is None:
+            self.tick()
+            frames.held = frames.view.count
+            self._show_bars()
+        else:
+            frames.held = None
+            self.tick()
 
     def action_follow(self) -> None:
         """Follow what comes, or stop to."""
@@ -420,7 +426,7 @@ class Browser(App[str | None]):
         if self.follows:
             self.frames.held = None
             self._shown = ()
-        self._tick()
+        self.tick()
 
     def action_mark(self) -> None:
         """Mark the chosen row, or take its mark away."""
@@ -497,7 +503,7 @@ class Browser(App[str | None]):
 
     def action_leave(self) -> None:
         """Quit; ask before, where the recording would be lost."""
-        if not (self.told.keeps and self._recording.rows):
+        if not (self.feed.keeps and self._recording.rows):
             self.exit(None)
             return
         answers = {

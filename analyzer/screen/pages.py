@@ -26,7 +26,9 @@ _HOST, _DEVICE, _LINE = range(3)
 
 
 class RecordsPage:
-    """The rows of records that are there one by one."""
+    """The rows of records that are there one by one; `nbytes` counts nothing for them."""
+
+    nbytes = 0
 
     def __init__(self, listed: Sequence[Record]) -> None:
         self._listed = listed

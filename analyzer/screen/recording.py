@@ -30,12 +30,16 @@ _PAGES = 4  # that stay unpacked
 
 
 class _Block:
-    """Neighbouring rows that are packed together, the first of them with the number `first`."""
+    """Neighbouring rows that are packed together.
 
-    __slots__ = ("first", "part", "rows")
+    The first of them has the number `first`, and none of them is older than `t` (ns).
+    """
 
-    def __init__(self, first: int, rows: int, part: Packed) -> None:
+    __slots__ = ("first", "part", "rows", "t")
+
+    def __init__(self, first: int, rows: int, part: Packed, t: int) -> None:
         self.first = first
+        self.t = t
         self.rows = rows
         self.part = part
 
@@ -44,13 +48,15 @@ class Recording:
     """The rows of a recording, counted from 0 in the order of the records.
 
     `rows` counts all that came; those before `first` were let go. `faults` are the rows with an
-    anomaly, `totals` what was counted so far.
+    anomaly, `totals` what was counted so far, let go or not. `nbytes` is the memory that the packed
+    rows take, in bytes.
     """
 
     def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol
         self.rows = 0
         self.first = 0
+        self.nbytes = 0
         self.lock = RLock()
         self.faults = RowSet(self.lock)
         self.totals = Totals(protocol)
@@ -72,7 +78,8 @@ class Recording:
         faulty = whole.page(self.protocol).faulty()
         with self.lock:
             self._close_block()
-            self._append(_Block(self.rows, part.rows, whole))
+            self.nbytes += whole.nbytes
+            self._append(_Block(self.rows, part.rows, whole, part.earliest))
             self.faults.append(faulty)
             self.rows += part.rows
 
@@ -80,7 +87,7 @@ class Recording:
         faulty = RecordsPage(records).faulty()
         with self.lock:
             if self._open is None:
-                self._open = _Block(self.rows, 0, RecordsPage([]))
+                self._open = _Block(self.rows, 0, RecordsPage([]), records[0].t)
                 self._append(self._open)
             self._listed += records
             self._open.rows += len(records)
@@ -92,6 +99,7 @@ class Recording:
     def _close_block(self) -> None:
         if self._open is not None:
             self._open.part = packed(Records(self._listed))
+            self.nbytes += self._open.part.nbytes
             self._listed = []
             self._open = None
 
@@ -118,14 +126,22 @@ class Recording:
             yield page, row - block.first
             row = stop
 
-    def let_go(self, row: int) -> None:
-        """Forget all blocks whose rows are before `row`."""
+    def let_go_older(self, t: int) -> None:
+        """Forget the blocks whose records are all older than `t` (ns)."""
         with self.lock:
-            count = max(0, bisect_right(self._firsts, row) - 1)
-            if count:
-                del self._blocks[:count], self._firsts[:count]
-                self._pages.clear()
-                self.first = self._firsts[0]
+            while len(self._blocks) > 1 and self._blocks[1].t <= t:
+                self.let_go_oldest()
+
+    def let_go_oldest(self) -> bool:
+        """Forget the oldest block, and tell whether there was one that is not the last."""
+        with self.lock:
+            if len(self._blocks) < 2:
+                return False
+            self.nbytes -= self._blocks[0].part.nbytes
+            self._pages.pop(self._blocks[0].first, None)
+            del self._blocks[0], self._firsts[0]
+            self.first = self._firsts[0]
+            return True
 
     def _block_of(self, row: int) -> _Block:
         return self._blocks[bisect_right(self._firsts, row) - 1]

@@ -175,7 +175,8 @@ class Rows(Widget, can_focus=True):
     def on_mouse_move(self, event: events.MouseMove) -> None:
         """Move along the scroll bar."""
         if self._dragged:
-            self._drag(event.y - (self.size.height - self.room))
+            place = event.get_content_offset_capture(self)
+            self._drag(place.y - (self.size.height - self.room))
 
     def on_mouse_up(self) -> None:
         """Let the scroll bar go."""

@@ -60,21 +60,11 @@ class _Terminal:
         return self._descriptor
 
 
-def has_terminal() -> bool:
-    """Whether the screen can be shown: keys come from a terminal, and it is drawn on one."""
-    streams = (sys.__stdin__, sys.__stdout__)
-    try:
-        there = all(stream is not None and stream.isatty() for stream in streams)
-    except ValueError:  # closed
-        return False
-    return there and os.environ.get("TERM") not in ("", "dumb", None)
-
-
-def shown(feed: Feed, told: Told, stopper: Stopper) -> str | None:
+def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
     """Show a feed on the terminal until the screen is left, or until the stopper stops it.
 
     Returns the name of the file to keep the recording in, None for none. The feed has been told to
-    end then. Raises what the feed raised.
+    end then.
     """
     assert sys.__stdout__ is not None
     signs = signs_for(sys.__stdout__.encoding)

@@ -128,10 +128,13 @@ def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
     view.catch_up()
     rows = view.rows(0, view.count)
     last = recording.records([recording.rows - 1])
+    (some,) = recording.records([2500])
+    took = recording.nbytes
 
-    recording.let_go(2500)
+    recording.let_go_older(some.t)
 
     assert 0 < recording.first <= 2500
+    assert 0 < recording.nbytes < took
     assert recording.records([recording.first - 1]) == []
     assert recording.records([recording.rows - 1]) == last
     assert view.first == sum(row < recording.first for row in rows)
