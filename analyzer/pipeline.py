@@ -112,5 +112,6 @@ class Pipeline:
                 for record in part.records():
                     if self.shown.window.has(record.t):
                         self.judge.record(record)
-            self.statistics.part(part, self.shown.show(part))
+            self.shown.show(part)
+            self.statistics.part(part)
         return parts

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import click
 
 from bilprov.analyzer.cli.options import (
@@ -60,7 +63,9 @@ def browse(
     from bilprov.analyzer.screen.terminal import shown
 
     feed = capture_feed(capture, protocol, timeout)
-    feed.notice = "; ".join(said_about(capture, protocol))
+    # The screen has one line for it, so the file's name stands without its folder.
+    named = replace(capture, path=Path(capture.path.name))
+    feed.notice = "; ".join(said_about(named, protocol))
     told = Told(
         printable(capture.path.name),
         capture.start,

@@ -159,7 +159,7 @@ def replay(
             target = stack.enter_context(
                 opened_target(protocol, port, settings, pause, rate, stopper)
             )
-        statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
+        statistics = Statistics()
         judge = None
         if judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge

@@ -145,7 +145,7 @@ def sniff(
             recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
         elif style == "live" and not quiet:
             recorder = stack.enter_context(Spool(source.start_wall, metadata))
-        statistics = Statistics(protocol, settings.byte_time)
+        statistics = Statistics()
         judge = None
         if judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
@@ -284,5 +284,5 @@ def _tell(statistics: Statistics, path: str | None, waited_ns: int) -> None:
     late = f"; the reader waited {waited_ns / 1e9:.3f} s for slow output" if waited_ns else ""
     note(
         f"{statistics.instructions} instructions, {statistics.responses} answers, "
-        f"{statistics.fault_count} faults{where}{late}"
+        f"{statistics.faults} faults{where}{late}"
     )

@@ -183,12 +183,11 @@ class Shown:
         """Whether the requested number of frames was shown."""
         return self.left == 0
 
-    def show(self, part: Part) -> Part:
-        """Show what passes of a part, and return it."""
+    def show(self, part: Part) -> None:
+        """Show what passes of a part."""
         if self.test is not None or self.left is not None or not self.window.covers(part):
             part = Records(list(self._passing(part)))
         self.output.show(part)
-        return part
 
     def _passing(self, part: Part) -> Iterator[Record]:
         chosen = (

@@ -9,7 +9,8 @@ _BARS = 2  # lines above and below all panes
 _LEAST_LIST = 4  # lines: title, heading, two rows
 _FAULTS, _HEX, _TREE, _FIGURES, _CAR = 4, 3, 5, 9, 9  # lines that each pane needs, its title too
 _BESIDE = 76  # columns from which on the bytes stand beside the fields
-_WIDEST_HEX = 46
+_HEX_WIDTHS = (28, 46)  # columns for three bytes with their bits, or five
+_WIDE = 110  # columns beside which the bytes take more
 
 
 class Arrangement(NamedTuple):
@@ -46,11 +47,11 @@ def arranged(width: int, height: int, more: int = 0, *, zoomed: bool = False) ->
     car = _CAR if side and body >= _CAR + _FIGURES else 0
     spare = left - hex_lines - tree - faults
     if spare > 0 and tree:
-        tree += min(spare * 2 // 5, 12)
+        tree += min(spare // 3, 10)
         faults += min(spare // 10, 3) if faults else 0
         hex_lines += 2 if spare >= 12 else 0
     main = width - (SIDE_WIDTH if side else 0)
-    beside = min(main * 2 // 5, _WIDEST_HEX) if main >= _BESIDE and tree else 0
+    beside = _HEX_WIDTHS[main >= _WIDE] if main >= _BESIDE and tree else 0
     if beside:
         tree += hex_lines
         hex_lines = tree

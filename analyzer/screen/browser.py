@@ -97,6 +97,7 @@ class Browser(App[str | None]):
     ENABLE_COMMAND_PALETTE = False
     CSS = """
     Screen { layout: vertical; background: ansi_default; color: ansi_default; }
+    ModalScreen { background: transparent; }
     #head, #status { height: 1; width: 100%; }
     #body { height: 1fr; }
     #main { width: 1fr; height: 100%; }
@@ -291,14 +292,17 @@ class Browser(App[str | None]):
         pane = self.query_one("#figures", Static)
         if pane.display:
             lines = figures(
-                self._recording.totals, self.feed.snapshot, self.told.byte_time, self.signs
+                self._recording.totals, self.feed.rates, self.told.byte_time, self.signs
             )
             pane.update(Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
         head = self.query_one("#head", Static)
-        head.update(_spread(self._title(), self._place(), self.size.width))
+        place = self._place()
+        title = self._title()
+        title.truncate(max(0, self.size.width - place.cell_len), overflow="crop")
+        head.update(_spread(title, place, self.size.width))
         keys = "? help  q quit"
         self.query_one("#status", Static).update(
             _spread(self._status(), Text(keys, "dim"), self.size.width)
@@ -335,8 +339,13 @@ class Browser(App[str | None]):
             since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
             said = f"no room for all: the oldest rows went, the rest begins at {since}"
         if said:
-            return Text(said, "bold")
-        return Text(f"filter: {printable(self.filter_text)}" if self.filter_text else "")
+            return Text.assemble(
+                f"{self._filtered()}  " if self.filter_text else "", (said, "bold")
+            )
+        return Text(self._filtered())
+
+    def _filtered(self) -> str:
+        return f"filter: {printable(self.filter_text)}" if self.filter_text else ""
 
     # What people do.
 
@@ -562,8 +571,10 @@ _TIMES = {
 
 
 def _spread(left: Text, right: Text, width: int) -> Text:
-    """Two texts at the ends of a line; where both do not fit, the left one is cut."""
-    room = max(0, width - right.cell_len)
+    """Two texts at the ends of a line; where both do not fit, the left one has all of it."""
+    if left.cell_len + right.cell_len > width:
+        right = Text()
+    room = width - right.cell_len
     left = left.copy()
     left.truncate(room, overflow="crop", pad=True)
     line = left + right

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 from rich.text import Text
 from textual import events
 from textual.message import Message
@@ -15,6 +18,15 @@ from bilprov.spec.explain import BitGroup
 from bilprov.spec.protocol import Protocol
 
 _CELL = 9  # columns of a byte: its eight bits and a space
+_INDENT = " " * 6  # of what goes on from the line above
+
+
+class _Shown(NamedTuple):
+    """One line of the tree: its detail, whether lines below it fold away, and what is shown."""
+
+    detail: Detail
+    folds: bool
+    text: Text
 
 
 class FieldTree(Rows):
@@ -24,7 +36,7 @@ class FieldTree(Rows):
         super().__init__("fields", signs, "tree")
         self._protocol = protocol
         self._all: tuple[Detail, ...] = ()
-        self._shown: list[tuple[Detail, bool]] = []  # with whether there are lines below it
+        self._shown: list[_Shown] = []
         self._folded: set[str] = set()
 
     @property
@@ -35,7 +47,7 @@ class FieldTree(Rows):
     @property
     def group(self) -> BitGroup | None:
         """The bits of the chosen line; None if it is about none."""
-        return self._shown[self.cursor][0].group if self._shown else None
+        return self._shown[self.cursor].detail.group if self._shown else None
 
     def show(self, record: Record | None) -> None:
         """Show another record."""
@@ -44,8 +56,8 @@ class FieldTree(Rows):
 
     def find(self, byte: int, bit: int) -> None:
         """Choose the line about a bit (counted from 0 at the right end) of a byte."""
-        for at, (detail, _) in enumerate(self._shown):
-            group = detail.group
+        for at, shown in enumerate(self._shown):
+            group = shown.detail.group
             if group and group.byte <= byte < group.byte + group.size:
                 place = bit + 8 * (group.byte + group.size - 1 - byte)
                 if group.low <= place <= group.high:
@@ -54,9 +66,13 @@ class FieldTree(Rows):
 
     def action_enter(self) -> None:
         """Fold or unfold the lines of the chosen heading."""
-        if self._shown and self._shown[self.cursor][1]:
-            self._folded ^= {self._shown[self.cursor][0].label}
+        if self._shown and self._shown[self.cursor].folds:
+            self._folded ^= {self._shown[self.cursor].detail.label}
             self._unfold()
+
+    def on_resize(self) -> None:
+        """Wrap long lines anew."""
+        self._unfold()
 
     def clicked(self, x: int) -> None:
         """Fold or unfold where the sign was clicked."""
@@ -65,12 +81,12 @@ class FieldTree(Rows):
 
     def lines(self, first: int, stop: int, width: int) -> list[Text]:
         """The lines from `first` to before `stop`."""
-        return [self._line(detail, folds) for detail, folds in self._shown[first:stop]]
+        return [shown.text for shown in self._shown[first:stop]]
 
     def _line(self, detail: Detail, folds: bool) -> Text:
         sign = self.signs.folded if detail.label in self._folded else self.signs.unfolded
         bad = "yellow" if detail.bad else ""
-        text = Text(no_wrap=True)
+        text = Text()
         if detail.depth:
             text.append(f"{'!' if detail.bad else ' '}  ", f"bold {bad}")
             text.append(f"{detail.label}  ", bad or "cyan")
@@ -85,10 +101,23 @@ class FieldTree(Rows):
         for detail, depth in zip(self._all, below, strict=False):
             if detail.depth == 0:
                 hidden = detail.label in self._folded
-                self._shown.append((detail, depth > 0))
-            elif not hidden:
-                self._shown.append((detail, False))
+            elif hidden:
+                continue
+            folds = detail.depth == 0 and depth > 0
+            self._shown += self._wrapped(detail, folds)
         self.changed()
+
+    def _wrapped(self, detail: Detail, folds: bool) -> Iterator[_Shown]:
+        """The lines of a detail: more than one where it is longer than the pane is wide."""
+        line = self._line(detail, folds)
+        width = self.size.width - 1  # the scroll bar's
+        if width <= 2 * len(_INDENT) or line.cell_len <= width:
+            yield _Shown(detail, folds, line)
+            return
+        first, *more = line.wrap(self.app.console, width - len(_INDENT))
+        yield _Shown(detail, folds, first)
+        for part in more:
+            yield _Shown(detail, False, Text(_INDENT) + part)
 
 
 class HexPane(Widget):

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.output.outputs import Shown
-from bilprov.analyzer.output.statistics import Snapshot, Statistics
+from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.playback import batches
 from bilprov.analyzer.replay.recorder import Recorder
@@ -34,7 +34,7 @@ class Feed(Generic[Result]):
 
     `work` is called with the feed; `stop` makes it end early. When it ends the screen closes,
     unless it `stays`. `live` is true where rows come in their own time. What the screen shows of
-    it: `progress` is the share that is read (0 to 1), `snapshot` the rates of a live line,
+    it: `progress` is the share that is read (0 to 1), `rates` those of a live line,
     `captured` what was recorded, `said` why it ended, and `notice` something else that the user
     should know. `keeps` is true where the recording can be saved when the screen is left, and
     `let_go` where its oldest rows had to go.
@@ -54,7 +54,7 @@ class Feed(Generic[Result]):
         self.stays = stays
         self.keeps = False
         self.progress: float | None = None
-        self.snapshot: Snapshot | None = None
+        self.rates: Rates | None = None
         self.captured = ""
         self.said = ""
         self.notice = ""
@@ -153,7 +153,7 @@ class ScreenOutput:
             return
         self._next = time.monotonic() + DRAW_EVERY
         feed = self._feed
-        feed.snapshot = self._statistics.snapshot(now)
+        feed.rates = self._statistics.rates(now)
         gone, recorder = feed.recording.first, self._recorder
         if isinstance(recorder, Spool):
             feed.notice, feed.keeps = recorder.failure, not recorder.failure
@@ -172,14 +172,13 @@ class AllShown(Shown):
     The frames that pass the filter are counted as by any `Shown`.
     """
 
-    def show(self, part: Part) -> Part:
-        """Show a part, and return what was shown."""
+    def show(self, part: Part) -> None:
+        """Show a part."""
         if self.left is not None:
             deque(self._passing(part), maxlen=0)
         if not self.window.covers(part):
             part = Records([record for record in part.records() if self.window.has(record.t)])
         self.output.show(part)
-        return part
 
 
 @contextmanager

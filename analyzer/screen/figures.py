@@ -7,32 +7,32 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from bilprov.analyzer.columns.totals import Totals
-from bilprov.analyzer.output.statistics import Snapshot
+from bilprov.analyzer.output.statistics import Rates
 from bilprov.analyzer.screen.signs import Signs
 from bilprov.captures.text import printable
 
 
-def figures(totals: Totals, snapshot: Snapshot | None, byte_time: int, signs: Signs) -> list[Text]:
+def figures(totals: Totals, live: Rates | None, byte_time: int, signs: Signs) -> list[Text]:
     """The lines, each a label and what it says.
 
-    Rates are those of the last two seconds where there is a `snapshot` of a live line, else the
-    mean over the recording. `byte_time` is ns a byte on the line.
+    Rates are those of the last two seconds where they are those of a `live` line, else the mean
+    over the recording. `byte_time` is ns a byte on the line.
     """
     return [
         Text.assemble((f"{label:<8}", "dim"), words)
-        for label, words in _rows(totals, snapshot, byte_time, signs)
+        for label, words in _rows(totals, live, byte_time, signs)
     ]
 
 
 def _rows(
-    totals: Totals, snapshot: Snapshot | None, byte_time: int, signs: Signs
+    totals: Totals, live: Rates | None, byte_time: int, signs: Signs
 ) -> Iterator[tuple[str, str]]:
     seconds = ((totals.last or 0) - (totals.first or 0)) / 1e9
     sides = (totals.host_bytes, totals.device_bytes)
     rates = [size / seconds if seconds else 0.0 for size in sides]
     frames = totals.frames / seconds if seconds else 0.0
-    if snapshot:
-        rates, frames = list(snapshot.byte_rates), snapshot.frame_rate
+    if live:
+        rates, frames = list(live.bytes), live.frames
     yield "frames", f"{totals.frames:,} {signs.to_device}"
     yield "answers", f"{totals.device_bytes:,} {signs.to_host}"
     if totals.disagreeing:

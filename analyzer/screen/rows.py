@@ -21,8 +21,8 @@ from textual.widget import Widget
 from bilprov.analyzer.screen.signs import Signs
 
 WHEEL = 3  # lines
-_REVERSE = Style(reverse=True)
 _DIM = Style(dim=True)
+_CHOSEN, _CHOSEN_ELSEWHERE = Style(reverse=True), Style(bold=True, underline=True)
 
 
 class Rows(Widget, can_focus=True):
@@ -137,6 +137,14 @@ class Rows(Widget, can_focus=True):
         self.choose(line)
         self.post_message(self.Chosen(self))
 
+    def on_focus(self) -> None:
+        """Show that keys are for this pane."""
+        self.refresh()
+
+    def on_blur(self) -> None:
+        """Show that keys are for another pane."""
+        self.refresh()
+
     def on_resize(self) -> None:
         """Keep the chosen line on the screen."""
         self.choose(self.cursor)
@@ -227,8 +235,11 @@ class Rows(Widget, can_focus=True):
     def _strip(self, text: Text, width: int, *, chosen: bool) -> Strip:
         text = text.copy()
         text.truncate(width, overflow="crop", pad=True)
-        strip = Strip(text.render(self.app.console, end="")).adjust_cell_length(width)
-        return strip.apply_style(_REVERSE) if chosen else strip
+        if not chosen:
+            return Strip(text.render(self.app.console, end="")).adjust_cell_length(width)
+        # Without colours, which would be a patchwork.
+        style = _CHOSEN if self.has_focus else _CHOSEN_ELSEWHERE
+        return Strip([Segment(text.plain, style)]).adjust_cell_length(width)
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         """As high as there are lines."""

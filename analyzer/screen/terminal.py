@@ -28,6 +28,14 @@ class TerminalDriver(LinuxDriver):
         assert sys.__stdout__ is not None
         self._file: Any = _Terminal(sys.__stdout__.fileno(), sys.__stdout__.encoding)
 
+    def _get_terminal_size(self) -> tuple[int, int]:
+        """The terminal's own size; Textual believes COLUMNS and LINES, which do not change."""
+        try:
+            columns, lines = os.get_terminal_size(self._file.fileno())
+        except OSError:
+            return super()._get_terminal_size()
+        return columns, lines
+
     def stop_application_mode(self) -> None:
         """Give the terminal back as it was."""
         super().stop_application_mode()

@@ -25,7 +25,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 
 Steps = Callable[[Browser, Pilot[Any]], Awaitable[None]]
-PATIENCE = 30.0  # s; a test that waits longer hangs
+PATIENCE = 20.0  # s; a test that waits longer hangs
 NO_TMUX = "apt-get install tmux"
 
 
@@ -123,7 +123,10 @@ def terminal(
     script.write_text(f"{exports}cd '{folder}'\n{words}\necho \"ended $?\"\nexec cat\n")
     tmux = Tmux(socket)
     columns, lines = size
-    tmux("new-session", "-d", "-x", str(columns), "-y", str(lines), f"exec sh '{script}'")
+    place = ["-x", str(columns), "-y", str(lines)]
+    tmux("new-session", "-d", *place, f"sleep 0.2; exec sh '{script}'")
+    tmux("set-option", "-g", "status", "off")  # else it has one of the lines
+    tmux("resize-window", *place)
     try:
         yield tmux
     finally:
