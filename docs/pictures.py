@@ -6,6 +6,7 @@ picture again.
 
 from __future__ import annotations
 
+import asyncio
 import io
 import re
 import shutil
@@ -22,7 +23,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from bilprov.analyzer.cli.plot import plot
-from bilprov.analyzer.columns.decoder import Records
+from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told
 from bilprov.analyzer.doctor.drawing import INDENT, conclusion, drawn, heading, title
@@ -30,8 +31,9 @@ from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.doctor.listening import heard
 from bilprov.analyzer.doctor.system import examined, subject
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.live_view import View, live_view
-from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.screen.browser import Browser, Told
+from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.version import kit_version
@@ -53,15 +55,16 @@ _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
 _WIDTH, _HEIGHT = 1120, 900  # pixels of a page's picture
 _BEGUN = 1_790_000_000_000_000_000  # ns since 1970: when the drive of the plot is said to begin
+_SCREEN = (110, 36)  # columns and lines of the screen's picture
+_WIDTH, _HEIGHT = 1120, 900  # pixels of the page's picture
 _PATIENCE = 120  # s for the browser
 
 
-def drive_picture(protocol: Protocol) -> RenderableType:
-    """The live view after the document's examples were driven on the simulator."""
+def drive_parts(protocol: Protocol) -> list[Part]:
+    """The decoded parts of a drive: the document's examples, driven on the simulator."""
     device = Simulator(protocol, latency=_LATENCY)
     session = Session(protocol, skew=0)
-    settings = line_settings(protocol)
-    statistics = Statistics(protocol, settings.byte_time)
+    parts: list[Part] = []
     now = 0
     # As printed first and as meant last, so that the picture ends with the robot under way.
     for _, frames in reversed(examples(protocol)[:-1]):
@@ -73,14 +76,32 @@ def drive_picture(protocol: Protocol) -> RenderableType:
                 data = device.advance(now)
                 if data:
                     events.append(Chunk(now, "device", data))
-            statistics.events(events)
-            part = Records([record for event in events for record in session.feed(event)])
-            statistics.part(part, part)
+            parts.append(Records([record for event in events for record in session.feed(event)]))
             now += _STEP
-    captured = "drive.mcap"
-    return live_view(
-        View(protocol, statistics.snapshot(now), "/dev/ttyUSB0, /dev/ttyUSB1", captured)
-    )
+    return parts
+
+
+def browse_picture(protocol: Protocol) -> str:
+    """The screen of `browse` over that drive, as SVG: the last fault is chosen."""
+    parts = drive_parts(protocol)
+
+    def add(feed: Feed[None]) -> None:
+        for part in parts:
+            feed.recording.add(part)
+
+    byte_time = line_settings(protocol).byte_time
+    feed = Feed(Recording(protocol), add, stays=True)
+    screen = Browser(feed, Told("drive.mcap", 0, byte_time))
+
+    async def taken() -> str:
+        async with screen.run_test(size=_SCREEN) as pilot:
+            feed.join()
+            screen.tick()
+            await pilot.press("end", "N", "enter", "down", "escape")
+            await pilot.pause()
+            return screen.export_screenshot(title="bilprov browse", simplify=True)
+
+    return asyncio.run(taken())
 
 
 def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[RenderableType]:
@@ -153,9 +174,7 @@ def plot_picture(protocol: Protocol, picture: Path) -> None:
 def draw(folder: Path) -> None:
     """Write the pictures as SVG files into the folder."""
     protocol = load_protocol()
-    console = Console(record=True, width=104, height=30, file=io.StringIO(), force_terminal=True)
-    console.print(drive_picture(protocol))
-    console.save_svg(str(folder / "live.svg"), title="bilprov sniff", unique_id="live")
+    (folder / "browse.svg").write_text(browse_picture(protocol), encoding="utf-8")
     console = Console(
         record=True, width=104, file=io.StringIO(), force_terminal=True, highlight=False
     )

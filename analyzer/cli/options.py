@@ -15,6 +15,7 @@ from bilprov.captures.text import escape_controls
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
+    from bilprov.analyzer.output.outputs import Format
     from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.spec.protocol import Protocol
 
@@ -87,8 +88,30 @@ session_format_option = click.option(
     "--format",
     "style",
     type=click.Choice(["live", "lines", "jsonl", "csv"]),
-    help="A picture (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
+    help="A screen (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
 )
+
+# Whether text lines are asked for, as `plain`.
+plain_option = click.option(
+    "--plain", is_flag=True, help="Text lines on a terminal too: the same as --format lines."
+)
+
+
+def session_style(style: Format | None, plain: bool) -> Format:
+    """The format of a session, from --format and --plain.
+
+    Raises UsageError where they contradict each other, or where there is no terminal for a screen.
+    """
+    from bilprov.analyzer.output.outputs import chosen_format, has_terminal
+
+    if plain and style not in (None, "lines"):
+        raise click.UsageError(f"--plain is --format lines: give it or --format {style}, not both")
+    if style == "live" and not has_terminal():
+        raise click.UsageError(
+            "--format live needs a terminal to show a screen on and to take keys from; for a pipe "
+            "use --format lines"
+        )
+    return "lines" if plain else chosen_format(style)
 
 
 def row_options(command: Command) -> Command:

@@ -16,9 +16,11 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    plain_option,
     row_options,
     row_style,
     session_format_option,
+    session_style,
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -28,7 +30,6 @@ from bilprov.analyzer.output.outputs import (
     Format,
     Shown,
     Window,
-    chosen_format,
     opened_output,
 )
 from bilprov.analyzer.output.statistics import Statistics
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
     metavar="PORT",
     help="Also send the host's bytes to a device there and compare its answers.",
 )
+@plain_option
 @judge_option
 @click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
 @line_options
@@ -98,6 +100,7 @@ def replay(
     count: int | None,
     duration: float | None,
     port: str | None,
+    plain: bool,
     judged: bool,
     yes: bool,
     baud: int | None,
@@ -115,6 +118,9 @@ def replay(
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) tells which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
+
+    On a terminal it is played on a screen, as by `sniff`, which stays when the capture has ended;
+    what goes to a device is told in lines.
     """
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
@@ -125,7 +131,9 @@ def replay(
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
-    style = chosen_format(style)
+    if port is not None and style == "live":
+        raise click.UsageError("--to is told in lines: leave out --format live")
+    style = session_style(style, plain or (style is None and port is not None))
     rows = row_style(time_style, columns, protocol, style)
     test = compiled(expression, protocol)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
@@ -154,24 +162,48 @@ def replay(
             target = stack.enter_context(
                 opened_target(protocol, port, settings, pause, rate, stopper, run)
             )
-        statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
-        title = f"replay of {printable(capture.path.name)}"
-        output = opened_output(style, protocol, statistics, title, rows, capture.start)
-        stack.callback(output.close)
+        statistics = Statistics()
         judge = None
         if judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        shown = Shown(output, test, count, window)
-        pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
-        if target is not None:
-            return send_again(
-                protocol, capture, pipeline, output, target, run, rate, window, stopper
+        if test:
+            test = test.started(capture.start)
+        if style == "live":
+            from bilprov.analyzer.screen.browser import Told
+            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+            from bilprov.analyzer.screen.recording import Recording
+            from bilprov.analyzer.screen.terminal import shown
+
+            def watched(feed: Feed[None]) -> None:
+                output = AllShown(ScreenOutput(feed, statistics), test, count, window)
+                pipeline = Pipeline(opened.decoder, statistics, output, judge=judge)
+                events = capture.sights() if judge else opened.events()
+                _show(events, pipeline, rate, window, stopper, judge)
+
+            feed = Feed(Recording(protocol), watched, stop=stopper.stop, live=True, stays=True)
+            told = Told(
+                f"replay of {printable(capture.path.name)}",
+                capture.start,
+                capture_line(capture, protocol).byte_time,
+                rows,
+                expression or "",
+                test,
             )
-        events = capture.sights() if judge else opened.events()
-        _show(events, pipeline, rate, window, stopper, judge)
+            shown(feed, told, stopper)
+            feed.join()
+        else:
+            output = opened_output(style, protocol, rows, capture.start)
+            shown_rows = Shown(output, test, count, window)
+            pipeline = Pipeline(opened.decoder, statistics, shown_rows, judge=judge)
+            if target is not None:
+                return send_again(
+                    protocol, capture, pipeline, output, target, run, rate, window, stopper
+                )
+            events = capture.sights() if judge else opened.events()
+            _show(events, pipeline, rate, window, stopper, judge)
     if judge is None:
         return 0
     from bilprov.analyzer.output.findings import tell_findings

@@ -166,7 +166,8 @@ class HostRows(Rows):
         return Numbers(self._stretch.decoding.tables.codes.take(self._stretch.new.verdict))
 
     def _faulty(self) -> Words:
-        return Words(self._stretch.faulty.view(np.uint8), (False, True))
+        faulty = np.not_equal(self._stretch.new.verdict, VALID)
+        return Words(faulty.view(np.uint8), (False, True))
 
     def _faults(self) -> Words:
         code, kinds = host_kinds(self._stretch)

@@ -1,4 +1,6 @@
-"""The outputs for decoded traffic: text lines, JSON lines, CSV, live view, nothing.
+"""The outputs for decoded traffic: text lines, JSON lines, CSV, nothing.
+
+The full screen is an output too (`screen.feeds`).
 
 What comes together is written and flushed at once, so that a pipe's reader gets it without delay.
 """
@@ -9,7 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.json_lines import json_line
@@ -22,9 +24,7 @@ from bilprov.spec import protocol as spec
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.filters.filter import Filter
-    from bilprov.analyzer.output.live_output import LiveOutput
     from bilprov.analyzer.output.row_columns import RowStyle
-    from bilprov.analyzer.output.statistics import Statistics
 
 Format = Literal["live", "lines", "jsonl", "csv"]
 
@@ -59,9 +59,6 @@ class StreamOutput:
     def tick(self, now: int) -> None:
         """Nothing waits here."""
 
-    def close(self) -> None:
-        """Nothing is held."""
-
 
 class NoOutput:
     """Shows nothing."""
@@ -72,12 +69,15 @@ class NoOutput:
     def tick(self, now: int) -> None:
         """Nothing waits here."""
 
-    def close(self) -> None:
-        """Nothing is held."""
 
+class Output(Protocol):
+    """Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
 
-Output: TypeAlias = "StreamOutput | LiveOutput | NoOutput"
-"""Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
+    def show(self, part: Part, /) -> None:
+        """Show a part."""
+
+    def tick(self, now: int, /) -> None:
+        """Let time pass to `now` (ns since the start)."""
 
 
 def write_out(text: str) -> None:
@@ -104,16 +104,13 @@ def stream_output(
 
 
 def opened_output(
-    style: Format,
+    style: Literal["lines", "jsonl", "csv"],
     protocol: spec.Protocol,
-    statistics: Statistics,
-    title: str,
     rows: RowStyle,
     start_wall: int,
-    captured: Callable[[], str] = lambda: "",
     write: Callable[[str], object] = write_out,
-) -> Output:
-    """Open the output of the format `style` on standard output; see LiveOutput.
+) -> StreamOutput:
+    """The output of the format `style` to standard output.
 
     `start_wall` is the wall clock (ns since 1970) at the recording's start.
     """
@@ -130,18 +127,22 @@ def opened_output(
 
         colour = _wants_colour(sys.stdout)
         return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
-    if style != "live":
-        return stream_output(style, write, times.padded if rows.time else None)
-    from bilprov.analyzer.output.live_output import LiveOutput
-
-    return LiveOutput(protocol, statistics, title, captured)
+    return stream_output(style, write, times.padded if rows.time else None)
 
 
 def chosen_format(asked: Format | None) -> Format:
     """The requested format; if there is none, `live` on a terminal and `lines` in a pipe."""
     if asked is not None:
         return asked
-    return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
+    return "live" if has_terminal() else "lines"
+
+
+def has_terminal() -> bool:
+    """Whether the full screen can be shown: there is a terminal to draw on and to type at."""
+    streams = (sys.stdin, sys.stdout)
+    return os.environ.get("TERM", "dumb") not in ("", "dumb") and all(
+        stream is not None and stream.isatty() for stream in streams
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,7 @@ class Shown:
         return self.left == 0
 
     def show(self, part: Part) -> Part:
-        """Show what passes of a part, and return it."""
+        """Show what passes of a part, and return that."""
         if self.test is not None or self.left is not None or not self.window.covers(part):
             part = Records(list(self._passing(part)))
         self.output.show(part)

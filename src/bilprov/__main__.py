@@ -29,6 +29,9 @@ COMMANDS = {
         "Analyze", "bilprov.analyzer.cli.sniff", "sniff", "Listen to a line, decode and log it."
     ),
     "replay": Row("Analyze", "bilprov.analyzer.cli.replay", "replay", "Play a capture again."),
+    "browse": Row(
+        "Analyze", "bilprov.analyzer.cli.browse", "browse", "Look through a capture on a screen."
+    ),
     "decode": Row(
         "Analyze", "bilprov.analyzer.cli.decode", "decode", "Decode bytes from hex or a file."
     ),
