@@ -47,6 +47,7 @@ ROOMS = (
     ("analyzer.output",),
     ("analyzer.client",),
     ("analyzer.replay",),
+    ("analyzer.edit",),
     ("analyzer.pipeline", "analyzer.api"),
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),

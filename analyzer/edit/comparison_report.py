@@ -16,8 +16,8 @@ capture:
 - `listed`: the first 100, each with `kind`, `frame` (hex; empty before the first frame), `words`,
   and `a` and `b`, of which one may be null: `t` of the frame, its `sequence`, `answer` (hex; null
   if there is none), `name` of the answer, `latency`, and `unasked` (hex).
-- `latencies`: by the name of the instruction, `a` and `b`: `count`, `median`, `p95`, `max`, to three
-  digits; null where there is none.
+- `latencies`: by the name of the instruction, `a` and `b`: `count`, `median`, `p95`, `max`, to
+  three digits; null where there is none.
 """
 
 from __future__ import annotations
