@@ -146,6 +146,11 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
 
 def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
+    if topics.HISTORY in evidence.capture.metadata:
+        raise CaptureError(
+            f"{printable(path)} is no recording as it was made, but an edited one (bilprov info "
+            "says how): judge the recording itself again"
+        )
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(
             f"{printable(path)} is no recording of a conformance run that can "

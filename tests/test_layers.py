@@ -52,6 +52,7 @@ ROOMS = (
     ("analyzer.replay",),
     ("analyzer.export",),
     ("analyzer.plot",),
+    ("analyzer.edit",),
     ("analyzer.pipeline", "analyzer.api"),
     ("analyzer.screen",),
     ("analyzer.cli",),

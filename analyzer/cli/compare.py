@@ -41,7 +41,7 @@ def compare(
     does not shift all that follow. Told are frames that only one of them has, other or missing
     answers, bytes that nobody asked for, and latencies that differ by more than --latency; times of
     day and pauses are not compared. The keys of the JSON are explained in
-    analyzer/output/capture_comparison.py.
+    analyzer/edit/comparison_report.py.
 
     Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
     nothing else differs; 2 if not all of it could be shown.
@@ -52,10 +52,10 @@ def compare(
 
     from bilprov.analyzer.cli.streams import promise_verdict
     from bilprov.analyzer.edit.compare import compared
+    from bilprov.analyzer.edit.comparison_report import as_json, drawn
     from bilprov.analyzer.edit.exchanges import exchanges
     from bilprov.analyzer.files import write_whole
     from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.capture_comparison import as_json, drawn
     from bilprov.analyzer.output.console import show
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture

@@ -103,9 +103,13 @@ def ports(style: str) -> None:
 @click.command()
 @click.argument("file", metavar="FILE.mcap")
 @text_format_option
+@click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
 @click.pass_obj
-def info(grammar: str | None, file: str, style: str) -> None:
-    """Tell what a capture holds, who recorded it and whether it is whole."""
+def info(grammar: str | None, file: str, style: str, as_json: bool) -> None:
+    """Tell what a capture holds, when and where it was recorded and whether it is whole.
+
+    The keys of the JSON are explained in analyzer/output/capture_info.py.
+    """
     from dataclasses import asdict
 
     from bilprov.analyzer.grammar_file import load_protocol
@@ -113,7 +117,7 @@ def info(grammar: str | None, file: str, style: str) -> None:
     from bilprov.captures.reader import open_capture
 
     summary = summarized(open_capture(file), load_protocol(grammar))
-    show_as(style, lambda: asdict(summary), lambda: drawn(summary))
+    show_as("json" if as_json else style, lambda: asdict(summary), lambda: drawn(summary))
 
 
 # How to install the completion script permanently in each shell.

@@ -23,9 +23,6 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.edit.new_capture import (
-    CUT_END,
-    CUT_START,
-    HISTORY,
     Progress,
     Stopped,
     decoding_metadata,
@@ -112,7 +109,7 @@ class Joined:
         abouts = [source.capture.metadata for source in self.sources]
         about: dict[str, str] = {}
         for key in dict.fromkeys(key for one in abouts for key in one):
-            if key in (topics.START_KEY, HISTORY, CUT_START, CUT_END):
+            if key in (topics.START_KEY, topics.HISTORY, topics.CUT_START, topics.CUT_END):
                 continue
             if len({one[key] for one in abouts if key in one}) == 1:
                 about[key] = next(one[key] for one in abouts if key in one)
@@ -124,8 +121,8 @@ class Joined:
         names = [said_of(source.capture.path) for source in self.sources]
         about |= {f"{number}.file": name for number, name in enumerate(names, 1)}
         done = f"join {' '.join(names)} (bilprov {kit_version()})"
-        before = dict.fromkeys(one[HISTORY] for one in abouts if one.get(HISTORY))
-        about[HISTORY] = "\n".join([*before, done])
+        before = dict.fromkeys(one[topics.HISTORY] for one in abouts if one.get(topics.HISTORY))
+        about[topics.HISTORY] = "; ".join([*before, done])
         return about
 
 
@@ -183,8 +180,10 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
 def _continues(before: _Source, after: _Source) -> bool:
     """Whether a part was cut off right where the one before it ends."""
     one, other = before.capture, after.capture
-    cut = one.metadata.get(CUT_END)
-    return cut is not None and cut == other.metadata.get(CUT_START) and one.start == other.start
+    cut = one.metadata.get(topics.CUT_END)
+    return (
+        cut is not None and cut == other.metadata.get(topics.CUT_START) and one.start == other.start
+    )
 
 
 def _moved(value: Recorded, by: int, protocol: Protocol | None, tap: Tap) -> Recorded:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
 
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded
 from bilprov.analyzer.decode.session import SessionSettings
@@ -20,13 +19,6 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Checkpoint, Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
-
-HISTORY: Final = "history"
-"""The metadata's key for what was done to a recording, a line for each edit."""
-
-CUT_START: Final = "cut_start_ns"
-CUT_END: Final = "cut_end_ns"
-"""The metadata's keys for the window that was cut out, in ns since the recording's start."""
 
 Progress = Callable[[int], bool]
 """Is told how many raw bytes were read since it was last called; false ends the work."""
@@ -86,14 +78,15 @@ def new_capture(
 
 
 def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str, str]:
-    """The metadata of a capture for an edited copy, with a line about the edit.
+    """The metadata of a capture for an edited copy, with a word about the edit.
 
     The settings of its decoding are said, so that they do not depend on what is left of it.
     """
     about = {key: text for key, text in capture.metadata.items() if key != topics.START_KEY}
     about |= decoding_metadata(capture_settings(capture, protocol))
     done = f"{edit} (bilprov {kit_version()})"
-    about[HISTORY] = "\n".join(filter(None, [about.get(HISTORY), done]))
+    before = about.get(topics.HISTORY)
+    about[topics.HISTORY] = "; ".join(filter(None, [before, done]))
     return about
 
 
@@ -110,10 +103,10 @@ def cut_metadata(
     words += [f"--filter {printable(expression)}"] if expression else []
     about = edited_metadata(capture, protocol, f"cut {said_of(capture.path)} {' '.join(words)}")
     if first is not None:
-        about[CUT_START] = str(first)
+        about[topics.CUT_START] = str(first)
         about["attached"] = "yes"  # for decoders that cannot use the checkpoint
     if after is not None:
-        about[CUT_END] = str(after)
+        about[topics.CUT_END] = str(after)
     return about
 
 

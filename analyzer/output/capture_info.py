@@ -1,4 +1,21 @@
-"""The one-page summary of a capture that `bilprov info` shows, made without decoding it."""
+"""The one-page summary of a capture that `bilprov info` shows, made without decoding it.
+
+The JSON of `--json` is one object. Moments are ISO 8601 in UTC, to the microsecond (a number, ns
+since 1970, where a file claims one outside the calendar):
+
+- `path`; `size` in bytes; `library`, the program that has written the file.
+- `start`, `end`: when the recording began and when its last message came. Of what `cut` or `join`
+  has made, when the first message and the last one came.
+- `zero`: the moment from which `t` counts in the file's records. A part keeps that of the whole.
+- `duration`: from `start` to `end`, in seconds.
+- `host`: the name of the machine on which it was recorded, null if the file does not say.
+- `kit`: the version of bilprov by which it was recorded, null if by another program.
+- `metadata`: the record `bilprov`, as it is in the file.
+- `same_grammar`: whether it was recorded with the grammar in use, null if the file does not say.
+- `counts`: messages by topic. `bytes`: raw bytes, by `host` and `device`.
+- `unfinished`: whether the recording was cut short (killed, a full disk).
+- `damage`: a sentence for each part of the file that is left out.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +29,7 @@ from rich.text import Text
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import printable
-from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.captures.topics import CUT_END, CUT_START, DEVICE_RAW, HISTORY, HOST_RAW, MACHINE
 from bilprov.spec.protocol import Protocol
 
 SECOND = 1_000_000_000  # ns
@@ -20,18 +37,17 @@ SECOND = 1_000_000_000  # ns
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The values that `bilprov info` shows of a capture.
-
-    `start` is ISO 8601 in UTC, `duration` is in s, `counts` are messages by topic, `bytes` raw
-    bytes by direction. `same_grammar` tells whether the capture was recorded with the grammar in
-    use, None if the capture does not say.
-    """
+    """The values that `bilprov info` shows of a capture; the module's docstring explains them."""
 
     path: str
     size: int
     library: str
     start: str
+    end: str
+    zero: str
     duration: float
+    host: str | None
+    kit: str | None
     metadata: dict[str, str]
     same_grammar: bool | None
     counts: dict[str, int]
@@ -43,13 +59,20 @@ class Summary:
 def summarized(capture: Capture, protocol: Protocol) -> Summary:
     """Summarize an opened capture; text from the file is not escaped here."""
     contents = capture.contents
+    edited = HISTORY in capture.metadata and contents.first
+    start = contents.first if edited else capture.start
+    end = max(start, contents.last)
     hashes = [value for key, value in capture.metadata.items() if key.endswith("sha256")]
     return Summary(
         path=str(capture.path),
         size=contents.size,
         library=capture.library,
-        start=_moment(capture.start),
-        duration=max(0, contents.last - capture.start) / SECOND,
+        start=_moment(start),
+        end=_moment(end),
+        zero=_moment(capture.start),
+        duration=(end - start) / SECOND,
+        host=capture.metadata.get(MACHINE) or None,
+        kit=capture.metadata.get("version") or None,
         metadata=dict(capture.metadata),
         same_grammar=protocol.sha256 in hashes if hashes else None,
         counts=dict(contents.counts),
@@ -65,7 +88,9 @@ def summarized(capture: Capture, protocol: Protocol) -> Summary:
 def _moment(wall: int) -> str:
     """Format a wall-clock time in ns as ISO 8601, or as a number if it is outside the calendar."""
     try:
-        return datetime.fromtimestamp(wall // SECOND, UTC).isoformat()
+        seconds, rest = divmod(wall, SECOND)
+        moment = datetime.fromtimestamp(seconds, UTC)
+        return moment.replace(microsecond=rest // 1000).isoformat(timespec="microseconds")
     except (OverflowError, OSError, ValueError):
         return str(wall)
 
@@ -94,9 +119,14 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
     yield "size", f"{summary.size:,} bytes"
     yield "written by", printable(summary.library) or "unknown"
     yield "start", summary.start
+    yield "end", summary.end
+    if summary.zero != summary.start:
+        yield "times count from", summary.zero
     yield "duration", f"{summary.duration:.3f} s"
+    yield "recorded on", printable(summary.host or "")
+    yield "recorded by", printable(f"bilprov {summary.kit}" if summary.kit else "")
     for key, value in sorted(summary.metadata.items()):
-        if key != "start":  # shown above, as a date
+        if key not in ("start", "version", MACHINE, CUT_START, CUT_END):  # shown above
             yield printable(key.replace("_", " ")), printable(value)
     if summary.same_grammar is not None:
         yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, Severity
 from bilprov.analyzer.replay.throttle import Throttle
 from bilprov.analyzer.version import kit_version
+from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import (
@@ -53,6 +55,7 @@ def session_metadata(
         "grammar_name": protocol.name,
         "grammar_version": protocol.version,
         "grammar_sha256": protocol.sha256,
+        topics.MACHINE: platform.node(),
         **{f"port_{part}": name for part, name in ports.items()},
         "line": line,
         "clock": "monotonic; log_time = wall clock at start + monotonic",
