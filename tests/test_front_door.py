@@ -29,6 +29,8 @@ HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.m
 # Modules and packages that a command does not use.
 UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
+    "decode 2111 --filter faulty": HEAVY - {"construct", "msgspec"}
+    | {"zstandard", "lz4", "difflib"},
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},
     "spec emit wireshark": HEAVY - {"construct", "msgspec"},

@@ -56,11 +56,16 @@ def line_options(command: Command) -> Command:
     return command
 
 
+_FILTER = """\
+Show only the rows for which EXPR holds, like "faulty and latency > 20ms". Names: the fields of the
+grammar, id len data sequence response latency answers agrees name direction kind hex judgement
+faulty faults reason t time state.motion (speed, steering, led, moving). Signs: == != < <= > >= in
+contains & and or not; names in any case. docs/filters.md explains them."""
+
+
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.filters.filter import HELP
-
-    return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
+    return click.option("--filter", "expression", metavar="EXPR", help=_FILTER)(command)
 
 
 # Who sent the bytes, as `sender`.

@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.filters.columns import Mask
 
-HELP = """\
-Show only the rows for which EXPR holds, like "faulty and latency > 20ms" or "name in {LED, OK}":
-and, or, not (&&, ||, !), ==, !=, <, <=, >, >=, in, contains, & for bits; names in any case.
-docs/filters.md has the names, and a shell that completes offers them."""
-
 
 class Filter:
     """A compiled filter: called with a JSON line, it tells whether the line passes.
