@@ -133,8 +133,8 @@ def row_options(command: Command) -> Command:
         "time_style",
         metavar="STYLE",
         type=click.Choice(["relative", "delta", "absolute", "utc"]),
-        help="How times are shown: relative, in seconds since the start (the usual); delta, since "
-        "the row before; absolute, date and time of day here; or utc.",
+        help="How times are shown: relative, seconds since the start (the usual); delta, since the "
+        "row before; absolute, date and time of day here; utc, the same in UTC.",
     )(command)
 
 
