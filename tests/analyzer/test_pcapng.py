@@ -143,6 +143,29 @@ def test_a_filter_and_a_window_choose_as_elsewhere_and_an_instruction_brings_its
     )
 
 
+def test_of_pipelined_traffic_every_chosen_instruction_brings_its_own_answer(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    frames = [
+        bytes([0x81, at % 8]) for at in range(2_998)
+    ]  # the last one is chosen, and unanswered
+    events: list[Event] = [Chunk(0, "host", b"".join(frames[:4]))]
+    for at, frame in enumerate(frames[4:], 1):  # four always wait
+        events += [Chunk(at * MS, "host", frame), Chunk(at * MS, "device", b"\0")]
+    t = 3_000 * MS
+    events += [Chunk(t + 2_000 * MS, "host", b"\x81\x05"), Chunk(t + 2_001 * MS, "device", b"\0")]
+    path = capture_of(tmp_path / "p.mcap", protocol, events)
+
+    found = packets(exported(path, protocol, "rgb == 5"))
+
+    chosen = frames.count(b"\x81\x05")
+    answers = [packet for packet in found if packet.data == b"\0"]
+    assert sum(packet.data == b"\x81\x05" for packet in found) == chosen + 1
+    assert len(answers) == chosen
+    assert len(found) == 2 * chosen + 1
+    assert {packet.event for packet in answers} == {RX}
+
+
 def test_line_events_have_the_types_of_the_link_and_comments_for_the_rest(
     protocol: Protocol, tmp_path: Path
 ) -> None:
