@@ -274,6 +274,7 @@ _PACKET_FRONT = struct.Struct("<7I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
 _LENGTH = struct.Struct("<I")
 _LATEST = (1 << 64) - 1  # ns
+_LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
 
 class _Blocks:
@@ -320,7 +321,8 @@ def _section(capture: Capture, protocol: Protocol) -> bytes:
         about += "; " + ", ".join(f"{role} {name}" for role, name in ports.items())
     body = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)  # byte order, version, length not told
     options = _options(
-        (_COMMENT, about.encode()), (_USER_APPLICATION, f"bilprov {kit_version()}".encode())
+        (_COMMENT, about[:_LONGEST].encode()),
+        (_USER_APPLICATION, f"bilprov {kit_version()}".encode()),
     )
     return _any_block(_SECTION, body + options)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from itertools import product
+from typing import Any, Literal
 
 from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
@@ -35,10 +36,10 @@ _HEAD = """\
 
 
 def lua_dissector(protocol: Protocol, skew: float) -> str:
-    """Return the script's text, for Wireshark from 3.0 on with Lua 5.1 to 5.4.
+    """Return the script's text, for Wireshark with Lua 5.1 to 5.4.
 
     `skew` is how long (ms) before its instruction an answer may be stamped, unless its user sets it
-    otherwise. Raises UserError for a field that is no plain integer of at most 6 bytes.
+    otherwise. Raises UserError for a field that is no plain integer of 1 to 6 bytes.
     """
     grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
     head = _HEAD.format(
@@ -131,17 +132,15 @@ def _field(word: str, spec: InstructionSpec, part: FieldSpec) -> dict[str, Any]:
 
 def _coding(spec: InstructionSpec, part: FieldSpec) -> tuple[bool, bool]:
     """Return whether a field is little-endian and whether it is signed, as its parser shows."""
-    if part.size <= _WIDEST:
-        for little in (False, True):
-            for signed in (False, True):
-                order = "little" if little else "big"
-                if all(
-                    part.parse(raw) == int.from_bytes(raw, order, signed=signed)  # type: ignore[arg-type]
-                    for raw in _samples(part.size)
-                ):
-                    return little, signed
+    orders: tuple[Literal["big", "little"], ...] = ("big", "little")
+    for order, signed in product(orders, (False, True)):
+        if 0 < part.size <= _WIDEST and all(
+            part.parse(raw) == int.from_bytes(raw, order, signed=signed)
+            for raw in _samples(part.size)
+        ):
+            return order == "little", signed
     raise UserError(
-        f"{spec.name}.{part.name} is no plain integer of at most {_WIDEST} bytes, and a dissector "
+        f"{spec.name}.{part.name} is no plain integer of 1 to {_WIDEST} bytes, and a dissector "
         "in Lua can hold no other: give it such a field in the grammar"
     )
 

@@ -23,9 +23,9 @@ from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import Event, conversation, decoded
 from tests.support.expressions import expressions
+from tests.support.firmware import needs
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wireshark import (
-    TSHARK,
     WALL,
     blocks,
     capture_of,
@@ -143,6 +143,28 @@ def test_a_filter_and_a_window_choose_as_elsewhere_and_an_instruction_brings_its
     )
 
 
+def test_of_pipelined_traffic_every_chosen_instruction_brings_its_own_answer(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    # The last one of those that are sent at once is chosen, and goes unanswered.
+    frames = [bytes([0x81, at % 8]) for at in range(2_998)]
+    events: list[Event] = [Chunk(0, "host", b"".join(frames[:4]))]
+    for at, frame in enumerate(frames[4:], 1):  # four always wait
+        events += [Chunk(at * MS, "host", frame), Chunk(at * MS, "device", b"\0")]
+    t = 3_000 * MS
+    events += [Chunk(t + 2_000 * MS, "host", b"\x81\x05"), Chunk(t + 2_001 * MS, "device", b"\0")]
+    path = capture_of(tmp_path / "p.mcap", protocol, events)
+
+    found = packets(exported(path, protocol, "rgb == 5"))
+
+    chosen = frames.count(b"\x81\x05")
+    answers = [packet for packet in found if packet.data == b"\0"]
+    assert sum(packet.data == b"\x81\x05" for packet in found) == chosen + 1
+    assert len(answers) == chosen
+    assert len(found) == 2 * chosen + 1
+    assert {packet.event for packet in answers} == {RX}
+
+
 def test_line_events_have_the_types_of_the_link_and_comments_for_the_rest(
     protocol: Protocol, tmp_path: Path
 ) -> None:
@@ -238,7 +260,7 @@ def test_packets_are_written_while_the_capture_is_read(protocol: Protocol, tmp_p
     assert max(stream.sizes) < sum(stream.sizes) / 5
 
 
-@TSHARK
+@needs("tshark", package="tshark")
 @pytest.mark.waits
 def test_tshark_reads_it_without_the_dissector(protocol: Protocol, tmp_path: Path) -> None:
     events = [*conversation([(b"\x81\x05", b"\0")]), Line(60 * MS, "parity", "host", "1 counted")]

@@ -22,9 +22,9 @@ from bilprov.spec.python_names import snake_case
 from tests.support.commands import command
 from tests.support.decoding import Event, decoded
 from tests.support.traffic import ACTS, Act, played
-from tests.support.wireshark import TSHARK, Tshark, capture_of, exported, reads
+from tests.support.wireshark import Tshark, capture_of, exported, reads
 
-pytestmark = [pytest.mark.slow, pytest.mark.waits, TSHARK]
+pytestmark = [pytest.mark.slow, pytest.mark.waits]
 
 
 def every_frame(protocol: Protocol) -> Iterator[bytes]:
@@ -258,6 +258,19 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
     ]
 
 
+def test_an_answer_passes_over_a_frame_cut_short_only_if_it_fits_the_next(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    said: list[Chunk] = []
+    for t, answer in ((0, b"\1"), (5_000 * MS, b"\2")):
+        said += [Chunk(t, "host", b"\x11"), Chunk(t + 60 * MS, "host", b"\x90")]
+        said.append(Chunk(t + 61 * MS, "device", answer))
+
+    rows = Tshark(tmp_path, protocol).rows(reads(said), "robot_car.response_to")
+
+    assert [row["robot_car.response_to"] for row in rows] == ["", "", "2", "", "", "4"]
+
+
 def test_the_preferences_change_the_time_out_or_leave_the_packets_alone(
     protocol: Protocol, tmp_path: Path
 ) -> None:
@@ -314,7 +327,7 @@ def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
 
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.decode().count("\n") == 1
-    assert "Speed.speed is no plain integer of at most 6 bytes" in done.stderr.decode()
+    assert "Speed.speed is no plain integer of 1 to 6 bytes" in done.stderr.decode()
 
 
 def test_the_command_writes_the_script_whole(protocol: Protocol, tmp_path: Path) -> None:
