@@ -158,10 +158,13 @@ class Browser(App[str | None]):
         self.hex = HexPane()
         self.faults = FaultList(feed.recording, signs)
         self.prompt = FilterPrompt(feed.recording.protocol, told.start_wall)
+        self.head, self.status = (Static(id=name, markup=False) for name in ("head", "status"))
+        self.car, self.figures = (Static(id=name, markup=False) for name in ("car", "figures"))
+        self.car.border_title, self.figures.border_title = "predicted", "line"
 
     def compose(self) -> ComposeResult:
         """The panes; `_arrange` says which are shown."""
-        yield Static(id="head", markup=False)
+        yield self.head
         with Horizontal(id="body"):
             with Vertical(id="main"):
                 yield self.frames
@@ -170,12 +173,10 @@ class Browser(App[str | None]):
                     yield self.hex
                 yield self.faults
             with Vertical(id="side"):
-                for name, title in (("car", "predicted"), ("figures", "line")):
-                    pane = Static(id=name, markup=False)
-                    pane.border_title = title
-                    yield pane
+                yield self.car
+                yield self.figures
         yield self.prompt
-        yield Static(id="status", markup=False)
+        yield self.status
 
     def on_mount(self) -> None:
         """Begin."""
@@ -284,29 +285,23 @@ class Browser(App[str | None]):
             self.faults.follow(row)
         protocol = self._recording.protocol
         state = record.state if record else State("stopped", 0, 0, 0, moving=False)
-        self.query_one("#car", Static).update(
-            Text("\n", no_wrap=True).join(car(protocol, state, self.signs))
-        )
+        self.car.update(Text("\n", no_wrap=True).join(car(protocol, state, self.signs)))
 
     def _show_figures(self) -> None:
-        pane = self.query_one("#figures", Static)
-        if pane.display:
+        if self.figures.display:
             lines = figures(
                 self._recording.totals, self.feed.rates, self.told.byte_time, self.signs
             )
-            pane.update(Text("\n", no_wrap=True).join(lines))
+            self.figures.update(Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
-        head = self.query_one("#head", Static)
         place = self._place()
         title = self._title()
         title.truncate(max(0, self.size.width - place.cell_len), overflow="crop")
-        head.update(_spread(title, place, self.size.width))
+        self.head.update(_spread(title, place, self.size.width))
         keys = "? help  q quit"
-        self.query_one("#status", Static).update(
-            _spread(self._status(), Text(keys, "dim"), self.size.width)
-        )
+        self.status.update(_spread(self._status(), Text(keys, "dim"), self.size.width))
 
     def _title(self) -> Text:
         captured = (
