@@ -190,6 +190,8 @@ class _Checker:
             refuse(part, f"the range ends at {shown(part.high)}, before it begins")
         if field.kind is Kind.NUMBER:
             low, high = math.ceil(low), math.floor(high)
+            if low > high:
+                refuse(part, f"no whole number is in this range, and {field.name} always is one")
         require_possible(field, ">=", low, part.low)
         require_possible(field, "<=", high, part.high)
         return low, high

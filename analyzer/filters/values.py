@@ -91,11 +91,8 @@ def require_possible(field: Field, sign: str, number: float, part: Part) -> None
     }
     if not possible.get(sign, low <= number <= high):
         reach = f"{field.low} or more" if field.high is None else f"{field.low} to {field.high}"
-        refuse(part, f"{field.name} is {reach}, so {_compared(field, sign, part)} never holds")
-
-
-def _compared(field: Field, sign: str, part: Part) -> str:
-    return f"{field.name} {sign} {shown(part)}"
+        compared = f"{field.name} {sign} {shown(part)}"
+        refuse(part, f"{field.name} is {reach}, so {compared} never holds")
 
 
 def owners(protocol: Protocol, text: str) -> list[str]:
@@ -185,10 +182,9 @@ def refuse_unknown(protocol: Protocol, part: parts.Word) -> NoReturn:
     if folded(part.text) in UNITS:
         refuse_part(part, "is a unit, which stands behind a number, like 20ms")
     fields = fields_of(protocol)
-    if owners(protocol, part.text):
-        refuse_part(
-            part, f"is a value of {owners(protocol, part.text)[0]}, which does not fit here"
-        )
+    known_of = owners(protocol, part.text)
+    if known_of:
+        refuse_part(part, f"is a value of {known_of[0]}, which does not fit here")
     near = close(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
     names = dict.fromkeys(name if "." not in name else f"{name.split('.')[0]}.*" for name in fields)
     hint = f"did you mean {near}?" if near else f"there are {', '.join(names)}"

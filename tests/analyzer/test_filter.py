@@ -94,6 +94,8 @@ def lines(protocol: Protocol) -> list[JsonLine]:
         ("faulty and direction == device", ["00", "01"]),
         ("faulty", ["81 09", "00", "9f" + " 00" * 15, "01", ""]),
         ("faulty and latency > 0.5 ms", ["00", "01"]),
+        ("faulty and latency in 999µs..1001 µs", ["00", "01"]),  # with the micro sign
+        ("faulty and latency == 1000μs", ["00", "01"]),  # with the Greek letter
         ("faults contains disagreeing", ["00"]),
         ("faults == disagreeing", ["00"]),
         ("not !(name == Speed)", ["11 7f"]),
@@ -303,6 +305,8 @@ WRONG = [
     ("faulty or nam == Speed", "          ^^^", "'nam' is no name here: did you mean name?"),
     ("zzz", "^^^", "'zzz' is no name here: there are speed, strength"),
     ("name == Horn", "        ^^^^", "'Horn' is no value of name in this grammar: there are Stop"),
+    ("faults == Horn", "          ^^^^", "early, out of step, lost bytes, gap and 7 more"),
+    ("state.motion == up", "                ^^", "backward, rotate_right, rotate_left"),
     ("name == Forwad", "        ^^^^^^", "did you mean Forward?"),
     ("direction == hots", "             ^^^^", "did you mean host?"),
     ("name contains zz", "              ^^", "is in no name; there are Stop"),
@@ -342,6 +346,7 @@ WRONG = [
     ("speed != 1000", "         ^^^^", "never holds"),
     ("speed in {1, 300}", "             ^^^", "never holds"),
     ("speed in 300..400", "         ^^^", "never holds"),
+    ("speed in 1.2..1.8", "         ^^^^^^^^", "no whole number is in this range"),
     ("rgb == 2.5", "       ^^^", "is not whole, and rgb always is"),
     ("rgb in {2.5}", "        ^^^", "is not whole"),
     ("rgb & 256", "      ^^^", "so it has no such bit"),
@@ -463,7 +468,7 @@ def _filter_or_error(text: str, protocol: Protocol) -> None:
 
 @pytest.mark.slow
 @given(acts=ACTS, chosen=SETTINGS)
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_every_anomaly_and_every_row_has_words_that_the_language_knows(
     each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
 ) -> None:

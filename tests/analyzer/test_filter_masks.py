@@ -63,7 +63,7 @@ def require_same(test: Filter, stretch: Stretch) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(data=st.data(), acts=ACTS, chosen=SETTINGS)
 def test_the_mask_of_any_filter_is_the_filter_of_each_line(
     each_protocol: Protocol, data: st.DataObject, acts: list[Act], chosen: dict[str, Any]
@@ -86,7 +86,7 @@ def driven(protocol: Protocol, horn: Protocol, wide: Protocol) -> list[tuple[Pro
     ]
 
 
-@settings(max_examples=100)
+@settings(max_examples=80)
 @given(data=st.data())
 def test_the_mask_over_answers_of_all_kinds_is_the_filter_of_each_line(
     driven: list[tuple[Protocol, Stretch]], data: st.DataObject
@@ -114,6 +114,8 @@ def test_the_mask_over_answers_of_all_kinds_is_the_filter_of_each_line(
         "faulty and latency > 1ms",
         "agrees == False",
         "not agrees",
+        "agrees == state.moving",
+        "faulty != agrees and direction == device",
         "'disagreeing' in faults or faults contains slow",
         "faults == ('slow',)",
         "reason != '' and 'ms' in reason",

@@ -139,8 +139,6 @@ TYPED = [
         ["decode", "--filter", 'faults contains "lost bytes"'],
     ),
     ("conform emulator:sima", "x.elf", ["conform", "emulator:simavr:x.elf"]),
-    ("encode led rg", "5", ["encode", "led", "rgb=5"]),
-    ("conform --probe modem:ct", "sim", ["conform", "--probe", "modem:cts", "sim"]),
     ("conform sim --only bad-data/L", "9", ["conform", "sim", "--only", "bad-data/LED/9"]),
     ("info driv", "", ["info", "drive.mcap"]),
 ]

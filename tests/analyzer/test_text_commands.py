@@ -250,17 +250,6 @@ def test_completion_prints_a_script_for_the_shell(shell: str) -> None:
     assert "_BILPROV_COMPLETE" in text("completion", shell)
 
 
-def test_completion_offers_subcommands_and_instructions() -> None:
-    def offered(words: str, at: int) -> bytes:
-        return command(
-            _BILPROV_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(at)
-        ).stdout
-
-    assert b"explain" in offered("bilprov ex", 1)
-    assert b"RotateLeft" in offered("bilprov encode rot", 2)
-    assert b"R-led-id" in offered("bilprov spec readings R-led", 3)
-
-
 # info
 
 
