@@ -32,6 +32,7 @@ from bilprov.analyzer.edit.recorded_values import (
     Timed,
     batched,
     events_in,
+    parted,
     saved_text,
     size_of,
     timed,
@@ -139,7 +140,7 @@ def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress
     streams = [_values(joined, place, protocol) for place in range(len(joined.sources))]
     merged = (one.value for one in heapq.merge(*streams, key=lambda one: one.now))
     size = 0
-    for batch in batched(timed(merged, 0)):
+    for batch in parted(batched(timed(merged, 0))):
         first = batch[0].value
         if isinstance(first, Resumption):
             numbered = _numbered(first, decoder.saved(), protocol)

@@ -69,9 +69,10 @@ def new_capture(
     except ValueError as error:
         raise CaptureError(f"{printable(out)} cannot be written: {error}") from error
     except CaptureError as error:
-        if writer is None or not writer.failed:
-            raise
-        why = error.__cause__.strerror if isinstance(error.__cause__, OSError) else error
+        cause = error.__cause__
+        if not isinstance(cause, OSError) or not (writer is None or writer.failed):
+            raise  # the capture that is read
+        why = cause.strerror
         raise CaptureError(
             f"{printable(out)} cannot be written ({printable(why)}): make room or name another file"
         ) from error

@@ -33,14 +33,11 @@ def timed(values: Iterator[Recorded], now: int) -> Iterator[Timed]:
 def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
     """Yield values in lists of at most 4,096, with about 32 KiB of raw bytes.
 
-    A Resumption is the first of its list.
+    No more is taken than is handed out: who stops in between can go on with the rest of `values`.
     """
     batch: list[Timed] = []
     size = 0
     for one in values:
-        if batch and isinstance(one.value, Resumption):
-            yield batch
-            batch, size = [], 0
         batch.append(one)
         size += len(one.value.data) if isinstance(one.value, Chunk) else 0
         if len(batch) >= _BATCH_VALUES or size >= _BATCH_BYTES:
@@ -48,6 +45,17 @@ def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
             batch, size = [], 0
     if batch:
         yield batch
+
+
+def parted(batches: Iterator[list[Timed]]) -> Iterator[list[Timed]]:
+    """Yield the batches in such parts that each Resumption is the first of one."""
+    for batch in batches:
+        begin = 0
+        for place, one in enumerate(batch):
+            if place > begin and isinstance(one.value, Resumption):
+                yield batch[begin:place]
+                begin = place
+        yield batch[begin:]
 
 
 def events_in(batch: list[Timed]) -> list[Chunk | Line]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
+import resource
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.cli.options import compiled
-from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.anomalies import UNCLEAR
 from bilprov.analyzer.decode.records import (
     HostRecord,
     Record,
@@ -19,13 +22,16 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.edit.cut import write_selected, write_window
-from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
+from bilprov.analyzer.edit.new_capture import Stopped, edited_metadata, new_capture
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command, process
 from tests.support.decoding import Event
 from tests.support.traffic import ACTS, SETTINGS, played
 
@@ -33,9 +39,20 @@ from tests.support.traffic import ACTS, SETTINGS, played
 HOW = SETTINGS.map(lambda how: how | {"timeout": how["timeout"] or None})
 START = 1_790_000_000_000_000_000
 ALL = Window()
-QUICK = settings(
-    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILTERS = [
+    "faulty",
+    "latency > 0.002",
+    "direction == device",
+    "kind == truncated",
+    "kind == garbage or state.moving",
+    "kind == response and not agrees",
+    "kind == fault",
+    "direction == host and t > 0.1",
+    "t < 0",
+]
+SHARES = st.none() | st.tuples(st.integers(0, 3000), st.integers(0, 3000))
+"""A window, in parts of the time that the events take."""
 
 
 def written(path: Path, events: Sequence[Event], how: dict[str, Any]) -> Path:
@@ -89,50 +106,89 @@ def effective(events: Iterable[Event]) -> list[tuple[int, Event]]:
     return found
 
 
-def seen(records: Iterable[Record]) -> list[object]:
+def seen(records: Iterable[Record]) -> list[Any]:
     """What people see of frames: times, bytes, numbers, judgements, states, latencies."""
     return [json_line(record) for record in records if is_frame(record)]
 
 
-@QUICK
-@given(acts=ACTS, how=HOW, window=st.tuples(st.integers(0, 3000), st.integers(0, 3000)))
+def raw(path: Path, side: str) -> bytes:
+    events = open_capture(path).events()
+    return b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == side)
+
+
+def is_unclear(record: Record) -> bool:
+    return isinstance(record, HostRecord) and record.note == UNCLEAR
+
+
+def window_of(events: Sequence[Event], shares: tuple[int, int] | None) -> Window:
+    last = max((event.t for event in events), default=0)
+    return Window(*sorted(last * share // 2500 for share in shares)) if shares else ALL
+
+
+@pytest.mark.slow
+@FEW
+@given(acts=ACTS, how=HOW, shares=SHARES)
 def test_a_window_keeps_the_events_and_is_decoded_as_the_whole(
     each_protocol: Protocol,
     tmp_path: Path,
     acts: Any,
     how: dict[str, Any],
-    window: tuple[int, int],
+    shares: tuple[int, int] | None,
 ) -> None:
     events = [event for event in played(each_protocol, acts) if event.t >= 0]
     path = written(tmp_path / "a.mcap", events, how)
-    last = max((event.t for event in events), default=0)
-    first, after = sorted(last * part // 2500 for part in window)
-    part = cut(path, each_protocol, Window(first, after))
+    window = window_of(events, shares)
+    first = window.first or 0
+    after = 1 << 62 if window.after is None else window.after
+    part = cut(path, each_protocol, window)
 
     inside = [event for now, event in effective(events) if first <= now < after]
     kept = [event for event in open_capture(part).events() if not getattr(event, "silent", False)]
     assert kept[: len(inside)] == inside
-    assert [event.event for event in kept[len(inside) :] if isinstance(event, Line)] in (
-        [],
-        ["gap"],
-    )
-    assert not any(isinstance(event, Chunk) for event in kept[len(inside) :])
+    assert [getattr(event, "event", "") for event in kept[len(inside) :]] in ([], ["gap"])
 
     session = Session(each_protocol, **how)
     told: list[Record] = []
     for now, event in effective(events):
         if now < after:
             told += session.feed(event)
+    # Bytes that are seen to be no frame only together cannot be seen to be none by half of them.
+    assume(not any(is_unclear(record) and record.t < first <= record.end for record in told))
     expected = seen(record for record in told if last_byte(record) >= first)
     decoded = seen(r for r in read_capture(part, each_protocol) if last_byte(r) >= first)
     assert decoded[: len(expected)] == expected
+
+
+@pytest.mark.slow
+@FEW
+@given(acts=ACTS, how=HOW, shares=SHARES, expression=st.sampled_from(FILTERS))
+def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(
+    each_protocol: Protocol,
+    tmp_path: Path,
+    acts: Any,
+    how: dict[str, Any],
+    shares: tuple[int, int] | None,
+    expression: str,
+) -> None:
+    events = [event for event in played(each_protocol, acts) if event.t >= 0]
+    path = written(tmp_path / "a.mcap", events, how)
+    window = window_of(events, shares)
+    part = cut(path, each_protocol, window, expression)
+
+    test = compiled(expression, each_protocol)
+    expected, more = selected(read_capture(path, each_protocol), window, test)
+    decoded = seen(read_capture(part, each_protocol))
+    assert [line for line in decoded if line in expected or not more] == expected
+    for side in ("host", "device"):  # no byte too many, and none told by a checkpoint alone
+        told = [line for line in decoded if line.direction == side]
+        assert raw(part, side) == bytes.fromhex("".join(line.hex for line in told))
 
 
 def last_byte(record: Record) -> int:
     return record.end if isinstance(record, HostRecord) else record.t
 
 
-def selected(records: Iterable[Record], window: Window, test: Any) -> tuple[list[object], bool]:
+def selected(records: Iterable[Record], window: Window, test: Any) -> tuple[list[Any], bool]:
     """The frames that a filter selects with their answers, and whether there may be others.
 
     Those are told by nothing but what came at the same moment, or in the same hunt.
@@ -158,3 +214,165 @@ def selected(records: Iterable[Record], window: Window, test: Any) -> tuple[list
         if place in alone or {line.sequence, line.answers} & exchanges
     ]
     return kept, loose
+
+
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
+OLDER = ROOT / "captures" / "samples" / "older" / "conform.mcap.gz"
+
+
+def lines_of(path: Path, *options: str) -> list[str]:
+    done = command("replay", "--rate", "0", "--format", "jsonl", *options, str(path))
+    assert done.returncode == 0
+    return done.stdout.decode().splitlines()
+
+
+def done(*words: object, code: int = 0) -> str:
+    """Run a command, which says nothing on standard output; what it says on standard error."""
+    result = command(*map(str, words))
+    assert (result.returncode, result.stdout) == (code, b""), result.stderr
+    return result.stderr.decode()
+
+
+@pytest.mark.parametrize(("start", "end"), [("0.3", "1.2"), ("0.7192", "0.7195"), ("2", "99")])
+def test_a_part_of_the_sample_shows_the_lines_of_the_whole(
+    tmp_path: Path, start: str, end: str
+) -> None:
+    part = tmp_path / "part.mcap"
+    done("cut", SAMPLE, part, "--start", start, "--end", end)
+    window = ("--start", start, "--end", end)
+    assert lines_of(part, *window) == lines_of(SAMPLE, *window)
+
+
+@pytest.mark.parametrize("expression", ["faulty", "latency > 1ms", "direction == device", "t > 3"])
+def test_a_filtered_part_of_the_sample_shows_the_lines_that_the_filter_does(
+    tmp_path: Path, expression: str
+) -> None:
+    expression = expression.replace("1ms", "0.001")
+    part = tmp_path / "part.mcap"
+    done("cut", SAMPLE, part, "--filter", expression)
+    again = lines_of(part, "--filter", f"({expression}) and kind != gap")
+    assert again == lines_of(SAMPLE, "--filter", expression)
+
+
+def test_where_bytes_are_left_out_a_gap_says_how_many(tmp_path: Path) -> None:
+    part = tmp_path / "part.mcap"
+    done("cut", SAMPLE, part, "--filter", "t > 0.4 and t < 0.42 or t > 7")
+    gaps = [event for event in open_capture(part).events() if isinstance(event, Line)]
+    left_out = sum(int(gap.detail.split()[0]) for gap in gaps if gap.event == "gap")
+    counts = open_capture(SAMPLE).contents.sizes, open_capture(part).contents.sizes
+    for sizes in counts:
+        assert sizes["/host/raw"]
+    assert left_out == sum(
+        counts[0][topic] - counts[1][topic] for topic in ("/host/raw", "/device/raw")
+    )
+
+
+def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:
+    part, again, full = (tmp_path / name for name in ("part.mcap", "again.mcap", "full.mcap"))
+    done("cut", SAMPLE, part, "--filter", "state.moving")
+    done("cut", part, again, "--start", "0.2", "--end", "0.7")
+    window = ("--start", "0.2", "--end", "0.7", "--filter", "kind != gap")
+    assert lines_of(again, *window) == lines_of(part, *window)
+    done("convert", "--decoded", part, full)
+    assert lines_of(full) == lines_of(part)
+    history = open_capture(again).metadata["history"]
+    assert history.count("cut part.mcap --start 0.2 --end 0.7") == 1
+    assert history.startswith("cut examples.mcap --filter state.moving")
+
+
+def test_with_another_grammar_a_part_begins_in_running_traffic(
+    tmp_path: Path, horn: Protocol
+) -> None:
+    part = tmp_path / "part.mcap"
+    done("cut", SAMPLE, part, "--start", "0.3", "--end", "1.2")
+    other = [record for record in read_capture(part, horn) if is_frame(record)]
+    own = [record for record in read_capture(part) if is_frame(record)]
+    assert [record.hex for record in other] == [record.hex for record in own]
+    assert other[0].sequence == 0 != own[0].sequence
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    copy, link, old = tmp_path / "in.mcap", tmp_path / "link.mcap", tmp_path / "old.mcap"
+    copy.write_bytes(SAMPLE.read_bytes())
+    link.symlink_to(copy)
+    old.write_text("precious")
+    for out in (copy, link):
+        said = done("cut", copy, out, "--end", "1", "--force", code=2)
+        assert "itself, which would be lost" in said
+    assert "exists: name another file, or say --force" in done(
+        "cut", copy, old, "--end", "1", code=2
+    )
+    assert (old.read_text(), copy.read_bytes()) == ("precious", SAMPLE.read_bytes())
+    done("cut", copy, old, "--end", "1", "--force")
+    assert lines_of(old) == lines_of(SAMPLE, "--end", "1")
+    assert "is no regular file" in done("cut", copy, "/dev/full", "--end", "1", "--force", code=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "link.mcap", "old.mcap"]
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ((), "say what OUT is to hold"),
+        (("--start", "2", "--end", "1"), "--end 1 is not after --start 2"),
+        (("--filter", "hello =="), "filter"),
+    ],
+)
+def test_wrong_use_writes_nothing(tmp_path: Path, options: tuple[str, ...], part: str) -> None:
+    assert part in done("cut", SAMPLE, tmp_path / "out.mcap", *options, code=2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
+    capture = open_capture(SAMPLE)
+    metadata = edited_metadata(capture, protocol, "cut")
+    out = tmp_path / "out.mcap"
+    opened = opened_at(SAMPLE, protocol, 0)
+    with (
+        pytest.raises(Stopped),
+        new_capture(out, capture.start, metadata, force=False) as writer,
+    ):
+        write_window(opened, protocol, writer, Window(0, 1 << 40), lambda size: False)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.waits
+def test_a_full_disk_leaves_nothing_and_is_one_sentence(tmp_path: Path) -> None:
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    out = tmp_path / "out.mcap"
+    result = process("cut", str(SAMPLE), str(out), "--end", "1", preexec_fn=little_room)
+    assert result.returncode == 2
+    (said,) = result.stderr.decode().splitlines()
+    assert said.startswith(f"bilprov: {out} cannot be written (File too large): make room")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_of_a_recorded_run_the_cases_and_looks_are_kept_but_it_is_not_judged_again(
+    tmp_path: Path,
+) -> None:
+    run, part = tmp_path / "run.mcap", tmp_path / "part.mcap"
+    run.write_bytes(gzip.decompress(OLDER.read_bytes()))
+    end = open_capture(run).contents.last - open_capture(run).start
+    done("cut", run, part, "--end", str(end / 3e9))
+    wanted = {"/conformance/cases", "/conformance/looks", "/conformance/asks"}
+    whole = [m for m in open_capture(run).messages(wanted) if m.t < end // 3 - 1_000_000]
+    kept = [(m.topic, m.t, m.value) for m in open_capture(part).messages(wanted)]
+    assert kept[: len(whole)] == [(m.topic, m.t, m.value) for m in whole]
+    assert 0 < len(kept) < open_capture(run).contents.counts["/conformance/looks"] * 10
+    assert "but an edited one" in done("recheck", part, code=2)
+
+
+def test_of_a_damaged_file_what_is_whole_is_cut(tmp_path: Path, protocol: Protocol) -> None:
+    path, part = tmp_path / "damaged.mcap", tmp_path / "part.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:
+        for n in range(100):
+            writer.chunk(Chunk(n * 200 * MS, "host", b"\x20"))
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 40] = bytes(40)
+    path.write_bytes(bytes(content))
+    said = done("cut", path, part, "--start", "1", "--end", "19")
+    assert "damaged" in said
+    window = ("--start", "1", "--end", "19")
+    assert lines_of(part, *window) == lines_of(path, *window)
