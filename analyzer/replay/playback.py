@@ -6,7 +6,7 @@ import math
 import select
 import time
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
+from itertools import chain, dropwhile
 from typing import TypeVar
 
 from bilprov.analyzer.transport.signals import Stopper
@@ -42,9 +42,8 @@ def paced(
 
     def at_their_times() -> Iterator[Paced]:
         began = clock()
-        for event in events:
-            if start is not None and event.t < start:
-                continue
+        # An older event after one that is played has come late: decoding needs it all the same.
+        for event in dropwhile(lambda event: start is not None and event.t < start, events):
             if end is not None and event.t >= end:
                 return
             if rate > 0:
