@@ -75,7 +75,7 @@ PLACES = {
 _ROWS = (("bilprov",), ("analyzer", "conformance"), ("captures",), ("spec",))
 _WIDTH, _EDGE, _PAD, _GAP, _HEADING = 1060, 10, 12, 26, 28
 _ASIDE = 660  # width of the analyzer's panel, beside the suite's
-_TITLE, _NOTE, _LINE = 9.2, 6.9, 17  # px: a letter of a title, of a note, a line of text
+_TITLE, _NOTE, _LINE = 9.4, 7.4, 17  # px: a letter of a title, of a note, a line of text
 
 _STYLE = """
 text { font-family: system-ui, 'DejaVu Sans', Arial, sans-serif; fill: #1b1f24 }

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.cli.options import compiled
 from bilprov.analyzer.decode.anomalies import UNCLEAR
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import (
     HostRecord,
     Record,
@@ -23,7 +24,6 @@ from bilprov.analyzer.decode.records import (
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.edit.cut import write_selected, write_window
 from bilprov.analyzer.edit.new_capture import Stopped, edited_metadata, new_capture
-from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures.reader import open_capture
