@@ -153,6 +153,7 @@ class Browser(App[str | None]):
         self._zoomed = False
         self._figures_at = 0.0
         self._shown: tuple[object, ...] = ()
+        self._written: dict[str, Text] = {}
         self.frames = FrameList(feed.recording, told.rows, told.start_wall, signs)
         self.fields = FieldTree(feed.recording.protocol, signs)
         self.hex = HexPane()
@@ -284,29 +285,28 @@ class Browser(App[str | None]):
             self.faults.follow(row)
         protocol = self._recording.protocol
         state = record.state if record else State("stopped", 0, 0, 0, moving=False)
-        self.query_one("#car", Static).update(
-            Text("\n", no_wrap=True).join(car(protocol, state, self.signs))
-        )
+        self._write("car", Text("\n", no_wrap=True).join(car(protocol, state, self.signs)))
 
     def _show_figures(self) -> None:
-        pane = self.query_one("#figures", Static)
-        if pane.display:
+        if self.query_one("#figures").display:
             lines = figures(
                 self._recording.totals, self.feed.rates, self.told.byte_time, self.signs
             )
-            pane.update(Text("\n", no_wrap=True).join(lines))
+            self._write("figures", Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
-        head = self.query_one("#head", Static)
-        place = self._place()
-        title = self._title()
-        title.truncate(max(0, self.size.width - place.cell_len), overflow="crop")
-        head.update(_spread(title, place, self.size.width))
-        keys = "? help  q quit"
-        self.query_one("#status", Static).update(
-            _spread(self._status(), Text(keys, "dim"), self.size.width)
-        )
+        width = self.size.width
+        place, title = self._place(), self._title()
+        title.truncate(max(0, width - place.cell_len), overflow="crop")
+        self._write("head", _spread(title, place, width))
+        self._write("status", _spread(self._status(), Text("? help  q quit", "dim"), width))
+
+    def _write(self, name: str, text: Text) -> None:
+        """Write a text into a pane, where it is another one than before: drawing takes time."""
+        if self._written.get(name) != text:
+            self._written[name] = text
+            self.query_one(f"#{name}", Static).update(text)
 
     def _title(self) -> Text:
         captured = (
