@@ -6,8 +6,10 @@ import errno
 import os
 import secrets
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 
 def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
@@ -38,26 +40,63 @@ def why_not_writable(file: Path) -> str:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file atomically: to a temporary file beside it, synced, which then replaces it.
+    """Write a file atomically, as `whole_file` does. Raises OSError."""
+    with whole_file(file) as out:
+        out.write(data)
 
-    So a reader, or a crash, finds the old content or the new one, never a half. The temporary file
-    is always a new one: nobody can plant a link under its name. A pipe or a terminal is written to
-    directly. Raises OSError.
+
+@contextmanager
+def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
+    """Write a file atomically: a temporary file beside it, which is synced and then renamed.
+
+    So a reader, or a crash, finds the old content or the new one, never a half; where the block
+    raises, the temporary file goes. It is always a new one: nobody can plant a link under its name.
+    A pipe or a terminal is written to directly. Raises OSError, and FileExistsError where there is
+    a file, now or at the end, which `replace` does not allow to be replaced.
     """
     file = file.resolve()
     if file.exists() and not file.is_file():
-        file.write_bytes(data)
+        with file.open("wb") as pipe:
+            yield pipe
         return
+    if not replace and file.exists():  # before all the work
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(file))
+    with replaced_whole(file, force=replace) as part, part.open("xb") as beside:
+        yield beside
+
+
+@contextmanager
+def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
+    """Give a name beside `file` to write to; at the end of the block that becomes the file.
+
+    If the block raises, what was written is removed. Raises FileExistsError, and keeps the old
+    file, if there is one by then, unless `force`.
+    """
+    file = file.resolve()
     part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
-    with part.open("xb") as beside:
-        try:
-            beside.write(data)
-            beside.flush()
-            os.fsync(beside.fileno())
+    try:
+        yield part
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        if force:
             if file.exists():
                 shutil.copymode(file, part)
             part.replace(file)
-        except BaseException:
-            with suppress(OSError):
-                part.unlink()
-            raise
+        elif not _linked(part, file):
+            part.rename(file)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _linked(part: Path, file: Path) -> bool:
+    """Give a file a second name, which must be new; false where the file system knows no links."""
+    try:
+        os.link(part, file)
+    except FileExistsError:
+        raise
+    except OSError:
+        if file.exists():
+            raise FileExistsError(errno.EEXIST, "it exists", str(file)) from None
+        return False
+    return True

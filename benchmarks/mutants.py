@@ -38,9 +38,12 @@ ROOMS = {  # the code, and the tests that are its own
         "analyzer/decode",
         [
             *("tests/analyzer/test_session.py", "tests/analyzer/test_pairing.py"),
-            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_filter.py"),
-            "tests/analyzer/test_decode_command.py",
+            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_decode_command.py"),
         ],
+    ),
+    "filters": (
+        "analyzer/filters",
+        ["tests/analyzer/test_filter.py", "tests/analyzer/test_filter_masks.py"],
     ),
     "captures": ("captures", ["tests/captures"]),
     "runner": ("conformance/runner", ["tests/conformance/runner"]),

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from bilprov.captures import topics
-from bilprov.captures.reader import Capture, events_of, sights_of
+from bilprov.captures.reader import Capture, Recorded, events_of, recorded_of, sights_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
 from bilprov.captures.storage.index import Index, IndexedChunk, read_index
@@ -81,6 +81,10 @@ class IndexedCapture(Capture):
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, as `events` does."""
         return sights_of(self, self._stored(after))
+
+    def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
+        """Yield all that was recorded and not decoded from the bytes, as `events` does."""
+        return recorded_of(self, self._stored(after))
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
         def read(file: BufferedReader, contents: Contents) -> Iterator[Stored]:

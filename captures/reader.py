@@ -23,6 +23,7 @@ from bilprov.captures.schemas import (
     Direction,
     Line,
     Look,
+    Resumption,
 )
 from bilprov.captures.storage.messages import Contents, Stored, attachments, stored_messages
 from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
@@ -86,8 +87,9 @@ class Capture:
     def events(self) -> Iterator[Chunk | Line]:
         """Yield the chunks and line events in order, for decoding.
 
-        Where messages are lost by damage to the file, a Line `gap` is inserted. Raises CaptureError
-        if the file changed since it was opened or cannot be read.
+        Where messages are lost by damage to the file, a Line `gap` is inserted. A checkpoint that
+        `resumes` is a Resumption, with the `gap` right before it if there is one. Raises
+        CaptureError if the file changed since it was opened or cannot be read.
         """
         return events_of(self, self._stored())
 
@@ -101,9 +103,9 @@ class Capture:
     def recorded(self) -> Iterator[Recorded]:
         """Yield all that was recorded and not decoded from the bytes, in order.
 
-        Raises CaptureError as `events` does.
+        Resumptions are as in `events`. Raises CaptureError as `events` does.
         """
-        return _recorded(self, self._stored(), _RECORDED)
+        return recorded_of(self, self._stored())
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -136,17 +138,43 @@ class Capture:
 
 
 def events_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line]:
-    """The chunks and line events among stored messages of a capture, with gaps inserted."""
-    for value in _recorded(capture, stored, {topics.LINE}):
+    """The chunks and line events among stored messages, as `Capture.events` says."""
+    for value in recorded_of(capture, stored, {topics.LINE, topics.CHECKPOINT}):
         if isinstance(value, Chunk | Line):
             yield value
 
 
 def sights_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line | Look]:
-    """The events and looks among stored messages of a capture, with gaps inserted."""
-    for value in _recorded(capture, stored, {topics.LINE, topics.LOOKS}):
+    """The events and looks among stored messages, as `Capture.sights` says."""
+    wanted = {topics.LINE, topics.LOOKS, topics.CHECKPOINT}
+    for value in recorded_of(capture, stored, wanted):
         if isinstance(value, Chunk | Line | Look):
             yield value
+
+
+def recorded_of(
+    capture: Capture,
+    stored: Iterator[Stored],
+    wanted: Collection[str] = _RECORDED.keys(),
+) -> Iterator[Recorded]:
+    """The raw chunks among stored messages, and the values of the topics that are `wanted`."""
+    gap: Line | None = None
+    for value in _recorded(capture, stored, wanted):
+        if isinstance(value, Checkpoint) and value.resumes:
+            at = gap or Line(value.t, "gap")
+            silent = gap is None
+            yield Resumption(at.t, at.event, at.tap, at.detail, checkpoint=value, silent=silent)
+            gap = None
+            continue
+        if gap:
+            yield gap
+            gap = None
+        if isinstance(value, Line) and value.event == "gap":
+            gap = value
+        else:
+            yield value
+    if gap:
+        yield gap
 
 
 def _recorded(

@@ -165,17 +165,20 @@ class Checkpoint(Timed, frozen=True):
 
     `decoder` is the state as the decoder wrote it (JSON), in which nobody else looks; `grammar` is
     the sha256 of the grammar that it decoded by. `crc` is the CRC-32 of the UTF-8 text of `t`,
-    `grammar` and `decoder`, a newline between them.
+    `grammar` and `decoder`, a newline between them. `resumes` is true where the messages before it
+    do not lead to that state, since some were left out (a `gap` right before it says how much) or
+    the capture begins there: decoding then has to go on from it.
     """
 
     grammar: str
     decoder: str
     crc: int
+    resumes: bool | None = None
 
     @classmethod
-    def of(cls, t: int, grammar: str, decoder: str) -> Self:
+    def of(cls, t: int, grammar: str, decoder: str, resumes: bool | None = None) -> Self:
         """A checkpoint at `t` (ns) with its checksum."""
-        return cls(t, grammar, decoder, _crc(t, grammar, decoder))
+        return cls(t, grammar, decoder, _crc(t, grammar, decoder), resumes)
 
     @property
     def whole(self) -> bool:
@@ -187,6 +190,22 @@ class Checkpoint(Timed, frozen=True):
         except (msgspec.MsgspecError, ValueError, RecursionError):
             return False
         return True
+
+
+class Resumption(Line, frozen=True, kw_only=True):
+    """A place from which decoding goes on in a known state; a reader gives it, no file holds it.
+
+    It stands for a checkpoint that `resumes`, and for the `gap` right before it: what came in
+    between was left out. With `silent` there is no gap: the capture begins there.
+    """
+
+    checkpoint: Checkpoint
+    silent: bool = False
+
+    @property
+    def gap(self) -> Line:
+        """The line event without the checkpoint, as a file holds it."""
+        return Line(self.t, self.event, self.tap, self.detail)
 
 
 def _crc(t: int, grammar: str, decoder: str) -> int:

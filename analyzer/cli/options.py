@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from bilprov.captures.text import escape_controls
+
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.outputs import Format
     from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.spec.protocol import Protocol
@@ -56,7 +58,7 @@ def line_options(command: Command) -> Command:
 
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.output.filter import HELP
+    from bilprov.analyzer.filters.filter import HELP
 
     return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
 
@@ -124,9 +126,10 @@ def row_options(command: Command) -> Command:
     return click.option(
         "--time",
         "time_style",
+        metavar="STYLE",
         type=click.Choice(["relative", "delta", "absolute", "utc"]),
-        help="How times are shown: seconds since the start (the usual) or since the row before, "
-        "date and time of day here or in UTC.",
+        help="How times are shown: relative, in seconds since the start (the usual); delta, since "
+        "the row before; absolute, date and time of day here; or utc.",
     )(command)
 
 
@@ -183,7 +186,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     """Compile a filter expression; None if there is none. Raises FilterError."""
     if expression is None:
         return None
-    from bilprov.analyzer.output.filter import compile_filter
+    from bilprov.analyzer.filters.filter import compile_filter
 
     return compile_filter(expression, protocol)
 
@@ -191,6 +194,15 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+def note_hindrances(*names: str) -> None:
+    """Print a note for what makes opened ports slow or unsafe; URLs and ptys have nothing."""
+    from bilprov.analyzer.doctor.system import notes
+
+    for name in names:
+        for sentence in notes(name):
+            note(escape_controls(sentence))
 
 
 class NotConfirmed(click.ClickException):

@@ -140,6 +140,7 @@ def replay(
     window = _window(start, end, duration)
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
+    test = test and test.started(capture.start)
     for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)
@@ -153,11 +154,13 @@ def replay(
         target = None
         if port is not None:
             from bilprov.analyzer.cli.resend import opened_target, send_again
+            from bilprov.analyzer.replay.comparison import ReplayRun
 
             settings = line_settings(protocol, baud, parity, stopbits)
             pause = capture_timeout(capture, protocol, timeout)
+            run = ReplayRun()
             target = stack.enter_context(
-                opened_target(protocol, port, settings, pause, rate, stopper)
+                opened_target(protocol, port, settings, pause, rate, stopper, run)
             )
         statistics = Statistics()
         judge = None
@@ -197,7 +200,7 @@ def replay(
             pipeline = Pipeline(opened.decoder, statistics, shown_rows, judge=judge)
             if target is not None:
                 return send_again(
-                    protocol, capture, pipeline, output, target, rate, window, stopper
+                    protocol, capture, pipeline, output, target, run, rate, window, stopper
                 )
             events = capture.sights() if judge else opened.events()
             _show(events, pipeline, rate, window, stopper, judge)

@@ -20,6 +20,7 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    note_hindrances,
     plain_option,
     row_options,
     row_style,
@@ -128,6 +129,7 @@ def sniff(
             source = stack.enter_context(opened_tap(given, settings))
         except ValueError as error:
             raise click.UsageError(str(error)) from None
+        note_hindrances(*source.names.values())
         skew = 0 if source.one_clock else SKEW
         if test:
             test = test.started(source.start_wall)

@@ -128,6 +128,11 @@ class Stretch:
         return self.decoding.tables.states(self.data, self.new, values_of(self.before))
 
     @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether the wheels turn after each new host row."""
+        return self.decoding.tables.moving(self.data, self.new, values_of(self.before))
+
+    @cached_property
     def agrees(self) -> NDArray[np.bool_]:
         """Whether each device row is the expected answer; for paired rows only."""
         expected = self.decoding.tables.codes.take(self.frames.verdict[: len(self.byte)])

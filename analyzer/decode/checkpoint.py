@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.captures.schemas import MS, Direction, State
 from bilprov.spec.motion import Motion, is_moving
@@ -98,6 +99,28 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         )
         if not sane:
             raise ValueError("no session is ever in this state")
+
+
+def shifted(state: DecoderState, by: int) -> DecoderState:
+    """The same state in a recording in which everything comes `by` ns later."""
+
+    def later(t: int | None) -> int | None:
+        return None if t is None else t + by
+
+    return replace(
+        state,
+        time=state.time + by,
+        frame_start=state.frame_start + by if state.frame else 0,
+        frame_end=state.frame_end + by if state.frame else 0,
+        waiting=tuple(
+            replace(group, end=group.end + by, expires=group.expires + by)
+            for group in state.waiting
+        ),
+        held=tuple((t + by, byte) for t, byte in state.held),
+        out_of_step=later(state.out_of_step),
+        lost_at=later(state.lost_at),
+        unsynced_since=later(state.unsynced_since),
+    )
 
 
 def encoded(state: DecoderState) -> str:

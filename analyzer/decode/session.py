@@ -11,12 +11,12 @@ from typing import TypedDict
 
 import msgspec
 
-from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode import anomalies, checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.decoder import LOSSES, Decoder
-from bilprov.analyzer.decode.records import Record, written_state
+from bilprov.analyzer.decode.records import LineRecord, Record, written_state
 from bilprov.analyzer.decode.resync import Resync
-from bilprov.captures.schemas import MS, Chunk, Direction, Line
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Resumption
 from bilprov.spec.framing import Framed
 from bilprov.spec.protocol import Protocol
 
@@ -47,6 +47,10 @@ class Session:
     While frame boundaries are unknown (after attaching, and after a loss), events are buffered
     until the boundaries are found, the host pauses for the time-out, or the buffer holds as many
     bytes as four of the longest frames.
+
+    At a Resumption decoding goes on from its checkpoint, if that is of this grammar and of these
+    settings: what falls due by then comes out, and all else that is under way is dropped silently.
+    With any other checkpoint it is a gap, or if it is silent a beginning in running traffic.
     """
 
     def __init__(
@@ -75,6 +79,10 @@ class Session:
     def deadline(self) -> int | None:
         """The time (ns) at which `advance` is next needed without an event, None if it is not."""
         return self._resync.deadline if self._resync else self._decoder.deadline
+
+    @property
+    def _settings(self) -> tuple[int, int, tuple[Direction, ...]]:
+        return self._timeout, self._skew, self._heard
 
     @property
     def regular(self) -> bool:
@@ -133,7 +141,7 @@ class Session:
 
     def resume(self, state: DecoderState) -> None:
         """Go on from a saved state. Raises ValueError if it is of a session with other settings."""
-        if (state.timeout, state.skew, state.heard) != (self._timeout, self._skew, self._heard):
+        if (state.timeout, state.skew, state.heard) != self._settings:
             raise ValueError("the state was saved with other settings")
         state.require_sense(self._protocol)
         self._resync = None
@@ -152,6 +160,8 @@ class Session:
 
     def _event(self, event: Chunk | Line, out: list[Record]) -> None:
         """Decode or buffer an event, after all that fell due before it."""
+        if isinstance(event, Resumption) and self._resumed(event, out):
+            return
         if isinstance(event, Chunk) and event.direction == "host":
             self._host(event.data, event.t, out)
         elif isinstance(event, Line) and event.event in LOSSES:
@@ -167,6 +177,29 @@ class Session:
         else:
             self._spoken = True
             self._decoded(event, out)
+
+    def _resumed(self, event: Resumption, out: list[Record]) -> bool:
+        """Go on from the checkpoint; return whether that is all, or the event is still a gap."""
+        state = self._fitting(event.checkpoint)
+        if state is None:
+            if event.silent:
+                self._unsynced_since, self._spoken = event.t, False
+            return event.silent
+        self.resume(state)
+        self._time = max(self._time, event.t)
+        if not event.silent:
+            gap = event.gap
+            out.append(LineRecord(gap, True, state.state, anomalies.of_line(gap, lost=True)))
+        return True
+
+    def _fitting(self, found: Checkpoint) -> DecoderState | None:
+        """The state in a checkpoint; None if this session cannot go on from it."""
+        if found.grammar != self._protocol.sha256 or not found.whole:
+            return None
+        state = checkpoint.decoded(found.decoder, self._protocol)
+        if state is None or (state.timeout, state.skew, state.heard) != self._settings:
+            return None
+        return state
 
     def _host(self, data: bytes, now: int, out: list[Record]) -> None:
         """Pass host bytes to resynchronisation one by one, and once it has ended to the decoder."""

@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from bilprov.analyzer.decode.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.output.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.output.row_columns import (
     TIME,
     Column,
@@ -35,6 +35,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.output.stretch_rows import StretchRows
 
 _FRONT = ("t", "direction", "kind", "hex", "name")
 _BACK = ("sequence", "answers", "agrees", "faults")
@@ -56,6 +57,7 @@ class CsvText:
     """Renders records and stretches as rows of CSV, each with its line end."""
 
     def __init__(self, columns: Sequence[Column], times: Times) -> None:
+        self._columns = columns
         self._times = times
         self._cells = [self._cell(column) for column in columns]
         self.header = ",".join(_text_cell(column.name) for column in columns) + "\r\n"
@@ -71,7 +73,19 @@ class CsvText:
 
     def stretch(self, stretch: Stretch) -> str:
         """The rows of all records of a stretch."""
-        return self.records(stretch.records())
+        from bilprov.analyzer.output.stretch_rows import StretchRows
+
+        rows = StretchRows(stretch)
+        columns = [self._texts(rows, column) for column in self._columns]
+        lines = list(map(",".join, zip(*columns, strict=True)))
+        return "\r\n".join([*lines, ""])
+
+    def _texts(self, rows: StretchRows, column: Column) -> Iterable[str]:
+        if column is TIME:
+            return map(self._times.shown, rows.t.tolist())
+        values, place = rows.cells(column)
+        texts = list(map(csv_cell, values))
+        return map(texts.__getitem__, place.tolist())
 
     def _cell(self, column: Column) -> Callable[[JsonLine], str]:
         if column is TIME:

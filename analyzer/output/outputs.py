@@ -14,16 +14,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
 from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.output.console import can_show
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
-    from bilprov.analyzer.output.row_columns import RowStyle, Times
+    from bilprov.analyzer.filters.filter import Filter
+    from bilprov.analyzer.output.row_columns import RowStyle
 
 Format = Literal["live", "lines", "jsonl", "csv"]
 
@@ -88,18 +89,18 @@ def write_out(text: str) -> None:
 def stream_output(
     style: Literal["lines", "jsonl"],
     write: Callable[[str], object] = write_out,
-    times: Times | None = None,
+    time: Callable[[int], str] | None = None,
 ) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
-    Lines of text have colours on a terminal only, unless NO_COLOR is set; `times` writes their
-    times.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set; `time` writes their
+    times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
-    arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
+    arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
     colour = _wants_colour(sys.stdout)
-    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, times=times))
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
 
 
 def opened_output(
@@ -126,7 +127,7 @@ def opened_output(
 
         colour = _wants_colour(sys.stdout)
         return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
-    return stream_output(style, write, times if rows.time else None)
+    return stream_output(style, write, times.padded if rows.time else None)
 
 
 def chosen_format(asked: Format | None) -> Format:
@@ -183,11 +184,12 @@ class Shown:
         """Whether the requested number of frames was shown."""
         return self.left == 0
 
-    def show(self, part: Part) -> None:
-        """Show what passes of a part."""
+    def show(self, part: Part) -> Part:
+        """Show what passes of a part, and return that."""
         if self.test is not None or self.left is not None or not self.window.covers(part):
             part = Records(list(self._passing(part)))
         self.output.show(part)
+        return part
 
     def _passing(self, part: Part) -> Iterator[Record]:
         chosen = (
@@ -225,11 +227,3 @@ class Shown:
 def _wants_colour(stream: TextIO) -> bool:
     # https://no-color.org: any value that is not empty.
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def _can_encode(stream: TextIO, text: str) -> bool:
-    try:
-        text.encode(stream.encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True

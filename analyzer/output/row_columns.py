@@ -14,8 +14,8 @@ from enum import StrEnum
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
 from bilprov.analyzer.output.text_lines import painted, state_words
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
@@ -152,6 +152,7 @@ COLUMNS: Mapping[str, Column] = {
         Column("direction", "from", 6, "host or device", lambda r: r.direction),
         Column("kind", "kind", 11, "instruction, response, ...", lambda r: r.kind),
         Column("hex", "hex", 11, "the bytes", lambda r: r.hex),
+        Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
         Column(
             "data",
             "data",
@@ -295,6 +296,10 @@ class RowStyle:
     def times(self, start_wall: int) -> Times:
         """The times of a recording that began at this time (ns since 1970)."""
         return Times(self.time or TimeStyle.RELATIVE, start_wall)
+
+
+AS_USUAL = RowStyle()
+"""Nothing was asked for."""
 
 
 def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:

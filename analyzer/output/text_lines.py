@@ -6,7 +6,7 @@ distinct frame is rendered once and cached.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,6 @@ from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.row_columns import Times
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
 WORDS_WIDTH = 22
@@ -42,15 +41,19 @@ class LineRenderer:
     """Renders records for one output.
 
     `colour` adds ANSI colour codes, which only a terminal should get. `arrows` are the signs for
-    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others. `times`
-    writes the times, which are seconds since the start without it.
+    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others. `time`
+    writes a time (ns since the start), which is in seconds without it.
     """
 
     def __init__(
-        self, *, colour: bool, arrows: tuple[str, str] = ("→", "←"), times: Times | None = None
+        self,
+        *,
+        colour: bool,
+        arrows: tuple[str, str] = ("→", "←"),
+        time: Callable[[int], str] | None = None,
     ) -> None:
         self._colour = colour
-        self._time = times.padded if times else _time
+        self._time = time or _seconds
         self._to_device, self._to_host = arrows
         self._host = lru_cache(maxsize=8192)(self._host_text)
         self._device = lru_cache(maxsize=8192)(self._device_text)
@@ -125,5 +128,5 @@ def _line_event(line: Line) -> str:
     return f"{where} {printable(line.event)}{detail}"
 
 
-def _time(t: int) -> str:  # as `Times` writes it if nothing else is asked for
+def _seconds(t: int) -> str:
     return f"{t / 1e9:12.6f}"

@@ -11,7 +11,17 @@ from bilprov.analyzer.replay.throttle import Throttle
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.closing import Closing
-from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, State, Time
+from bilprov.captures.schemas import (
+    MS,
+    Checkpoint,
+    Chunk,
+    Direction,
+    Line,
+    Log,
+    Resumption,
+    State,
+    Time,
+)
 from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
@@ -64,9 +74,13 @@ class RecordWriter(CaptureWriter):
         self._state: State | None = None
 
     def event(self, event: Chunk | Line) -> None:
-        """Write a raw event, before it is decoded."""
+        """Write a raw event, before it is decoded; a Resumption as the two messages it is."""
         if isinstance(event, Chunk):
             self.chunk(event)
+        elif isinstance(event, Resumption):
+            if not event.silent:
+                self.write(event.gap, event.t)
+            self.write(event.checkpoint, event.checkpoint.t)
         else:
             self.write(event, event.t)
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.captures.indexed import IndexedCapture, open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed
+from bilprov.captures.reader import Capture, Recorded, open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
@@ -20,13 +20,21 @@ from bilprov.spec.protocol import Protocol
 class Opened(NamedTuple):
     """A capture, a decoder, and the events that the decoder needs from where it stands on.
 
-    `note` is a sentence for the user, "" if there is none.
+    `note` is a sentence for the user, "" if there is none. `after` is the checkpoint that the
+    decoder has gone on from, None at the beginning.
     """
 
     capture: Capture
     decoder: StreamDecoder
     events: Callable[[], Iterator[Chunk | Line]]
     note: str = ""
+    after: StoredCheckpoint | None = None
+
+    def recorded(self) -> Iterator[Recorded]:
+        """All that was recorded from there on and not decoded from the bytes."""
+        if isinstance(self.capture, IndexedCapture):
+            return self.capture.recorded(self.after)
+        return self.capture.recorded()
 
 
 def opened_at(
@@ -66,4 +74,4 @@ def _from_checkpoint(
         decoder.resume(state)
     except ValueError:  # it was saved with other settings
         return None
-    return Opened(capture, decoder, lambda: capture.events(stored))
+    return Opened(capture, decoder, lambda: capture.events(stored), after=stored)

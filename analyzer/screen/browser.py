@@ -17,7 +17,7 @@ from textual.events import Resize
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from bilprov.analyzer.output.filter import Filter
+from bilprov.analyzer.filters.filter import Filter
 from bilprov.analyzer.output.row_columns import RowStyle, Times, TimeStyle, columns_of
 from bilprov.analyzer.screen.arrangement import SIDE_WIDTH, arranged
 from bilprov.analyzer.screen.car import car

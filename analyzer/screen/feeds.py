@@ -172,13 +172,14 @@ class AllShown(Shown):
     The frames that pass the filter are counted as by any `Shown`.
     """
 
-    def show(self, part: Part) -> None:
-        """Show a part."""
+    def show(self, part: Part) -> Part:
+        """Show a part, and return what was shown of it."""
         if self.left is not None:
             deque(self._passing(part), maxlen=0)
         if not self.window.covers(part):
             part = Records([record for record in part.records() if self.window.has(record.t)])
         self.output.show(part)
+        return part
 
 
 @contextmanager

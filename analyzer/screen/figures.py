@@ -40,7 +40,7 @@ def _rows(
     yield "rate", f"{frames:,.0f} frames/s"
     for side, rate in zip(("host", "device"), rates, strict=True):
         yield side, f"{rate:,.0f} B/s {rate * byte_time / 1e9:.0%}"
-    spread = totals.latencies
+    spread = totals.latencies.spread()
     if spread is None:
         yield "latency", "none yet"
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.text import Text
 
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     HostRecord,
@@ -13,7 +14,6 @@ from bilprov.analyzer.decode.records import (
     serious_faults,
     severity_of,
 )
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, cells
 from bilprov.analyzer.output.text_lines import SEVERITY_COLOURS
 from bilprov.analyzer.screen.recording import Recording, View

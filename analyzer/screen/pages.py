@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
 from bilprov.analyzer.columns.stretch import Span, Stretch
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, serious_faults
-from bilprov.analyzer.output.json_lines import json_line
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.spec.protocol import Protocol
 
 Mask: TypeAlias = NDArray[np.bool_]

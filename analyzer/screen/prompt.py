@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -13,20 +12,13 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import Input, Static
 
-from bilprov.analyzer.output.filter import Filter, FilterError, compile_filter, names, words
+from bilprov.analyzer.filters.completion import Completion, completions
+from bilprov.analyzer.filters.filter import Filter, compile_filter
+from bilprov.analyzer.filters.parts import FilterError
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 LINES = 2
-_BEGUN = re.compile(r"[\w.]*$")
-
-
-def completions(text: str, cursor: int, protocol: Protocol) -> list[str]:
-    """The words of the filter language that the one before the cursor may become."""
-    found = _BEGUN.search(text[:cursor])
-    begun = found.group().lower() if found else ""
-    known = dict.fromkeys([*names(protocol), *words(protocol), "and", "or", "not", "in"])
-    return [word for word in known if word.lower().startswith(begun) and word.lower() != begun]
 
 
 class FilterInput(Input):
@@ -34,30 +26,30 @@ class FilterInput(Input):
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", show=False, priority=True)]
 
-    def __init__(self, complete: Callable[[str, int], list[str]]) -> None:
+    def __init__(self, complete: Callable[[str, int], list[Completion]]) -> None:
         super().__init__(compact=True, select_on_focus=False, id="filter")
         self._complete = complete
-        self._offered: list[str] = []
+        self._offered: list[Completion] = []
         self._at = 0
         self._made = ""
+        self._behind = ""
 
     def action_complete(self) -> None:
         """Write what all completions begin with; where that is written, each one in turn."""
         text, cursor = self.value, self.cursor_position
         if not (self._offered and text == self._made):
-            self._offered = self._complete(text, cursor)
+            self._offered, self._behind = self._complete(text, cursor), text[cursor:]
             self._at = -1
         if not self._offered:
             return
-        begun = _BEGUN.search(text[:cursor])
-        start = begun.start() if begun else cursor
-        common = _common(self._offered)
+        start = self._offered[0].start
+        common = _common([offered.text for offered in self._offered])
         if self._at < 0 and len(common) > cursor - start:
             word, self._offered = common, self._offered if len(self._offered) > 1 else []
         else:
             self._at = (self._at + 1) % len(self._offered)
-            word = self._offered[self._at]
-        self._made = text[:start] + word + text[cursor:]
+            word = self._offered[self._at].text
+        self._made = text[:start] + word + self._behind
         self.value = self._made
         self.cursor_position = start + len(word)
 
@@ -130,22 +122,22 @@ class FilterPrompt(Vertical):
         self.post_message(self.Given(text, test))
 
     def _tell(self, text: str) -> None:
-        at = self._input.cursor_position
-        offered = completions(text, at, self._protocol) if text else []
-        begun = bool(_BEGUN.search(text[:at]).group()) if text else False  # type: ignore[union-attr]
+        """Say what may come next, or what the filter lacks."""
         if not text.strip():
             self._under.update(Text("Tab completes, Enter filters, Esc goes back", "dim"))
             return
+        offered = completions(text, self._input.cursor_position, self._protocol)
+        words = Text("  ".join(one.text for one in offered), "dim", no_wrap=True)
+        begun = any(one.start < len(text) for one in offered)  # a word that can be gone on with
         try:
             self._compiled(text)
         except FilterError as error:
-            if begun and offered:
-                self._under.update(Text("  ".join(offered), "dim", no_wrap=True))
+            if begun:
+                self._under.update(words)
             else:
                 self._refuse(error)
             return
-        fits = "  ".join(offered) if begun and offered else "Enter filters"
-        self._under.update(Text(fits, "dim", no_wrap=True))
+        self._under.update(words if begun else Text("Enter filters", "dim"))
 
     def _compiled(self, text: str) -> Filter:
         return compile_filter(text, self._protocol).started(self._start_wall)

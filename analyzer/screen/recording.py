@@ -23,7 +23,7 @@ from bilprov.analyzer.screen.row_set import RowSet
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 TOGETHER = 4096  # records that are packed together
 _PAGES = 4  # that stay unpacked

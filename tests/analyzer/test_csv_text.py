@@ -12,17 +12,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain, usual_columns
-from bilprov.analyzer.output.json_lines import encode, json_line
-from bilprov.analyzer.output.row_columns import Times, columns_of
+from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import decoded
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, told
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+
+WALL = 1_790_000_000_987_654_321
 
 
 def read_back(cell: str, sort: type) -> Any:
@@ -62,6 +65,27 @@ def test_rows_have_the_values_of_the_json_lines(
         told_row = {key: read_back(row[key], type(value)) for key, value in line.items()}
         assert told_row == line
         assert all(row[key] == "" for key in set(row) - set(line))
+
+
+@pytest.mark.slow
+@settings(max_examples=40)
+@given(ACTS, BATCHES, SETTINGS, st.sampled_from(TimeStyle))
+def test_each_column_of_a_part_is_that_of_its_records_one_by_one(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    chosen: dict[str, Any],
+    style: TimeStyle,
+) -> None:
+    columns = list(columns_of(each_protocol).values())
+    in_bulk, one_by_one = (CsvText(columns, Times(style, WALL)) for _ in range(2))
+
+    for part in told(StreamDecoder(each_protocol, **chosen), played(each_protocol, acts), batches):
+        expected = one_by_one.records(part.records())
+        if isinstance(part, Records):
+            assert in_bulk.records(part.listed) == expected
+        else:
+            assert in_bulk.stretch(part) == expected
 
 
 @given(st.text())

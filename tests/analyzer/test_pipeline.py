@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.filter import compile_filter
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics

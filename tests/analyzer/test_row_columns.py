@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
 from bilprov.analyzer.output.row_columns import (
     COLUMNS,
     ColumnError,

@@ -11,7 +11,7 @@ from textual.widgets import Input, SelectionList
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.output.filter import compile_filter
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen.arrangement import arranged
 from bilprov.analyzer.screen.browser import KEYS, Browser
 from bilprov.analyzer.screen.feeds import Feed

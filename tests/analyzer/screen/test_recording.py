@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import serious_faults
-from bilprov.analyzer.output.filter import compile_filter
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen import recording as recordings
 from bilprov.analyzer.screen import row_set
 from bilprov.analyzer.screen.packed import PackedRecords, PackedStretch, packed

@@ -1,0 +1,188 @@
+"""`bilprov cut` and `bilprov join`: a part of a capture, and several captures as one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from bilprov.analyzer.cli.options import Finite, compiled, filter_option, note
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.edit.new_capture import Progress
+    from bilprov.captures.reader import Capture
+
+force_option = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+
+
+@click.command()
+@click.argument("path", metavar="IN.mcap", type=click.Path(path_type=Path))
+@click.argument("new", metavar="OUT.mcap", type=click.Path(path_type=Path))
+@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
+@click.option("--end", type=Finite(0), help="End before this second of the capture.")
+@filter_option
+@force_option
+@click.pass_obj
+def cut(
+    grammar: str | None,
+    path: Path,
+    new: Path,
+    start: float | None,
+    end: float | None,
+    expression: str | None,
+    force: bool,
+) -> None:
+    """Write a part of a capture.
+
+    OUT holds the raw bytes and line events between --start and --end as they are, and what a
+    conformance run noted there. A checkpoint at its beginning keeps the predicted state, the
+    numbers of the instructions and the answers that are due, so that OUT is decoded as IN is; times
+    stay those of IN.
+
+    With --filter it holds the frames for which EXPR holds, each instruction with its answer. Where
+    others are left out, a gap says how many bytes, and a checkpoint how decoding goes on.
+
+    Decoded topics are left out: bilprov convert --decoded writes them. Ctrl-C leaves no OUT.
+    """
+    from bilprov.analyzer.edit.cut import write_selected, write_window
+    from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture, require_new
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.outputs import Window
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.seek import opened_at
+
+    if start is not None and end is not None and end <= start:
+        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
+    if start is None and end is None and expression is None:
+        raise click.UsageError("say what OUT is to hold: --start, --end, --filter or some of them")
+    protocol = load_protocol(grammar)
+    test = compiled(expression, protocol)
+    window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    opened = opened_at(path, protocol, window.first or 0)
+    capture = opened.capture
+    require_new(new, [path], force=force)
+    _say(said_about(capture, protocol), opened.note if window.first else "")
+    _say_left_out(capture)
+    metadata = cut_metadata(capture, protocol, window.first, window.after, expression)
+    with (
+        reading([capture], times=1 if test is None else 2) as progress,
+        new_capture(new, capture.start, metadata, force=force) as out,
+    ):
+        for file in capture.attachments():
+            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+        if test is None:
+            size = write_window(opened, protocol, out, window, progress)
+            what = f"{size:,} bytes"
+        else:
+            held = test.started(capture.start)
+            frames = write_selected(
+                lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
+            )
+            what = f"{frames:,} frames and answers"
+    note(f"{new} holds {what} of {path}")
+
+
+@click.command()
+@click.argument(
+    "paths", metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "-o",
+    "--output",
+    "new",
+    metavar="OUT.mcap",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="The new capture.",
+)
+@force_option
+@click.pass_obj
+def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -> None:
+    """Put captures together by the time of day at which their bytes came.
+
+    Two sniffers, of which one listened to the host and one to the device, give a capture of both
+    directions: their clocks must agree to some milliseconds. Recordings that follow each other give
+    one with a gap between them. Where two hold the same direction at the same time, every byte
+    would be there twice: that is refused, and says how to cut one of them.
+
+    Raw bytes, line events and what conformance runs noted are kept as they are, with the metadata
+    and attachments of all. Decoded topics are left out: bilprov convert --decoded writes them.
+    Ctrl-C leaves no OUT.
+
+    Example: bilprov join host.mcap device.mcap -o both.mcap
+    """
+    from bilprov.analyzer.edit.join import Joined, write_joined
+    from bilprov.analyzer.edit.new_capture import new_capture, require_new
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.captures.reader import open_capture
+
+    if len(paths) < 2:
+        raise click.UsageError("name two captures or more to put together")
+    protocol = load_protocol(grammar)
+    captures = [open_capture(path) for path in paths]
+    require_new(new, list(paths), force=force)
+    joined = Joined(protocol, captures)
+    for capture in captures:
+        _say(said_about(capture, protocol))
+        _say_left_out(capture)
+    _say(joined.notes())
+    with (
+        reading(captures) as progress,
+        new_capture(new, joined.start, joined.metadata(), force=force) as out,
+    ):
+        size = write_joined(joined, protocol, out, progress)
+    note(f"{new} holds {size:,} bytes of {len(paths)} captures")
+
+
+def _say(sentences: Iterator[str], *more: str) -> None:
+    for sentence in (*sentences, *more):
+        if sentence:
+            note(sentence)
+
+
+def _say_left_out(capture: Capture) -> None:
+    from bilprov.captures.text import printable
+    from bilprov.captures.topics import TOPICS
+
+    known = {topic.name for topic in TOPICS}
+    if others := [topic for topic in capture.contents.counts if topic not in known]:
+        note(f"left out, since they are none of bilprov's topics: {printable(', '.join(others))}")
+
+
+@contextmanager
+def reading(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
+    """A bar on a terminal for reading captures so many times; Ctrl-C ends in click's Abort."""
+    from bilprov.analyzer.edit.new_capture import Stopped
+    from bilprov.analyzer.transport.signals import Stopper
+    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+
+    total = times * sum(
+        sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
+        or capture.contents.size
+        for capture in captures
+    )
+    with Stopper() as stopper, _bar(total) as shown:
+
+        def progress(size: int) -> bool:
+            shown(size)
+            return not stopper.stopped
+
+        try:
+            yield progress
+        except Stopped:
+            note("stopped before the end: there is no result")
+            raise click.Abort from None
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Callable[[int], object]]:
+    if not sys.stderr.isatty():
+        yield lambda size: None
+        return
+    with click.progressbar(length=total, file=sys.stderr) as bar:
+        yield bar.update

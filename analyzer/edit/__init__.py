@@ -1,0 +1,1 @@
+"""Edits and compares captures: a part of one, several put together, two held against each other."""

@@ -1,0 +1,282 @@
+"""Puts captures together by wall-clock time: other directions, other hours, one recording.
+
+A direction may be in several of them, but not at the same time. Where a capture begins after the
+first one, a `gap` says so on its taps: what came before was not recorded there. If it is a part
+that was cut off the one before it, there is none, and decoding goes on as in the whole.
+
+Decoded by the new times and in the new order, checkpoints are made anew; those from which decoding
+has to go on stay, as far as they can be used.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from math import ceil
+from typing import Literal, NamedTuple, TypeAlias
+
+from msgspec.structs import replace
+
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
+from bilprov.analyzer.edit.new_capture import (
+    CUT_END,
+    CUT_START,
+    HISTORY,
+    Progress,
+    Stopped,
+    decoding_metadata,
+    said_of,
+)
+from bilprov.analyzer.edit.recorded_values import (
+    Timed,
+    batched,
+    events_in,
+    saved_text,
+    size_of,
+    timed,
+    write_values,
+)
+from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
+from bilprov.analyzer.version import kit_version
+from bilprov.captures import topics
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Capture, Recorded
+from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Resumption
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
+
+SECOND = 1_000_000_000  # ns
+Tap: TypeAlias = "Direction | Literal['']"
+
+
+class _Source(NamedTuple):
+    """A capture that is put together with others, and when it was recorded (wall clock, ns)."""
+
+    capture: Capture
+    settings: SessionSettings
+    first: int
+    last: int
+
+    @property
+    def tap(self) -> Tap:
+        """The one direction that it hears, "" for both."""
+        heard = self.settings["heard"]
+        return "" if heard >= BOTH else next(iter(heard))
+
+
+class Joined:
+    """Captures that go together. Raises CaptureError, in one sentence, if they do not.
+
+    `start` is the wall clock at the time 0 of the new one, in ns.
+    """
+
+    def __init__(self, protocol: Protocol, captures: Sequence[Capture]) -> None:
+        sources = [
+            _Source(
+                capture,
+                capture_settings(capture, protocol),
+                capture.contents.first or capture.start,
+                capture.contents.last or capture.start,
+            )
+            for capture in captures
+        ]
+        self.sources = sorted(sources, key=lambda source: (source.first, source.last))
+        self.start = min(capture.start for capture in captures)
+        _require_one_grammar(captures)
+        _require_apart(self.sources)
+        self.settings = _settings(self.sources)
+
+    def notes(self) -> Iterator[str]:
+        """Yield what the user should know, each one line."""
+        taps = [source for source in self.sources if source.tap]
+        spans = {tap: _span(taps, tap) for tap in ("host", "device")}
+        host, device = spans["host"], spans["device"]
+        if not any(source.tap == "" for source in self.sources) and host and device:
+            alone = max(host[0], device[0]) - min(host[0], device[0])
+            alone += max(host[1], device[1]) - min(host[1], device[1])
+            if alone >= SECOND:
+                yield (
+                    f"only one of host and device was recorded for {alone / SECOND:.1f} s at the "
+                    "ends: instructions or answers are missing there"
+                )
+        if len({source.settings["timeout"] for source in self.sources}) > 1:
+            yield "the truncation time-outs of the recordings differ: the longest one is taken"
+
+    def metadata(self) -> dict[str, str]:
+        """The metadata of all: what they agree on, and the rest with the number of its capture."""
+        abouts = [source.capture.metadata for source in self.sources]
+        about: dict[str, str] = {}
+        for key in dict.fromkeys(key for one in abouts for key in one):
+            if key in (topics.START_KEY, HISTORY, CUT_START, CUT_END):
+                continue
+            if len({one[key] for one in abouts if key in one}) == 1:
+                about[key] = next(one[key] for one in abouts if key in one)
+                continue
+            for number, one in enumerate(abouts, 1):
+                if key in one:
+                    about[f"{number}.{key}"] = one[key]
+        about |= decoding_metadata(self.settings)
+        names = [said_of(source.capture.path) for source in self.sources]
+        about |= {f"{number}.file": name for number, name in enumerate(names, 1)}
+        done = f"join {' '.join(names)} (bilprov {kit_version()})"
+        before = dict.fromkeys(one[HISTORY] for one in abouts if one.get(HISTORY))
+        about[HISTORY] = "\n".join([*before, done])
+        return about
+
+
+def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress: Progress) -> int:
+    """Write the captures as one, and return how many raw bytes they hold.
+
+    Raises Stopped if `progress` says so, and CaptureError as `Capture.events` and the writer do.
+    """
+    for source in joined.sources:
+        for file in source.capture.attachments():
+            out.attach(file.name, file.media_type, file.data, file.log_time - joined.start)
+    decoder = StreamDecoder(protocol, **joined.settings)
+    checkpoints = Checkpoints(protocol.sha256)
+    streams = [_values(joined, place, protocol) for place in range(len(joined.sources))]
+    merged = (one.value for one in heapq.merge(*streams, key=lambda one: one.now))
+    size = 0
+    for batch in batched(timed(merged, 0)):
+        first = batch[0].value
+        if isinstance(first, Resumption):
+            numbered = _numbered(first, decoder.saved(), protocol)
+            batch[0] = Timed(batch[0].now, numbered)
+        write_values(out, batch)
+        decoder.feed(events_in(batch))
+        size += size_of(batch)
+        made = checkpoints.made(batch[-1].now, size, lambda: saved_text(decoder))
+        if made:
+            out.write(made, made.t)
+        if not progress(size_of(batch)):
+            raise Stopped
+    return size
+
+
+def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
+    """Yield what a capture holds, at the times of the new one, and where it begins."""
+    source = joined.sources[place]
+    by = source.capture.start - joined.start
+    begins: Line | None = None
+    if place and not _continues(joined.sources[place - 1], source):
+        said = f"{said_of(source.capture.path)} begins here"
+        begins = Line(source.first - joined.start, "gap", source.tap, said)
+    fits = source.settings == joined.settings | {"attached": source.settings["attached"]}
+    for one in timed(source.capture.recorded(), 0):
+        value = one.value
+        if isinstance(value, Checkpoint):
+            continue
+        moved = _moved(value, by, protocol if fits else None, source.tap)
+        if begins and isinstance(moved, Resumption):
+            moved = replace(moved, detail=begins.detail, silent=False)
+        elif begins:
+            yield Timed(begins.t, begins)
+        begins = None
+        yield Timed(one.now + by, moved)
+
+
+def _continues(before: _Source, after: _Source) -> bool:
+    """Whether a part was cut off right where the one before it ends."""
+    one, other = before.capture, after.capture
+    cut = one.metadata.get(CUT_END)
+    return cut is not None and cut == other.metadata.get(CUT_START) and one.start == other.start
+
+
+def _moved(value: Recorded, by: int, protocol: Protocol | None, tap: Tap) -> Recorded:
+    """A value `by` ns later. A Resumption that the `protocol` cannot use becomes a gap on `tap`."""
+    if isinstance(value, Asked) and value.begun is not None:
+        return replace(value, t=value.t + by, begun=value.begun + by)
+    if not isinstance(value, Resumption):
+        return replace(value, t=value.t + by)
+    found = value.checkpoint
+    state = None
+    if protocol and found.grammar == protocol.sha256 and found.whole:
+        state = checkpoint.decoded(found.decoder, protocol)
+    if protocol is None or state is None:
+        return Line(value.t + by, "gap", tap, value.detail)
+    text = checkpoint.encoded(checkpoint.shifted(state, by))
+    later = Checkpoint.of(found.t + by, protocol.sha256, text, resumes=True)
+    return replace(value, t=value.t + by, checkpoint=later)
+
+
+def _numbered(value: Resumption, before: DecoderState | None, protocol: Protocol) -> Resumption:
+    """A Resumption whose next instruction has no number that was given before."""
+    found = value.checkpoint
+    state = checkpoint.decoded(found.decoder, protocol)
+    if state is None or before is None or before.sequence <= state.sequence:
+        return value
+    text = checkpoint.encoded(replace(state, sequence=before.sequence))
+    return replace(value, checkpoint=Checkpoint.of(found.t, found.grammar, text, resumes=True))
+
+
+def _settings(sources: Sequence[_Source]) -> SessionSettings:
+    """How the captures are decoded together."""
+    heard = frozenset(side for source in sources for side in source.settings["heard"])
+    skews = [source.settings["skew"] for source in sources]
+    if not any(source.tap == "" for source in sources) and heard >= BOTH:
+        skews.append(SKEW)  # two recorders, each with a clock of its own
+    first = next((s for s in sources if "host" in s.settings["heard"]), sources[0])
+    return {
+        "timeout": max(source.settings["timeout"] or 0 for source in sources),
+        "skew": max(skews),
+        "heard": heard,
+        "attached": first.settings["attached"],
+    }
+
+
+def _require_one_grammar(captures: Sequence[Capture]) -> None:
+    """Raise CaptureError if captures were recorded with different grammars."""
+    known = [one for one in captures if one.metadata.get("grammar_sha256")]
+    for other in known[1:]:
+        if other.metadata["grammar_sha256"] != known[0].metadata["grammar_sha256"]:
+            said = [
+                f"{printable(one.path)} ({printable(one.metadata.get('grammar_name', '?'))} "
+                f"{printable(one.metadata.get('grammar_version', ''))})"
+                for one in (known[0], other)
+            ]
+            raise CaptureError(
+                f"{said[0]} and {said[1]} were recorded with different grammars: join only "
+                "captures of one"
+            )
+
+
+def _require_apart(sources: Sequence[_Source]) -> None:
+    """Raise CaptureError if two captures, by their beginning, hold a direction at one time."""
+    for place, early in enumerate(sources):
+        for late in sources[place + 1 :]:
+            both = early.settings["heard"] & late.settings["heard"]
+            if both and late.first < early.last and early.first < late.last:
+                raise CaptureError(_overlap(early, late, " and ".join(sorted(both, reverse=True))))
+
+
+def _overlap(early: _Source, late: _Source, sides: str) -> str:
+    name, other = printable(late.capture.path), printable(early.capture.path)
+    end = min(early.last, late.last)
+    words = (
+        f"{other} and {name} both hold the {sides} from {_clock(late.first)} to {_clock(end)}, and "
+        "every byte would be there twice: "
+    )
+    if late.last <= early.last:
+        return f"{words}leave out {name}"
+    start = ceil((early.last + 1 - late.capture.start) / 1000) / 1_000_000
+    return f"{words}cut the second first, bilprov cut {name} NEW.mcap --start {start:f}"
+
+
+def _clock(wall: int) -> str:
+    try:
+        return datetime.fromtimestamp(wall / SECOND, UTC).strftime("%H:%M:%S.%f")[:-3] + " UTC"
+    except (OverflowError, OSError, ValueError):
+        return f"{wall} ns"
+
+
+def _span(sources: Sequence[_Source], tap: str) -> tuple[int, int] | None:
+    """The first and the last moment of the captures with that tap, None without any."""
+    of_tap = [source for source in sources if source.tap == tap]
+    if not of_tap:
+        return None
+    return min(source.first for source in of_tap), max(source.last for source in of_tap)
