@@ -96,7 +96,7 @@ def browse_picture(protocol: Protocol) -> str:
     async def taken() -> str:
         async with screen.run_test(size=_SCREEN) as pilot:
             feed.join()
-            screen.tick()
+            screen.show_rows()
             await pilot.press("end", "N", "enter", "down", "escape")
             await pilot.pause()
             return screen.export_screenshot(title="bilprov browse", simplify=True)

@@ -45,7 +45,9 @@ UNUSED = {
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
     "shell sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
     "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
-} | {f"{name} --help": {"numpy", "rich"} for name in front_door.COMMANDS}
+    "replay --rate 0 captures/samples/examples.mcap": {"textual", "bilprov.analyzer.screen"},
+    "replay --plain --rate 0 captures/samples/examples.mcap": {"textual"},
+} | {f"{name} --help": {"numpy", "rich", "textual"} for name in front_door.COMMANDS}
 
 
 def said(result: Done) -> str:

@@ -97,6 +97,8 @@ class Spool(Closing):
         Raises CaptureError if there is a file of this name, or if it cannot be written; then the
         temporary files stay, and the sentence says where.
         """
+        if self.failure:
+            raise CaptureError(self.failure)
         try:
             if len(self._parts) == 1:
                 self._copy(self._parts[0].recorder.path, path)

@@ -14,6 +14,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.events import Resize
+from textual.geometry import Size
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
@@ -60,6 +61,7 @@ _ABOUT = (
 )
 _SOON = 20_000  # rows that are filtered at once; more take a thread
 _FIGURES_EVERY = 0.5  # s
+_DRAWING_SHARE = 0.08  # of the time, at most, that drawing what comes may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +155,8 @@ class Browser(App[str | None]):
         self._zoomed = False
         self._figures_at = 0.0
         self._shown: tuple[object, ...] = ()
+        self._drawn_at, self._used_at = 0.0, time.thread_time()
+        self._written: dict[Static, Text] = {}
         self.frames = FrameList(feed.recording, told.rows, told.start_wall, signs)
         self.fields = FieldTree(feed.recording.protocol, signs)
         self.hex = HexPane()
@@ -198,32 +202,49 @@ class Browser(App[str | None]):
             self._export.cancel()
 
     def on_resize(self, event: Resize) -> None:
-        """Show the panes that fit."""
-        self._arrange()
+        """Show the panes that fit the new size, which the app does not have yet."""
+        self._arrange(event.size)
 
     # What happens by itself.
 
     def tick(self) -> None:
-        """Show what has come since the last time."""
+        """See what has come since the last time, and show it unless drawing takes too much."""
         if self.feed.closes or self.interrupted():
             self.exit(None)
             return
         self._catch_up()
-        frames = self.frames
-        if frames.held is None and self._now() != self._shown:
-            self._shown = self._now()
-            if self.follows:
-                frames.choose(frames.count - 1)
-            else:
-                frames.changed()
-            self._show_row()
-            self.faults.changed()
+        if self._now() != self._shown and self._may_draw():
+            self.show_rows()
         if time.monotonic() >= self._figures_at:
             self._figures_at = time.monotonic() + _FIGURES_EVERY
             self._show_figures()
         if self._export and self._export.ended:
             self.said, self._export = self._export.said, None
         self._show_bars()
+
+    def show_rows(self) -> None:
+        """Show the rows that have come, unless the view is paused."""
+        frames = self.frames
+        self._shown = self._now()
+        if frames.held is None:
+            if self.follows:
+                frames.choose(frames.count - 1)
+            else:
+                frames.changed()
+            self._show_row()
+            self.faults.changed()
+        self._show_bars()
+
+    def _may_draw(self) -> bool:
+        """Whether drawing has not taken too large a share of the time since it was last done.
+
+        Who reads a line needs the time; what keys ask for is drawn at once all the same.
+        """
+        now, used = time.monotonic(), time.thread_time()
+        if now - self._drawn_at < (used - self._used_at) / _DRAWING_SHARE:
+            return False
+        self._drawn_at, self._used_at = now, used
+        return True
 
     def _now(self) -> tuple[object, ...]:
         view = self.frames.view
@@ -249,10 +270,11 @@ class Browser(App[str | None]):
 
     # The panes.
 
-    def _arrange(self) -> None:
+    def _arrange(self, size: Size | None = None) -> None:
         """Give each pane its place, or hide it."""
+        size = size or self.size
         more = LINES - 1 if self.prompt.display else 0
-        panes = arranged(*self.size, more, zoomed=self._zoomed)
+        panes = arranged(*size, more, zoomed=self._zoomed)
         shown = {
             "side": panes.side,
             "car": panes.car,
@@ -262,7 +284,7 @@ class Browser(App[str | None]):
             "hex": panes.hex,
             "details": max(panes.tree, panes.hex),
             "frames": not self._zoomed,
-            "status": self.size.height > 1 and not self.prompt.display,
+            "status": size.height > 1 and not self.prompt.display,
         }
         for name, lines in shown.items():
             self.query_one(f"#{name}").display = bool(lines)
@@ -285,23 +307,28 @@ class Browser(App[str | None]):
             self.faults.follow(row)
         protocol = self._recording.protocol
         state = record.state if record else State("stopped", 0, 0, 0, moving=False)
-        self.car.update(Text("\n", no_wrap=True).join(car(protocol, state, self.signs)))
+        self._write(self.car, Text("\n", no_wrap=True).join(car(protocol, state, self.signs)))
 
     def _show_figures(self) -> None:
         if self.figures.display:
             lines = figures(
                 self._recording.totals, self.feed.rates, self.told.byte_time, self.signs
             )
-            self.figures.update(Text("\n", no_wrap=True).join(lines))
+            self._write(self.figures, Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
-        place = self._place()
-        title = self._title()
-        title.truncate(max(0, self.size.width - place.cell_len), overflow="crop")
-        self.head.update(_spread(title, place, self.size.width))
-        keys = "? help  q quit"
-        self.status.update(_spread(self._status(), Text(keys, "dim"), self.size.width))
+        width = self.size.width
+        place, title = self._place(), self._title()
+        title.truncate(max(0, width - place.cell_len), overflow="crop")
+        self._write(self.head, _spread(title, place, width))
+        self._write(self.status, _spread(self._status(), Text("? help  q quit", "dim"), width))
+
+    def _write(self, pane: Static, text: Text) -> None:
+        """Write a text into a pane, where it is another one than before: drawing takes time."""
+        if self._written.get(pane) != text:
+            self._written[pane] = text
+            pane.update(text)
 
     def _title(self) -> Text:
         captured = (
@@ -415,22 +442,16 @@ class Browser(App[str | None]):
     def action_pause(self) -> None:
         """Hold the view still, or go on."""
         frames = self.frames
-        self._shown = ()
-        if frames.held is None:
-            self.tick()
-            frames.held = frames.view.count
-            self._show_bars()
-        else:
-            frames.held = None
-            self.tick()
+        self.show_rows()
+        frames.held = frames.view.count if frames.held is None else None
+        self.show_rows()
 
     def action_follow(self) -> None:
         """Follow what comes, or stop to."""
         self.follows = not self.follows
         if self.follows:
             self.frames.held = None
-            self._shown = ()
-        self.tick()
+        self.show_rows()
 
     def action_mark(self) -> None:
         """Mark the chosen row, or take its mark away."""

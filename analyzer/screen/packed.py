@@ -110,10 +110,14 @@ class PackedStretch:
             counts=_small(counts),
         )
 
+    @property
+    def order(self) -> Order:
+        """The spans of the stretch."""
+        return Order(self.sides, self.counts, self.carried)
+
     def page(self, protocol: Protocol) -> StretchPage:
         """The rows of the stretch."""
-        data = np.frombuffer(self.data, np.uint8)
-        order = Order(self.sides, self.counts, self.carried)
+        data, order = np.frombuffer(self.data, np.uint8), self.order
         offset = np.cumsum(self.sizes, dtype=np.int64) - self.sizes
         stretch = Stretch(
             decoding=self.decoding,

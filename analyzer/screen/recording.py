@@ -17,8 +17,8 @@ import numpy as np
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.screen.packed import Packed, packed
-from bilprov.analyzer.screen.pages import Page, RecordsPage
+from bilprov.analyzer.screen.packed import Packed, PackedStretch, packed
+from bilprov.analyzer.screen.pages import Page, RecordsPage, StretchPage
 from bilprov.analyzer.screen.row_set import RowSet
 from bilprov.spec.protocol import Protocol
 
@@ -74,8 +74,8 @@ class Recording:
         if isinstance(part, Records):
             self._add_records(part.listed)
             return
-        whole = packed(part)
-        faulty = whole.page(self.protocol).faulty()
+        whole = PackedStretch.of(part)
+        faulty = StretchPage(part, whole.order).faulty()
         with self.lock:
             self._close_block()
             self.nbytes += whole.nbytes

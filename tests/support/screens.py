@@ -53,7 +53,7 @@ def operated(screen: Browser, steps: Steps, size: tuple[int, int] = (120, 40)) -
     async def run() -> None:
         async with screen.run_test(size=size) as pilot:
             screen.feed.join()
-            screen.tick()
+            screen.show_rows()
             await pilot.pause()
             await steps(screen, pilot)
 
@@ -93,6 +93,21 @@ class Tmux:
     def press(self, *keys: str) -> None:
         """Type keys, by tmux's names for them."""
         self("send-keys", *keys)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Make the terminal another size."""
+        self("resize-window", "-x", str(size[0]), "-y", str(size[1]))
+
+    def settled(self, words: str) -> list[str]:
+        """Wait until the terminal shows the words, and twice the same; its lines."""
+        shown = self.wait(words)
+        give_up = time.monotonic() + PATIENCE
+        while True:
+            time.sleep(0.3)
+            before, shown = shown, self.wait(words)
+            if shown == before:
+                return shown
+            assert time.monotonic() < give_up, "\n".join(shown)
 
     def wait(self, words: str) -> list[str]:
         """Wait until the terminal shows the words; its lines."""

@@ -181,7 +181,7 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
         await pilot.press("space")
         for part in decoded(protocol, drive(10)):
             screen.feed.recording.add(part)
-        screen.tick()
+        screen.show_rows()
         await pilot.pause()
         assert "paused, 21 waiting" in text_of(screen)[0]
         assert (screen.frames.count, screen.frames.row) == (121, 120)
@@ -197,7 +197,7 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
     def more() -> None:
         for part in decoded(protocol, drive(1)):
             screen.feed.recording.add(part)
-        screen.tick()
+        screen.show_rows()
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("up")

@@ -41,26 +41,28 @@ def left(tmux: Tmux, code: int = 0) -> list[str]:
     return shown[:at]
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_browse_shows_its_panes_and_gives_the_terminal_back(
-    tmp_path: Path, size: tuple[int, int]
-) -> None:
-    with terminal(tmp_path, size, "browse", str(SAMPLE)) as tmux:
+def test_browse_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_path: Path) -> None:
+    titles = ["frames", "bytes", "fields", "faults", "line", "predicted"]
+    with terminal(tmp_path, SIZES[0], "browse", str(SAMPLE)) as tmux:
         tmux.wait("of 84")
         tmux.press("n", "n")
-        shown = tmux.wait("unused 15")
-        assert len(shown) == size[1]
-        assert max(map(len, shown)) <= size[0]
-        titles = ["frames", "bytes", "fields", "faults", "line", "predicted"]
-        there = [name for name in titles if any(f"─{name}─" in line for line in shown)]
-        assert there == titles[: len(there)]
-        assert len(there) >= {10: 2, 15: 3}.get(size[1], 6)
+        for size, count in zip(SIZES, [2, 3, 6, 6, 6, 6], strict=True):
+            tmux.resize(size)
+            shown = tmux.settled(f"─{titles[count - 1]}─")
+            assert any("unused 15" in line for line in shown)
+            assert len(shown) == size[1]
+            assert max(map(len, shown)) <= size[0]
+            there = [name for name in titles if any(f"─{name}─" in line for line in shown)]
+            assert there == titles[:count]
+            assert shown[0].startswith("bilprov examples.mcap")
+            assert shown[0].endswith("32 of 84")
+            assert shown[-1].endswith("q quit")
         tmux.press("q", "j", "j", "Enter", "x")
         left(tmux)
 
 
 @contextmanager
-def tapped(folder: Path) -> Iterator[tuple[PtyPair, PtyPair]]:
+def tapped() -> Iterator[tuple[PtyPair, PtyPair]]:
     with open_pty() as host, open_pty() as device:
         yield host, device
 
@@ -78,19 +80,20 @@ def talk(host: PtyPair, device: PtyPair, tmux: Tmux, words: str) -> list[str]:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_sniff_follows_the_line_and_finishes_its_capture(
-    tmp_path: Path, size: tuple[int, int]
-) -> None:
+def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with (
-        tapped(tmp_path) as (host, device),
-        terminal(tmp_path, size, "sniff", host.name, device.name, "-w", str(path)) as tmux,
+        tapped() as (host, device),
+        terminal(tmp_path, SIZES[0], "sniff", host.name, device.name, "-w", str(path)) as tmux,
     ):
         tmux.wait("q quit")
-        talk(host, device, tmux, "Speed speed=80")
-        shown = tmux.wait("following")
-        assert max(map(len, shown)) <= size[0]
+        for size in SIZES:
+            tmux.resize(size)
+            talk(host, device, tmux, "Speed speed=80")
+            shown = tmux.settled("following")
+            assert max(map(len, shown)) <= size[0]
+            assert any("Speed speed=80" in line for line in shown)
+            assert shown[-1].endswith("q quit")
         tmux.press("q", "q", "j")
         assert any("instructions" in line for line in left(tmux))
     assert not open_capture(path).unfinished
@@ -98,7 +101,7 @@ def test_sniff_follows_the_line_and_finishes_its_capture(
 
 def test_a_session_without_a_file_is_saved_if_asked(tmp_path: Path) -> None:
     with (
-        tapped(tmp_path) as (host, device),
+        tapped() as (host, device),
         terminal(tmp_path, (80, 24), "sniff", host.name, device.name) as tmux,
     ):
         tmux.wait("q quit")
@@ -138,7 +141,7 @@ def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
 ) -> None:
     path = tmp_path / "run.mcap"
     with (
-        tapped(tmp_path) as (host, device),
+        tapped() as (host, device),
         terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux,
     ):
         tmux.wait("q quit")
@@ -153,7 +156,7 @@ def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
 
 def test_a_terminal_that_goes_away_leaves_a_finished_capture(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with tapped(tmp_path) as (host, device):
+    with tapped() as (host, device):
         with terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux:
             tmux.wait("q quit")
             talk(host, device, tmux, "Speed speed=80")
