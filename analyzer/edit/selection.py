@@ -51,6 +51,11 @@ class _Entry:
     told: list[_Kept] = field(default_factory=list)
 
     @property
+    def hunt_kept(self) -> bool:
+        """Whether it is of a hunt that is kept as a whole."""
+        return self.step.hunt is not None and self.step.hunt.keep
+
+    @property
     def undecided(self) -> bool:
         """Whether it is not known yet if it is kept."""
         if self.step.event is not None and self.owner is None:
@@ -192,7 +197,10 @@ class Selection:
             self._before[side] -= before
         for _ in range(count - before):
             if self._untold[side]:  # a line event that a Resumption stands for has no entry
-                self._untold[side].popleft().owner = exchange
+                entry = self._untold[side].popleft()
+                entry.owner = exchange
+                # A frame that begins in a hunt and goes on behind it.
+                exchange.keep = exchange.keep or entry.hunt_kept
 
     def _give_up(self) -> None:
         """No answer will come for the instructions that wait."""
@@ -223,15 +231,14 @@ class Selection:
 
     def _write(self, entry: _Entry) -> None:
         step, told = entry.step, entry.told
-        kept_hunt = step.hunt is not None and step.hunt.keep
         if step.apart:
             self._fall_behind(step.state)
         if step.event is None:
-            self._write_moment(step, kept_hunt or any(one.keep for one in told), bool(told))
+            self._write_moment(step, entry.hunt_kept or any(one.keep for one in told), bool(told))
             return
         owner = entry.owner
         assert owner is not None
-        wanted = kept_hunt or owner.keep
+        wanted = entry.hunt_kept or owner.keep
         if isinstance(step.event, Resumption):
             self._fall_behind(step.state)
             return
