@@ -101,9 +101,10 @@ def row_options(command: Command) -> Command:
     return click.option(
         "--time",
         "time_style",
+        metavar="STYLE",
         type=click.Choice(["relative", "delta", "absolute", "utc"]),
-        help="How times are shown: seconds since the start (the usual) or since the row before, "
-        "date and time of day here or in UTC.",
+        help="How times are shown: relative, seconds since the start (the usual); delta, since the "
+        "row before; absolute, date and time of day here; utc, the same in UTC.",
     )(command)
 
 

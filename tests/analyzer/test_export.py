@@ -215,11 +215,9 @@ def test_numbers_that_64_bits_cannot_hold_are_decimals(grammar_text: str) -> Non
     assert row["fields.speed"] == row["state.speed"] == 2**120 - 1
 
 
-@pytest.mark.parametrize("events", [conversation(TALK), conversation(TALK * 50)])
-def test_a_time_that_parquet_cannot_hold_is_one_sentence(
-    tmp_path: Path, events: list[Event]
-) -> None:
-    path = written(tmp_path / "a.mcap", events, start=2**63)
+@pytest.mark.parametrize("start", [2**63, 2**63 - 50 * MS])
+def test_a_time_that_parquet_cannot_hold_is_one_sentence(tmp_path: Path, start: int) -> None:
+    path = written(tmp_path / "a.mcap", conversation(TALK), start=start)
     done = command("export", str(path), "--format", "parquet", "-o", str(tmp_path / "a.parquet"))
 
     assert done.returncode == 2
