@@ -25,6 +25,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 
@@ -79,7 +80,7 @@ def send_again(
         _send_frames(target, rest)
     target.finish()
     if stopper.stopped:
-        note(f"stopped: {len(run.frames)} instructions were sent, nothing was compared")
+        note(f"stopped after {quantity(len(run.frames), 'instruction')}, nothing was compared")
         return 0
     return _compare(protocol, recorded, run, output)
 
@@ -111,5 +112,6 @@ def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Ou
         t = 0 if about is None else recorded.frames[about].t
         fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
         output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
-    note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
+    sent = quantity(len(recorded.frames), "instruction")
+    note(f"{sent} sent, {quantity(len(found), 'difference')}")
     return 1 if found else 0

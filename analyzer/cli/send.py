@@ -34,6 +34,7 @@ from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_n
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 _NO_ANSWER = "none"
@@ -129,7 +130,7 @@ def send(
     else:
         told += [check.wrong_words, check.missing_words]
     if stopper.stopped and check.sent < planned:
-        told.append(f"{check.sent} of {planned} instructions were sent")
+        told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
     sentences = [sentence for sentence in told if sentence]

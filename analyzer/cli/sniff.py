@@ -49,6 +49,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
+from bilprov.captures.text import quantity
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
@@ -285,6 +286,7 @@ def _tell(statistics: Statistics, path: str | None, waited_ns: int) -> None:
     where = f" in {path}" if path else ""
     late = f"; the reader waited {waited_ns / 1e9:.3f} s for slow output" if waited_ns else ""
     note(
-        f"{statistics.instructions} instructions, {statistics.responses} answers, "
-        f"{statistics.faults} faults{where}{late}"
+        f"{quantity(statistics.instructions, 'instruction')}, "
+        f"{quantity(statistics.responses, 'answer')}, "
+        f"{quantity(statistics.faults, 'fault')}{where}{late}"
     )

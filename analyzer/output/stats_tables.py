@@ -10,7 +10,7 @@ from rich.text import Text
 from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency, RateCounts, Stats
 from bilprov.analyzer.output.charts import Charts, means
 from bilprov.analyzer.output.console import facts, heading, table
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 
 _SPARK = 36  # columns of a sparkline
 _BAR = 36  # columns of the longest bar
@@ -47,8 +47,8 @@ def _part(
 def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
     share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
     yield "duration", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
-    yield "host", f"{counts.host_bytes:,} bytes, {_frames(counts)}"
-    yield "device", f"{counts.device_bytes:,} bytes"
+    yield "host", f"{quantity(counts.host_bytes, 'byte')}, {_frames(counts)}"
+    yield "device", quantity(counts.device_bytes, "byte")
     if counts.load:
         line = f"{file.line}, " if file else ""
         load = f"host {_share(counts.load.host)}, device {_share(counts.load.device)}"
@@ -66,7 +66,7 @@ def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
 
 
 def _frames(counts: Counts) -> str:
-    said = f"{counts.frames:,} frames"
+    said = quantity(counts.frames, "frame")
     if counts.truncated:
         said += f", {counts.truncated:,} of them truncated"
     if counts.garbage:

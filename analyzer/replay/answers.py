@@ -17,6 +17,7 @@ from bilprov.analyzer.decode.records import (
     severity_of,
 )
 from bilprov.analyzer.replay.comparison import ReplayRun, answer_words
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 FLOOD = 64
@@ -64,13 +65,13 @@ class AnswerCheck:
     def unasked_words(self) -> str:
         """Tells of the unasked bytes in a sentence; "" if none came."""
         count = self.unasked
-        return f"{_number(count, 'byte')} came without an instruction" if count else ""
+        return f"{quantity(count, 'byte')} came without an instruction" if count else ""
 
     @property
     def wrong_words(self) -> str:
         """Tells of the answers that are not allowed in a sentence; "" if all are."""
         if self.wrong > 1:
-            return f"{self.wrong} answers are not allowed, first: {self.first_wrong}"
+            return f"{quantity(self.wrong, 'answer')} are not allowed, first: {self.first_wrong}"
         return f"an answer is not allowed: {self.first_wrong}" if self.wrong else ""
 
     @property
@@ -79,7 +80,7 @@ class AnswerCheck:
         missing = self.sent - self.answered
         if missing <= 0:
             return ""
-        return f"no answer came to {missing} of {_number(self.sent, 'instruction')}"
+        return f"no answer came to {missing} of {quantity(self.sent, 'instruction')}"
 
 
 def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]) -> str:
@@ -97,10 +98,6 @@ def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int 
                 f"{answer_words(protocol, code)}, came {answer_words(protocol, came)}"
             )
     if len(frames) != len(expected):
-        sent = _number(len(frames), "instruction")
-        return f"{_number(len(expected), 'answer')} expected, but {sent} sent"
+        sent = quantity(len(frames), "instruction")
+        return f"{quantity(len(expected), 'answer')} expected, but {sent} sent"
     return ""
-
-
-def _number(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

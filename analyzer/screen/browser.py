@@ -33,7 +33,7 @@ from bilprov.analyzer.screen.row_export import RowExport, new_file_refusal, refu
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import FINE, Signs
 from bilprov.captures.schemas import State
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 
 Answer = TypeVar("Answer")
 
@@ -505,7 +505,7 @@ class Browser(App[str | None]):
                 view = self.frames.view
                 self._export = RowExport(self._recording, view, name, known, times)
 
-        question = f"Export {rows:,} rows to a new file, NAME.csv or NAME.jsonl:"
+        question = f"Export {quantity(rows, 'row')} to a new file, NAME.csv or NAME.jsonl:"
         self._ask(AskName(question, "rows.csv", refusal), write)
 
     def action_keys(self) -> None:
@@ -548,7 +548,7 @@ class Browser(App[str | None]):
                 self.exit(name)
 
         rows = self._recording.rows
-        self._ask(Choice(f"Save the capture of {rows:,} rows?", answers), answer)
+        self._ask(Choice(f"Save the capture of {quantity(rows, 'row')}?", answers), answer)
 
     def action_end(self) -> None:
         """Quit without a question, as Ctrl-C does everywhere."""

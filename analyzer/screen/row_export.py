@@ -9,7 +9,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.output.json_text import JsonText
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
     from bilprov.analyzer.output.outputs import TextForm
@@ -93,7 +93,7 @@ class RowExport:
             self.said = "the export was stopped: nothing is written"
             self._leave_nothing()
         else:
-            self.said = f"{self.written:,} rows are in {printable(self._path)}"
+            self.said = f"{quantity(self.written, 'row')} written to {printable(self._path)}"
 
     def _write(self, write: Callable[[str], object]) -> None:
         form = self._form(self._recording.protocol, write)

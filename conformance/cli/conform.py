@@ -25,6 +25,7 @@ from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.captures.text import quantity
 from bilprov.conformance.api import (
     Options,
     estimated_seconds,
@@ -290,7 +291,7 @@ def _tested(
             seconds = estimated_seconds(target.protocol, cases, options, target.line)
             what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=robot.yes)
-            note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
+            note(f"{quantity(count, 'case')}, about {seconds:.0f} s; what goes wrong may add a few")
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
         listeners: list[RunListener] = []

@@ -103,7 +103,7 @@ def test_a_filter_shows_what_passes_and_export_writes_it(
         while screen._export:
             await pilot.pause(0.01)
             screen.tick()
-        assert "9 rows are in out.csv" in text_of(screen)[-1]
+        assert "9 rows written to out.csv" in text_of(screen)[-1]
         await pilot.press("slash", *["backspace"] * 9, "enter")
         assert screen.frames.count == 121
 
