@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import HostRecord
-from bilprov.analyzer.edit.alignment import RUN, WINDOW, aligned
+from bilprov.analyzer.edit.alignment import FAR, RUN, aligned
 from bilprov.analyzer.edit.compare import Latencies
 from bilprov.analyzer.edit.exchanges import Exchange
 from bilprov.captures.schemas import MS, Chunk, State
@@ -169,8 +170,18 @@ def test_streams_are_aligned_with_no_more_edits_than_were_made(
         assert sum(not (first and second) for first, second in pairs) <= made
 
 
+@pytest.mark.parametrize("missing", [RUN, 300, FAR // 2, FAR - 2 * RUN])
+def test_what_follows_many_missing_frames_is_aligned_again(missing: int) -> None:
+    draw = Random(missing)
+    keys = [draw.randrange(256) for _ in range(2 * FAR)]
+    one, other = stream(keys), stream(keys[:50] + keys[50 + missing :])
+    for streams in ((one, other), (other, one)):
+        pairs = list(aligned(*map(iter, streams)))
+        assert sum(not (first and second) for first, second in pairs) <= missing + 2 * RUN
+
+
 def test_streams_that_have_nothing_in_common_are_told_in_whole() -> None:
-    one, other = stream([1] * (3 * WINDOW)), stream([2] * (2 * WINDOW))
+    one, other = stream([1] * (FAR + 5)), stream([2] * 500)
     pairs = list(aligned(iter(one), iter(other)))
     assert [first for first, _ in pairs if first] == one
     assert [second for _, second in pairs if second] == other
