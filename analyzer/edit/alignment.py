@@ -1,8 +1,9 @@
 """Aligns two streams of exchanges by their frames, in memory that does not depend on their length.
 
 Where frames differ, the fewest insertions and deletions after which 16 frames in a row are the same
-again are looked for, by E. Myers' greedy algorithm (An O(ND) Difference Algorithm, 1986). If there
-are none within a limit, what reaches furthest is taken, and the search goes on from there.
+again are looked for, by E. Myers' greedy algorithm (An O(ND) Difference Algorithm, 1986). If more
+than 64 would be needed, the next 16 frames in a row that both streams have are taken, up to 20,000
+frames ahead: so much may be missing at one place. Where there are none, all frames are told alone.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ from typing import Final, NamedTuple
 from bilprov.analyzer.edit.exchanges import Exchange
 
 RUN: Final = 16  # frames that are the same, after which two streams count as aligned
-WINDOW: Final = 1024  # exchanges of each stream that are looked at
-_FEWEST, _MOST = 32, 256  # edits that are looked for; the less the more often in vain
+WINDOW: Final = 512  # exchanges of each stream that are looked at for few edits
+FAR: Final = 20_000  # the same for many
+_MOST = 64  # edits that are few
 
 Keys = Sequence[tuple[str, bytes]]
+Step = tuple[bool, bool]
+"""Whether an exchange is taken from the left, and whether one is from the right."""
+
 Pair = tuple[Exchange | None, Exchange | None]
 
 
 def aligned(first: Iterator[Exchange], second: Iterator[Exchange]) -> Iterator[Pair]:
     """Yield all exchanges of both in order: pairs with the same frame, or one alone."""
     left, right = _Ahead(first), _Ahead(second)
-    most = _MOST
     while True:
         one, other = left.next(), right.next()
         if one is None or other is None:
@@ -32,8 +36,9 @@ def aligned(first: Iterator[Exchange], second: Iterator[Exchange]) -> Iterator[P
         if one.key == other.key:
             yield left.taken(), right.taken()
             continue
-        found, steps = _edits(left.window(), right.window(), most)
-        most = min(_MOST, 2 * most) if found else max(_FEWEST, most // 2)
+        steps = _edits(left.keys(WINDOW), right.keys(WINDOW))
+        if steps is None:
+            steps = _jump(left.keys(FAR), right.keys(FAR))
         for to_left, to_right in steps:
             yield left.taken() if to_left else None, right.taken() if to_right else None
     while left.next() is not None:
@@ -61,12 +66,12 @@ class _Ahead:
         self._at += 1
         return self._held[self._at - 1]
 
-    def window(self) -> Keys:
-        """The keys of the next exchanges."""
+    def keys(self, count: int) -> Keys:
+        """The keys of so many next exchanges, of fewer at the end."""
         del self._held[: self._at]
         self._at = 0
-        self._held += islice(self._stream, WINDOW - len(self._held))
-        return [one.key for one in self._held]
+        self._held += islice(self._stream, max(0, count - len(self._held)))
+        return [one.key for one in self._held[:count]]
 
 
 class _Reached(NamedTuple):
@@ -80,14 +85,10 @@ class _Reached(NamedTuple):
     end: int
 
 
-def _edits(left: Keys, right: Keys, most: int) -> tuple[bool, list[tuple[bool, bool]]]:
-    """The fewest edits up to where the streams are aligned again, and whether there are any.
-
-    Each step says whether it takes from the left and from the right.
-    """
+def _edits(left: Keys, right: Keys) -> list[Step] | None:
+    """The steps with the fewest edits up to where the streams are aligned again; None for many."""
     rounds: list[dict[int, _Reached]] = []
-    best = (0, 0, 0)  # keys that are passed, with how many edits, on which diagonal
-    for edits in range(most + 1):
+    for edits in range(_MOST + 1):
         before = rounds[-1] if rounds else {}
         now: dict[int, _Reached] = {}
         rounds.append(now)
@@ -101,10 +102,24 @@ def _edits(left: Keys, right: Keys, most: int) -> tuple[bool, list[tuple[bool, b
                 x += 1
             now[diagonal] = _Reached(came, begin, x)
             if x - begin == RUN or (x == len(left) and x - diagonal == len(right)):
-                return True, _path(rounds, diagonal)
-            best = max(best, (2 * x - diagonal, edits, diagonal))
-    _, edits, diagonal = best
-    return False, _path(rounds[: edits + 1], diagonal)
+                return _path(rounds, diagonal)
+    return None
+
+
+def _jump(left: Keys, right: Keys) -> list[Step]:
+    """The steps to the next run that both streams have; half of all steps where there is none."""
+    places: dict[tuple[tuple[str, bytes], ...], int] = {}
+    for x in range(len(left) - RUN + 1):
+        places.setdefault(tuple(left[x : x + RUN]), x)
+    best: tuple[int, int] | None = None
+    for y in range(len(right) - RUN + 1):
+        if best and y >= sum(best):
+            break
+        found = places.get(tuple(right[y : y + RUN]))
+        if found is not None and (best is None or found + y < sum(best)):
+            best = found, y
+    to_left, to_right = best or ((len(left) + 1) // 2, (len(right) + 1) // 2)
+    return [(True, False)] * to_left + [(False, True)] * to_right
 
 
 def _furthest(before: dict[int, _Reached], diagonal: int, most: int) -> tuple[int, int]:
@@ -117,9 +132,9 @@ def _furthest(before: dict[int, _Reached], diagonal: int, most: int) -> tuple[in
     return max(found, default=(-1, 0))
 
 
-def _path(rounds: list[dict[int, _Reached]], diagonal: int) -> list[tuple[bool, bool]]:
+def _path(rounds: list[dict[int, _Reached]], diagonal: int) -> list[Step]:
     """The steps of the path that has come to a diagonal in the last round."""
-    steps: list[tuple[bool, bool]] = []
+    steps: list[Step] = []
     for edits in range(len(rounds) - 1, -1, -1):
         came, begin, end = rounds[edits][diagonal]
         steps += [(True, True)] * (end - begin)

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
+from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
@@ -38,6 +38,7 @@ from bilprov.analyzer.edit.recorded_values import (
 )
 from bilprov.analyzer.edit.selection import Selection
 from bilprov.analyzer.edit.steps import Stepper
+from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH
@@ -110,14 +111,12 @@ def write_selected(
     near = _selected_times(opened_at(start), window, test, end, progress)
     opened = opened_at(start)
     settings = capture_settings(opened.capture, protocol)
-    shown = Shown(NoOutput(), test, window=window)
-    selection = Selection(
-        protocol,
-        out,
-        lambda record: bool(shown.show(Records([record])).rows),
-        window.has,
-        paired=settings["heard"] >= BOTH,
-    )
+
+    def selected(record: Record) -> bool:
+        line = json_line(record) if window.has(record.t) else None
+        return line is not None and test(line)
+
+    selection = Selection(protocol, out, selected, window.has, paired=settings["heard"] >= BOTH)
     decoder = opened.decoder
     state, now = first_state(decoder), 0
     since: list[Timed] = []  # the last known state, and nothing is selected in them
@@ -126,15 +125,15 @@ def write_selected(
     values = timed(opened.recorded(), state.time)
     for batch in batched(_before(values, end, behind)):
         now = batch[-1].now
-        selected = near.meets(batch[0].now, now)
-        if stepper is None and selected:
+        is_near = near.meets(batch[0].now, now)
+        if stepper is None and is_near:
             stepper = Stepper(protocol, settings, state)
             _step(stepper, selection, [one for one in since if _is_event(one)], window)
             since = []
         if stepper is not None:
             _step(stepper, selection, batch, window)
             saved = stepper.state
-            if saved is not None and not selected:
+            if saved is not None and not is_near:
                 decoder.resume(saved)
                 selection.passed(saved)
                 state, stepper = saved, None

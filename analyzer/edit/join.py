@@ -78,12 +78,12 @@ class Joined:
             _Source(
                 capture,
                 capture_settings(capture, protocol),
-                capture.contents.first or capture.start,
-                capture.contents.last or capture.start,
+                _begin(capture),
+                max(capture.contents.last, _begin(capture)),
             )
             for capture in captures
         ]
-        self.sources = sorted(sources, key=lambda source: (source.first, source.last))
+        self.sources = sorted(sources, key=lambda source: (source.first, -source.last))
         self.start = min(capture.start for capture in captures)
         _require_one_grammar(captures)
         _require_apart(self.sources)
@@ -176,6 +176,12 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
             yield Timed(begins.t, begins)
         begins = None
         yield Timed(one.now + by, moved)
+
+
+def _begin(capture: Capture) -> int:
+    """When a recording began, or the part that was cut out of it (wall clock, ns)."""
+    cut = capture.metadata.get(topics.CUT_START, "")
+    return capture.start + (int(cut) if cut.isascii() and cut.isdigit() and len(cut) < 20 else 0)
 
 
 def _continues(before: _Source, after: _Source) -> bool:

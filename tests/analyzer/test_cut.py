@@ -126,6 +126,7 @@ def window_of(events: Sequence[Event], shares: tuple[int, int] | None) -> Window
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("columns_at_once")
 @FEW
 @given(acts=ACTS, how=HOW, shares=SHARES)
 def test_a_window_keeps_the_events_and_is_decoded_as_the_whole(
@@ -160,6 +161,7 @@ def test_a_window_keeps_the_events_and_is_decoded_as_the_whole(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("columns_at_once")
 @FEW
 @given(acts=ACTS, how=HOW, shares=SHARES, expression=st.sampled_from(FILTERS))
 def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(

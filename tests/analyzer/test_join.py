@@ -1,0 +1,200 @@
+"""`bilprov join`: captures put together by time keep every byte, and say where they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from bilprov.analyzer.api import read_capture
+from bilprov.analyzer.decode.records import is_frame
+from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import MS, Chunk, Direction, Line
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.decoding import Event, conversation, devices
+from tests.support.traffic import ACTS, played
+
+START = 1_790_000_000_000_000_000
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
+BOTH: tuple[Direction, Direction] = ("host", "device")
+
+
+def written(
+    path: Path,
+    protocol: Protocol,
+    events: Sequence[Event],
+    heard: Sequence[Direction] = BOTH,
+    start: int = START,
+    **more: str,
+) -> Path:
+    """A capture of those directions; the times of the events count from START."""
+    path.unlink(missing_ok=True)
+    ports = {side: f"/dev/{side}" for side in heard}
+    about = session_metadata(protocol, ports=ports, line="", timeout=50 * MS, skew=0, heard=heard)
+    with RecordWriter(path, start, about | more) as out:
+        for event in events:
+            if isinstance(event, Line) or event.direction in heard:
+                out.event(replace(event, t=event.t + START - start))
+    return path
+
+
+def joined(*paths: Path, code: int = 0, grammar: Sequence[str] = ()) -> str:
+    out = paths[0].with_name("joined.mcap")
+    done = command(*grammar, "join", *map(str, paths), "-o", str(out), "--force")
+    assert (done.returncode, done.stdout) == (code, b""), done.stderr
+    return done.stderr.decode()
+
+
+def chunks(path: Path, side: str) -> list[tuple[int, bytes]]:
+    """The chunks of a side with their wall-clock times."""
+    capture = open_capture(path)
+    events = capture.events()
+    return [
+        (capture.start + event.t, event.data)
+        for event in events
+        if isinstance(event, Chunk) and event.direction == side
+    ]
+
+
+@pytest.mark.slow
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(acts=ACTS, later=st.integers(0, 3000), shift=st.integers(0, 5000))
+def test_two_taps_and_what_follows_them_keep_every_chunk(
+    protocol: Protocol, tmp_path: Path, acts: Any, later: int, shift: int
+) -> None:
+    events = [event for event in played(protocol, acts) if event.t >= 0]
+    last = max((event.t for event in events), default=0) + 9_000 * MS
+    after = [Chunk(last, "host", b"\x20"), Chunk(last + later * MS, "device", b"\0")]
+    parts = (
+        written(tmp_path / "h.mcap", protocol, events, ["host"]),
+        written(tmp_path / "d.mcap", protocol, events, ["device"], START - shift * MS),
+        written(tmp_path / "l.mcap", protocol, after, BOTH, START + last - shift * MS // 2),
+    )
+    joined(*parts)
+    out = tmp_path / "joined.mcap"
+    for side in BOTH:
+        assert sorted(chunks(out, side)) == sorted(c for part in parts for c in chunks(part, side))
+    assert open_capture(out).start == START - shift * MS
+
+
+def test_a_tap_of_each_side_gives_frames_with_their_answers(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    events = conversation([(b"\x11\x50", b"\0"), (b"\x20", b"\0"), (b"\x90", b"\1")])
+    host = written(tmp_path / "h.mcap", protocol, events, ["host"])
+    device = written(tmp_path / "d.mcap", protocol, events, ["device"], START - 7 * MS)
+    both = written(tmp_path / "b.mcap", protocol, events, BOTH, START - 7 * MS)
+    joined(device, host)
+    out = tmp_path / "joined.mcap"
+    answers = devices(read_capture(out, protocol))
+    assert [(a.instruction, a.latency) for a in answers] == [(0, MS), (1, MS), (2, MS)]
+    frames = [record.value for record in read_capture(out, protocol) if is_frame(record)]
+    assert frames == [record.value for record in read_capture(both, protocol) if is_frame(record)]
+    metadata = open_capture(out).metadata
+    assert metadata["heard"] == "device host"
+    assert (metadata["port_host"], metadata["port_device"]) == ("/dev/host", "/dev/device")
+
+
+def test_recordings_one_after_the_other_have_a_gap_between_them(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    first = written(tmp_path / "1.mcap", protocol, [Chunk(MS, "host", b"\x81")], line="9600 8N1")
+    second = written(
+        tmp_path / "2.mcap",
+        protocol,
+        [Chunk(900 * MS, "host", b"\x05")],
+        start=START + 800 * MS,
+        line="115200 8N1",
+    )
+    joined(second, first)
+    out = open_capture(tmp_path / "joined.mcap")
+    assert list(out.events()) == [
+        Chunk(MS, "host", b"\x81"),
+        Line(800 * MS, "gap", "", "2.mcap begins here"),
+        Chunk(900 * MS, "host", b"\x05"),
+    ]
+    assert (out.metadata["1.line"], out.metadata["2.line"]) == ("9600 8N1", "115200 8N1")
+    assert (out.metadata["1.file"], out.metadata["2.file"]) == ("1.mcap", "2.mcap")
+    assert "join 1.mcap 2.mcap" in out.metadata["history"]
+
+
+@pytest.mark.parametrize("at", ["0.3", "0.5", "0.719500", "1.5285"])
+def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path, at: str) -> None:
+    parts = tmp_path / "1.mcap", tmp_path / "2.mcap"
+    for path, side in zip(parts, ("--end", "--start"), strict=True):
+        assert command("cut", str(SAMPLE), str(path), side, at).returncode == 0
+    joined(*parts)
+    both = [record for record in read_capture(tmp_path / "joined.mcap") if is_frame(record)]
+    assert both == [record for record in read_capture(SAMPLE) if is_frame(record)]
+
+
+def test_parts_of_different_hours_number_their_instructions_on(tmp_path: Path) -> None:
+    early, late, later = (tmp_path / name for name in ("1.mcap", "2.mcap", "3.mcap"))
+    command("cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")
+    command("cut", str(SAMPLE), str(late), "--start", "0.5", "--end", "0.6")
+    command("cut", str(SAMPLE), str(later), "--start", "5")
+    joined(later, early, late)
+    frames = [r for r in read_capture(tmp_path / "joined.mcap") if is_frame(r)]
+    whole = [r for r in read_capture(SAMPLE) if is_frame(r)]
+    assert frames == [r for r in whole if 2e8 <= r.t < 4e8 or 5e8 <= r.t < 6e8 or r.t >= 5e9]
+
+
+def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    events = [Chunk(n * 100 * MS, "host", b"\x20") for n in range(20)]
+    one = written(tmp_path / "a.mcap", protocol, events[:12])
+    two = written(tmp_path / "b.mcap", protocol, events[8:], start=START + 300 * MS)
+    inside = written(tmp_path / "c.mcap", protocol, events[2:5])
+    said = joined(two, one, code=2)
+    assert "both hold the host and device from" in said
+    assert said.count("\n") == 1
+    options = said.rsplit("bilprov cut ", 1)[1].split()
+    assert options[0] == str(two)
+    options[1] = str(tmp_path / "rest.mcap")
+    assert command("cut", *options).returncode == 0
+    joined(one, tmp_path / "rest.mcap")
+    assert [t - START for t, _ in chunks(tmp_path / "joined.mcap", "host")] == [
+        event.t for event in events
+    ]
+    assert f"leave out {inside}" in joined(one, inside, code=2)
+    assert "both hold" in joined(one, one, code=2)
+
+
+def test_other_grammars_one_file_and_old_files_are_refused(
+    protocol: Protocol, horn: Protocol, tmp_path: Path
+) -> None:
+    event = Chunk(0, "host", b"\x20")
+    one = written(tmp_path / "a.mcap", protocol, [event])
+    other = written(tmp_path / "b.mcap", horn, [event])
+    assert "different grammars: join only captures of one" in joined(one, other, code=2)
+    assert "name two captures or more" in joined(one, code=2)
+    old = tmp_path / "old.mcap"
+    old.write_text("precious")
+    done = command("join", str(one), str(SAMPLE), "-o", str(old))
+    assert (done.returncode, old.read_text()) == (2, "precious")
+    done = command("join", str(one), str(SAMPLE), "-o", str(one), "--force")
+    assert b"itself, which would be lost" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "old.mcap"]
+
+
+def test_attachments_of_all_are_kept(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for path in paths:
+        with RecordWriter(path, START + (path is paths[1]) * 2, {"heard": "host"}) as out:
+            out.chunk(Chunk(1, "host", b"\x20"))
+            out.attach(f"{path.stem}.txt", "text/plain", path.name.encode(), 5)
+    joined(*paths)
+    found = open_capture(tmp_path / "joined.mcap").attachments()
+    assert [(file.name, file.data) for file in found] == [
+        ("a.txt", b"a.mcap"),
+        ("b.txt", b"b.mcap"),
+    ]
