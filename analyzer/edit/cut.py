@@ -21,6 +21,8 @@ from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from bilprov.analyzer.output.json_lines import json_line
+
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
@@ -38,7 +40,6 @@ from bilprov.analyzer.edit.recorded_values import (
 )
 from bilprov.analyzer.edit.selection import Selection
 from bilprov.analyzer.edit.steps import Stepper
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH

@@ -304,6 +304,7 @@ FULL = """
 import resource, signal, sys
 from bilprov.__main__ import main
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
 main(["export", *sys.argv[1:]])
 """

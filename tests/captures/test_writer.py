@@ -269,6 +269,7 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 capture = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
 bytes_of = random.Random(1).randbytes
