@@ -21,10 +21,9 @@ from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.output.json_lines import json_line
-
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
 from bilprov.analyzer.edit.new_capture import Progress, Stopped, write_resumption
