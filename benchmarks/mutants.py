@@ -37,17 +37,15 @@ ROOMS = {  # the code, and the tests that are its own
     "decode": (
         "analyzer/decode",
         [
-            *("tests/analyzer/test_session.py", "tests/analyzer/test_pairing.py"),
-            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_decode_command.py"),
+            "tests/analyzer/decode",
+            "tests/analyzer/output/test_text_lines.py",
+            "tests/analyzer/cli/test_decode_command.py",
+                "tests/analyzer/output/test_text_lines.py",
+                "tests/analyzer/cli/test_decode_command.py",
+            ),
         ],
     ),
-    "filters": (
-        "analyzer/filters",
-        [
-            *("tests/analyzer/test_filter.py", "tests/analyzer/test_filter_completion.py"),
-            "tests/analyzer/test_filter_masks.py",
-        ],
-    ),
+    "filters": ("analyzer/filters", ["tests/analyzer/filters"]),
     "captures": ("captures", ["tests/captures"]),
     "runner": ("conformance/runner", ["tests/conformance/runner"]),
 }

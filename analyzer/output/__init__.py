@@ -1,1 +1,1 @@
-"""Shows records as text, JSON lines, live view and tables; filters, counts, but changes none."""
+"""Shows records as text, JSON lines, CSV and tables; counts them, but changes none."""

@@ -358,7 +358,7 @@ def test_nothing_to_serve_is_refused() -> None:
 SERVING = """
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
-from tests.analyzer.test_server import Echo
+from tests.analyzer.transport.test_server import Echo
 with Stopper() as stopper:
     serve(Echo(), pty=True, listen="127.0.0.1:0", probe_listen=None,
           announce=lambda line: print(line, flush=True), stop=stopper)
