@@ -12,6 +12,9 @@ PYTEST_ARGS ?= -n 4 --dist worksteal
 PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
 	gcc-arm-none-eabi qemu-system-arm ser2net socat tshark tmux zsh fish
 
+# Another reader of captures, in JavaScript; npm brings it, where there is one.
+MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0
+
 .PHONY: help setup packages demo test quick whole slow mutants check format lint types bench noise pictures clean
 
 help: ## this list
@@ -35,6 +38,9 @@ packages: ## what the tests run beside Python, installed where that is allowed
 	@dpkg -s $(PACKAGES) >/dev/null 2>&1 || { [ "$$(id -u)" = 0 ] && apt-get update && \
 	  apt-get install -y --no-install-recommends $(PACKAGES); } || \
 	  echo "some tests will be skipped. They need: apt-get install $(PACKAGES)" >&2
+	@[ -d build/npm/node_modules/@mcap/support ] || ! command -v npm >/dev/null || \
+	  npm install --silent --no-save --no-package-lock --prefix build/npm $(MCAP_JS) || \
+	  echo "one test will be skipped. It needs: npm install --prefix build/npm $(MCAP_JS)" >&2
 
 test: setup packages ## the whole test suite
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 
 def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
@@ -39,29 +40,29 @@ def why_not_writable(file: Path) -> str:
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file atomically: to a temporary file beside it, synced, which then replaces it.
+    """Write a file atomically, as `whole_file` does. Raises OSError."""
+    with whole_file(file) as out:
+        out.write(data)
 
-    So a reader, or a crash, finds the old content or the new one, never a half. The temporary file
-    is always a new one: nobody can plant a link under its name. A pipe or a terminal is written to
-    directly. Raises OSError.
+
+@contextmanager
+def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
+    """Write a file atomically: a temporary file beside it, which is synced and then renamed.
+
+    So a reader, or a crash, finds the old content or the new one, never a half; where the block
+    raises, the temporary file goes. It is always a new one: nobody can plant a link under its name.
+    A pipe or a terminal is written to directly. Raises OSError, and FileExistsError where there is
+    a file, now or at the end, which `replace` does not allow to be replaced.
     """
     file = file.resolve()
     if file.exists() and not file.is_file():
-        file.write_bytes(data)
+        with file.open("wb") as pipe:
+            yield pipe
         return
-    part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
-    with part.open("xb") as beside:
-        try:
-            beside.write(data)
-            beside.flush()
-            os.fsync(beside.fileno())
-            if file.exists():
-                shutil.copymode(file, part)
-            part.replace(file)
-        except BaseException:
-            with suppress(OSError):
-                part.unlink()
-            raise
+    if not replace and file.exists():  # before all the work
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(file))
+    with replaced_whole(file, force=replace) as part, part.open("xb") as beside:
+        yield beside
 
 
 @contextmanager
@@ -78,6 +79,8 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
         with part.open("rb") as written:
             os.fsync(written.fileno())
         if force:
+            if file.exists():
+                shutil.copymode(file, part)
             part.replace(file)
         elif not _linked(part, file):
             part.rename(file)

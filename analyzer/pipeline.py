@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.outputs import Shown
     from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
+    from bilprov.analyzer.replay.spool import Spool
 
 MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and a pty holds 4 KiB
 
@@ -31,7 +32,7 @@ class Pipeline:
     decoder: StreamDecoder
     statistics: Statistics
     shown: Shown
-    recorder: Recorder | None = None
+    recorder: Recorder | Spool | None = None
     judge: PassiveJudge | None = None
     patience: int = 0
     _pending: list[Chunk | Line] = field(default_factory=list)
@@ -111,5 +112,6 @@ class Pipeline:
                 for record in part.records():
                     if self.shown.window.has(record.t):
                         self.judge.record(record)
-            self.statistics.part(part, self.shown.show(part))
+            self.shown.show(part)
+            self.statistics.part(part)
         return parts

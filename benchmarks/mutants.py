@@ -1,7 +1,7 @@
 """Do a room's own tests notice when one thing in its code is changed? Seeded mutants, one by one.
 
 `python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--jobs N] [--json FILE]`: small
-changes (`<` to `<=`, a statement left out) are drawn from the code of five rooms, as many of each.
+changes (`<` to `<=`, a statement left out) are drawn from the code of six rooms, as many of each.
 Each is made in a copy of the tree, where the room's tests then run, the cheapest file first; tests
 that alone take longer than `--slow` seconds (more of them on a busy machine) are left out. Prints
 per room how many mutants were killed (a test failed), timed out and survived, and the survivors. A
@@ -38,8 +38,14 @@ ROOMS = {  # the code, and the tests that are its own
         "analyzer/decode",
         [
             *("tests/analyzer/test_session.py", "tests/analyzer/test_pairing.py"),
-            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_filter.py"),
-            "tests/analyzer/test_decode_command.py",
+            *("tests/analyzer/test_text_lines.py", "tests/analyzer/test_decode_command.py"),
+        ],
+    ),
+    "filters": (
+        "analyzer/filters",
+        [
+            *("tests/analyzer/test_filter.py", "tests/analyzer/test_filter_completion.py"),
+            "tests/analyzer/test_filter_masks.py",
         ],
     ),
     "captures": ("captures", ["tests/captures"]),

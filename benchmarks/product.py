@@ -101,9 +101,8 @@ def decoded_records(path: Path) -> tuple[float, Judged]:
 @contextmanager
 def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
-    settings = line_settings(protocol)
     decoder = StreamDecoder(protocol, skew=0)
-    statistics = Statistics(protocol, settings.byte_time)
+    statistics = Statistics()
     with Recorder(path, time.time_ns(), _metadata(protocol)) as recorder:
         shown = Shown(NoOutput())
         pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)

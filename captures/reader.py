@@ -57,6 +57,11 @@ class Message(msgspec.Struct, frozen=True):
     value: dict[str, Any] | bytes
     sequence: int
 
+    @property
+    def t_ns(self) -> int:
+        """The same as `t`, under the name that tells its unit."""
+        return self.t
+
 
 @dataclass(frozen=True, slots=True)
 class Capture:
@@ -274,4 +279,4 @@ def _value(topic: str, encoding: str, data: bytes) -> dict[str, Any] | bytes:
         return data
     if not isinstance(value, dict):
         return data
-    return {**dict.fromkeys(topics.optional_fields(topic)), **value}
+    return topics.completed(topic, value)

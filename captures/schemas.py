@@ -1,7 +1,9 @@
 """The values stored in a capture: raw chunks and line events, and the values decoded from them.
 
 Times in these values are integers in nanoseconds since the capture's start (monotonic), named `t`
-or `end`. In the file the same moment is `log_time` = wall clock at the start + `t`.
+or `end`. In the file the same moment is `log_time` = wall clock at the start + `t`. JSON lines and
+CSV have seconds under the names `t` and `latency`; so these values, and the messages made of them,
+have `t_ns` and `latency_ns` beside, which mean the same everywhere.
 """
 
 from __future__ import annotations
@@ -15,15 +17,25 @@ Direction = Literal["host", "device"]
 FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
 
 
-class Chunk(msgspec.Struct, frozen=True, gc=False):
-    """The bytes of one read from a port; all records are decoded from chunks."""
+class Timed(msgspec.Struct, frozen=True):
+    """A value with its time `t` in nanoseconds since the capture's start."""
 
     t: int
+
+    @property
+    def t_ns(self) -> int:
+        """The same as `t`, under the name that tells its unit."""
+        return self.t
+
+
+class Chunk(Timed, frozen=True, gc=False):
+    """The bytes of one read from a port; all records are decoded from chunks."""
+
     direction: Direction
     data: bytes
 
 
-class Line(msgspec.Struct, frozen=True, gc=False):
+class Line(Timed, frozen=True, gc=False):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
@@ -32,7 +44,6 @@ class Line(msgspec.Struct, frozen=True, gc=False):
     both.
     """
 
-    t: int
     event: str
     tap: Direction | Literal[""] = ""
     detail: str = ""
@@ -48,7 +59,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     moving: bool
 
 
-class Instruction(msgspec.Struct, frozen=True, gc=False):
+class Instruction(Timed, frozen=True, gc=False):
     """Host bytes with their judgement (topic `/host/instructions`).
 
     `kind` is `instruction` for a whole frame, `truncated` for one that the time-out cut short,
@@ -57,7 +68,6 @@ class Instruction(msgspec.Struct, frozen=True, gc=False):
     a conforming device gives.
     """
 
-    t: int
     end: int
     kind: FrameKind
     hex: str
@@ -70,7 +80,7 @@ class Instruction(msgspec.Struct, frozen=True, gc=False):
     reason: str
 
 
-class Response(msgspec.Struct, frozen=True, gc=False):
+class Response(Timed, frozen=True, gc=False):
     """One device byte, with the instruction it answers (topic `/device/responses`).
 
     `instruction` is that instruction's `sequence` or None where there is none; `latency` is in
@@ -78,7 +88,6 @@ class Response(msgspec.Struct, frozen=True, gc=False):
     grammar expects, None where nothing is expected.
     """
 
-    t: int
     hex: str
     byte: int
     name: str | None
@@ -86,6 +95,11 @@ class Response(msgspec.Struct, frozen=True, gc=False):
     latency: int | None
     agrees: bool | None
     reason: str
+
+    @property
+    def latency_ns(self) -> int | None:
+        """The same as `latency`, under the name that tells its unit."""
+        return self.latency
 
 
 class Time(msgspec.Struct, frozen=True):
@@ -109,17 +123,16 @@ class Log(msgspec.Struct, frozen=True):
     line: int = 0
 
 
-class CaseMark(msgspec.Struct, frozen=True):
+class CaseMark(Timed, frozen=True):
     """The begin or the end of a conformance case (topic `/conformance/cases`)."""
 
-    t: int
     id: str
     phase: Literal["begin", "end"]
     verdict: str | None = None
     reason: str = ""
 
 
-class Asked(msgspec.Struct, frozen=True):
+class Asked(Timed, frozen=True):
     """One thing that a conformance run asked for, written when it was done (`/conformance/asks`).
 
     What was sent, heard and seen stands in the messages before it; `t` is when it was done, of a
@@ -128,7 +141,6 @@ class Asked(msgspec.Struct, frozen=True):
     kit, the port or the probe failed and `line_works` that the robot could still be homed.
     """
 
-    t: int
     ask: Literal["send", "listen", "look", "power", "interrupt"]
     begun: int | None = None
     ended: str | None = None
@@ -136,10 +148,9 @@ class Asked(msgspec.Struct, frozen=True):
     line_works: bool | None = None
 
 
-class Look(msgspec.Struct, frozen=True):
+class Look(Timed, frozen=True):
     """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell."""
 
-    t: int
     moving: bool | None
     motion: str | None = None
     speed: int | None = None
@@ -149,7 +160,7 @@ class Look(msgspec.Struct, frozen=True):
     right: int | None = None
 
 
-class Checkpoint(msgspec.Struct, frozen=True):
+class Checkpoint(Timed, frozen=True):
     """What is needed to go on decoding after the messages before it (topic `/checkpoint`).
 
     `decoder` is the state as the decoder wrote it (JSON), in which nobody else looks; `grammar` is
@@ -159,7 +170,6 @@ class Checkpoint(msgspec.Struct, frozen=True):
     the capture begins there: decoding then has to go on from it.
     """
 
-    t: int
     grammar: str
     decoder: str
     crc: int

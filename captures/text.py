@@ -33,6 +33,11 @@ def escape_all_controls(value: Any) -> Any:
     )
 
 
+def quantity(count: int, noun: str, plural: str = "") -> str:
+    """A count with its noun: `1 answer`, `2 answers`; `plural` is for what takes no plain s."""
+    return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
+
+
 PRINTABLE_CHARACTERS = 200
 
 

@@ -60,7 +60,11 @@ TIMES = {
     "end": SINCE_START,
     "begun": SINCE_START,
     "latency": "Integer nanoseconds from the instruction's last byte to this byte.",
+    "t_ns": "The same as `t`: integer nanoseconds since the capture's start.",
+    "latency_ns": "The same as `latency`, in integer nanoseconds.",
 }
+BESIDE = {"t": "t_ns", "latency": "latency_ns"}
+"""Fields that a message has twice, the second time under a name that tells the unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +95,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic(CHECKPOINT, 11, JSON_ENCODING, "bilprov.Checkpoint", Checkpoint),
 )
 
+_SCHEMAS = {topic.name for topic in TOPICS if topic.schema}
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 
 
@@ -98,10 +103,21 @@ def encoded(value: Written) -> bytes:
     """Encode a value as the JSON of its message; fields that are None are left out."""
     return msgspec.json.encode(
         {
-            name: item
-            for name in value.__struct_fields__
+            key: item
+            for key, name in _keys(type(value))
             if (item := getattr(value, name)) is not None
         }
+    )
+
+
+@cache
+def _keys(value: type[msgspec.Struct]) -> tuple[tuple[str, str], ...]:
+    """The keys of a value's messages in order, each with the field that it has."""
+    return tuple(
+        (key, name)
+        for name in value.__struct_fields__
+        for key in (name, BESIDE.get(name))
+        if key is not None
     )
 
 
@@ -116,6 +132,19 @@ def optional_fields(topic: str) -> tuple[str, ...]:
                 if type(None) in getattr(field.type, "__args__", ())
             )
     return ()
+
+
+def completed(topic: str, message: dict[str, Any]) -> dict[str, Any]:
+    """A message on `topic` with None for the fields that it left out.
+
+    A message of an older kit gets the fields of BESIDE.
+    """
+    whole = {**dict.fromkeys(optional_fields(topic)), **message}
+    if topic in _SCHEMAS:
+        for name, beside in BESIDE.items():
+            if name in whole:
+                whole.setdefault(beside, whole[name])
+    return whole
 
 
 @cache
@@ -154,13 +183,17 @@ def _one_of(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, An
 
 def _properties(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     properties: dict[str, Any] = {}
-    for name, item in schema.get("properties", {}).items():
-        properties[name] = _flat(item, definitions)
-        if name in TIMES:
-            properties[name]["description"] = TIMES[name]
+    for field, item in schema.get("properties", {}).items():
+        for name in (field, BESIDE.get(field)):
+            if name is not None:
+                properties[name] = _flat(item, definitions)
+                if name in TIMES:
+                    properties[name]["description"] = TIMES[name]
     required = [
         name
-        for name in schema.get("required", ())
-        if {"type": "null"} not in schema["properties"][name].get("anyOf", ())
+        for field in schema.get("required", ())
+        if {"type": "null"} not in schema["properties"][field].get("anyOf", ())
+        for name in (field, BESIDE.get(field))
+        if name is not None
     ]
     return {"properties": properties, "required": required}

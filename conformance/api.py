@@ -194,6 +194,10 @@ def run_suite(
         for listener in everyone:
             listener.end(result)
 
+    def note(sentence: str) -> None:
+        for listener in everyone:
+            listener.note(sentence)
+
     def interrupted() -> bool | str:
         broken = (listener.broken for listener in everyone if listener.broken)
         why = target.interrupted() or str(next(broken, ""))
@@ -206,10 +210,17 @@ def run_suite(
         profile.truncation_timeout = int(options.truncation_timeout * MS)
     environment = target.environment
     run = Run(
-        RunConfig(grammar, _timers(target, options), environment.observability, environment.power),
+        RunConfig(
+            grammar,
+            _timers(target, options),
+            environment.observability,
+            environment.power,
+            environment.virtual,
+        ),
         profile,
         begin=begin,
         report=end,
+        note=note,
     )
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)

@@ -48,17 +48,23 @@ PLACES = {
     "conformance.oracle": Place(6, 0, 1),
     "conformance": Place(7, 0, 1),
     "analyzer.cli": Place(0, 0, 1),
-    "analyzer.pipeline": Place(1, 0, 0.62),
-    "analyzer.edit": Place(1, 0.66, 0.34),
-    "analyzer.replay": Place(2, 0.36, 0.26),
-    "analyzer.taps": Place(3, 0, 0.23),
-    "analyzer.client": Place(3, 0.26, 0.23),
-    "analyzer.output": Place(3, 0.72, 0.28),
-    "analyzer.transport": Place(4, 0, 0.46),
-    "analyzer.columns": Place(4, 0.49, 0.24),
-    "analyzer.monitor": Place(4, 0.76, 0.24),
-    "analyzer": Place(5, 0, 0.49),
-    "analyzer.decode": Place(5, 0.54, 0.46),
+    "analyzer.doctor": Place(1, 0, 0.25),
+    "analyzer.pipeline": Place(1, 0.28, 0.15),
+    "analyzer.edit": Place(1, 0.46, 0.09),
+    "analyzer.export": Place(1, 0.58, 0.12),
+    "analyzer.screen": Place(1, 0.73, 0.12),
+    "analyzer.plot": Place(1, 0.88, 0.12),
+    "analyzer.taps": Place(2, 0.29, 0.11),
+    "analyzer.replay": Place(2, 0.43, 0.16),
+    "analyzer.output": Place(2, 0.65, 0.18),
+    "analyzer.html": Place(2, 0.88, 0.12),
+    "analyzer.client": Place(3, 0, 0.19),
+    "analyzer.filters": Place(3, 0.7, 0.15),
+    "analyzer.transport": Place(4, 0.27, 0.17),
+    "analyzer.monitor": Place(4, 0.5, 0.15),
+    "analyzer.columns": Place(4, 0.7, 0.15),
+    "analyzer": Place(5, 0, 0.21),
+    "analyzer.decode": Place(5, 0.23, 0.62),
     "captures.evidence": Place(0, 0, 0.38),
     "captures.storage": Place(0, 0.42, 0.16),
     "captures": Place(0, 0.62, 0.38),
@@ -67,9 +73,9 @@ PLACES = {
 }
 
 _ROWS = (("bilprov",), ("analyzer", "conformance"), ("captures",), ("spec",))
-_WIDTH, _EDGE, _PAD, _GAP, _HEADING = 720, 10, 12, 26, 28
-_ASIDE = 360  # width of the analyzer's panel, beside the suite's
-_TITLE, _NOTE, _LINE = 9.2, 6.9, 17  # px: a letter of a title, of a note, a line of text
+_WIDTH, _EDGE, _PAD, _GAP, _HEADING = 1060, 10, 12, 26, 28
+_ASIDE = 660  # width of the analyzer's panel, beside the suite's
+_TITLE, _NOTE, _LINE = 9.4, 7.4, 17  # px: a letter of a title, of a note, a line of text
 
 _STYLE = """
 text { font-family: system-ui, 'DejaVu Sans', Arial, sans-serif; fill: #1b1f24 }

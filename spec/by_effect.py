@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 from bilprov.spec.codec import build
 from bilprov.spec.motion import Motion
@@ -65,3 +66,27 @@ def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
 def variable_of(spec: InstructionSpec) -> str:
     """Return the (first) variable that an instruction sets."""
     return spec.effect.assignments[0][0]
+
+
+class LinkCheck(NamedTuple):
+    """The frames that tell whether a device answers on a line; none of them moves it.
+
+    `setting` gives the speed half its range (a stop, where no instruction sets it). `unused` is the
+    header of an unused ID and `short` that of the setting without its data; each is b"" where the
+    protocol has none.
+    """
+
+    setting: bytes
+    unused: bytes
+    short: bytes
+
+
+def link_check(protocol: Protocol, taken: int | None = None) -> LinkCheck:
+    """Return the frames of the link check; `taken` is an unused ID to leave out."""
+    low, high = protocol.limits.get("speed", (0, 0))
+    frame = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
+    identity, length = protocol.headers[frame[0]]
+    free = [one for one in protocol.unused_ids if one != taken]
+    unused = bytes([protocol.header_bytes[free[0], 0]]) if free else b""
+    short = bytes([protocol.header_bytes[identity, 0]]) if length else b""
+    return LinkCheck(frame, unused, short)

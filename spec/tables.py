@@ -184,14 +184,28 @@ class FrameTables:
         self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[str | int]
     ) -> StateColumns:
         """The state after each frame; `before` are the values of `VARIABLES` before the first."""
+        return StateColumns(*self._variables(VARIABLES, data, frames, before))
+
+    def moving(
+        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[str | int]
+    ) -> NDArray[np.bool_]:
+        """Whether the wheels turn after each frame; `before` is as in `states`."""
+        motion, speed = self._variables(("motion", "speed"), data, frames, before)
+        return moving(motion, speed)
+
+    def _variables(
+        self,
+        names: Sequence[str],
+        data: NDArray[np.uint8],
+        frames: FrameColumns,
+        before: Sequence[str | int],
+    ) -> Iterator[NDArray[Any]]:
+        """Yield some state variables after each frame; `before` is as in `states`."""
         long = list(self._long_effects(data, frames)) if self._long else []
         sets = self._sets.take(frames.key)
-        return StateColumns(
-            *(
-                self._variable(variable, frames, sets & 1 << bit != 0, coded(value), long)
-                for bit, (variable, value) in enumerate(zip(VARIABLES, before, strict=True))
-            )
-        )
+        for bit, (variable, value) in enumerate(zip(VARIABLES, before, strict=True)):
+            if variable in names:
+                yield self._variable(variable, frames, sets & 1 << bit != 0, coded(value), long)
 
     def last_state(
         self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[Any]

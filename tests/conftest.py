@@ -27,6 +27,10 @@ Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 settings.register_profile("house", deadline=None, max_examples=60)
 settings.load_profile("house")
 
+os.environ["XDG_CONFIG_HOME"] = (
+    os.devnull
+)  # the tests do not follow the settings of whoever runs them
+
 # What `make quick` does without: other programs, and waiting in real time.
 _NOT_QUICK = (
     (subprocess.Popen, "__init__", "starts a program"),

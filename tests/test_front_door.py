@@ -25,16 +25,29 @@ from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.signals import ignoring
 
-HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.metadata"}
+HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.metadata", "pyarrow"}
 # Modules and packages that a command does not use.
 UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
+    "decode 2111 --filter faulty": HEAVY - {"construct", "msgspec"}
+    | {"zstandard", "lz4", "difflib"},
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},
+    "spec emit wireshark": HEAVY - {"construct", "msgspec"},
+    "export --foxglove-layout": {"serial", "mcap", "numpy", "rich", "pyarrow"},
+    "export captures/samples/examples.mcap --format csv -o -": {
+        "serial",
+        "mcap",
+        "rich",
+        "pyarrow",
+    },
     "completion fish": HEAVY,
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
+    "shell sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
     "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
-} | {f"{name} --help": {"numpy", "rich"} for name in front_door.COMMANDS}
+    "replay --rate 0 captures/samples/examples.mcap": {"textual", "bilprov.analyzer.screen"},
+    "replay --plain --rate 0 captures/samples/examples.mcap": {"textual"},
+} | {f"{name} --help": {"numpy", "rich", "textual"} for name in front_door.COMMANDS}
 
 
 def said(result: Done) -> str:

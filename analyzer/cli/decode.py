@@ -51,8 +51,8 @@ def decode(
     test = compiled(expression, protocol)
     if not words and sys.stdin.isatty():
         raise click.UsageError("what is to be decoded? Give HEX, a FILE or - for standard input")
-    decoder, events = _input(words or ("-",), sender, protocol)
-    out = Shown(stream_output(style), test)
+    decoder, events, start = _input(words or ("-",), sender, protocol)
+    out = Shown(stream_output(style), test and test.started(start))
     for batch in events:
         for part in decoder.feed(batch):
             out.show(part)
@@ -62,11 +62,14 @@ def decode(
 
 def _input(
     words: tuple[str, ...], sender: Direction, protocol: Protocol
-) -> tuple[StreamDecoder, Iterable[Sequence[Chunk | Line]]]:
-    """The decoder and the events to decode, from hex words, a file, or standard input."""
+) -> tuple[StreamDecoder, Iterable[Sequence[Chunk | Line]], int]:
+    """The decoder and the events to decode, from hex words, a file, or standard input.
+
+    And the wall clock (ns since 1970) at their start, 0 where nobody knows it.
+    """
     decoder = StreamDecoder(protocol, heard=frozenset({sender}))
     if words == ("-",):
-        return decoder, _pieces(None, sender)
+        return decoder, _pieces(None, sender), 0
     path = Path(words[0])
     if len(words) == 1 and _is_file(path):
         if _begins_like_a_capture(path):
@@ -77,14 +80,15 @@ def _input(
             capture = open_capture(path)
             for sentence in said_about(capture, protocol):
                 note(sentence)
-            return capture_decoder(capture, protocol), batches(capture.events(), at_once=True)
-        return decoder, _pieces(path, sender)
+            events = batches(capture.events(), at_once=True)
+            return capture_decoder(capture, protocol), events, capture.start
+        return decoder, _pieces(path, sender), 0
     try:
         data = bytes_from_hex(" ".join(words))
     except ValueError as error:
         files = "there is no such file, and " if len(words) == 1 else ""
         raise click.ClickException(f"{files}{error}") from None
-    return decoder, [[Chunk(0, sender, data)]]
+    return decoder, [[Chunk(0, sender, data)]], 0
 
 
 def _is_file(path: Path) -> bool:

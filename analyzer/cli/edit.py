@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bilprov.analyzer.cli.options import Finite, compiled, filter_option, note
+from bilprov.captures.text import quantity
 
 if TYPE_CHECKING:
     from bilprov.analyzer.edit.new_capture import Progress
@@ -76,13 +77,13 @@ def cut(
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
         if test is None:
             size = write_window(opened, protocol, out, window, progress)
-            what = f"{size:,} bytes"
+            what = quantity(size, "byte")
         else:
             held = test.started(capture.start)
             frames = write_selected(
                 lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
             )
-            what = f"{frames:,} frames and answers"
+            what = quantity(frames, "frame or answer", "frames and answers")
     note(f"{new} holds {what} of {path}")
 
 
@@ -136,7 +137,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
         new_capture(new, joined.start, joined.metadata(), force=force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
-    note(f"{new} holds {size:,} bytes of {len(paths)} captures")
+    note(f"{new} holds {quantity(size, 'byte')} of {len(paths)} captures")
 
 
 def _say(sentences: Iterator[str], *more: str) -> None:

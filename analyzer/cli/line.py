@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
+from bilprov.analyzer.cli.completion import Item, beginning, ports
 from bilprov.analyzer.cli.options import line_options, note
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.ends import SERVED, End, open_end, require_two_ends
@@ -51,6 +52,11 @@ def _time(name: str, text: str) -> Callable[[Command], Command]:
     return click.option(name, metavar="TIME", default="0", callback=_in_ns, help=text)
 
 
+def _ends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
+    own = [(kind.prefix, kind.help) for kind in SERVED]
+    return beginning(incomplete, own) + ports(ctx, param, incomplete)
+
+
 SERVED_IN_WORDS = ", or ".join(kind.help for kind in SERVED)
 
 HELP = f"""\
@@ -74,8 +80,8 @@ how many bytes went each way, and what happened to how many of them.
 
 
 @click.command(help=HELP)
-@click.argument("a", metavar="A")
-@click.argument("b", metavar="B")
+@click.argument("a", metavar="A", shell_complete=_ends)
+@click.argument("b", metavar="B", shell_complete=_ends)
 @_rate("--drop", "Bytes that vanish.")
 @_rate("--flip", "Bytes with one bit turned over.")
 @_rate("--double", "Bytes that come twice.")

@@ -11,8 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from bilprov.captures.text import escape_controls
+
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
+    from bilprov.analyzer.output.outputs import Format
+    from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -52,11 +56,16 @@ def line_options(command: Command) -> Command:
     return command
 
 
+_FILTER = """\
+Show only the rows for which EXPR holds, like "faulty and latency > 20ms". Names: the fields of the
+grammar, id len data sequence response latency answers agrees name direction kind hex judgement
+faulty faults reason t time state.motion (speed, steering, led, moving). Signs: == != < <= > >= in
+contains & and or not; names in any case. docs/filters.md explains them."""
+
+
 def filter_option(command: Command) -> Command:
     """Add `--filter EXPR`, as `expression`."""
-    from bilprov.analyzer.output.filter import HELP
-
-    return click.option("--filter", "expression", metavar="EXPR", help=HELP)(command)
+    return click.option("--filter", "expression", metavar="EXPR", help=_FILTER)(command)
 
 
 # Who sent the bytes, as `sender`.
@@ -79,13 +88,87 @@ text_format_option = click.option(
     help="For people or for programs.",
 )
 
-# The format of a session (live, lines or jsonl), as `style`, None if it is not given.
+# The format of a session (live, lines, jsonl or csv), as `style`, None if it is not given.
 session_format_option = click.option(
     "--format",
     "style",
-    type=click.Choice(["live", "lines", "jsonl"]),
-    help="A picture (on a terminal), text lines (in a pipe), or JSON lines.",
+    type=click.Choice(["live", "lines", "jsonl", "csv"]),
+    help="A screen (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
 )
+
+# Whether text lines are asked for, as `plain`.
+plain_option = click.option(
+    "--plain", is_flag=True, help="Text lines on a terminal too: the same as --format lines."
+)
+
+
+def session_style(style: Format | None, plain: bool) -> Format:
+    """The format of a session, from --format and --plain.
+
+    Raises UsageError where they contradict each other, or where there is no terminal for a screen.
+    """
+    from bilprov.analyzer.output.outputs import chosen_format, has_terminal
+
+    if plain and style not in (None, "lines"):
+        raise click.UsageError(f"--plain is --format lines: give it or --format {style}, not both")
+    if style == "live" and not has_terminal():
+        raise click.UsageError(
+            "--format live needs a terminal to show a screen on and to take keys from; for a pipe "
+            "use --format lines"
+        )
+    return "lines" if plain else chosen_format(style)
+
+
+def row_options(command: Command) -> Command:
+    """Add `--time` and `--columns`, whose values `row_style` takes."""
+    command = click.option(
+        "--columns",
+        metavar="NAME,...",
+        shell_complete=_column_names,
+        help="What of each row is shown, like time,name,rgb,latency: keys of the JSON lines, "
+        "state.speed and so on, id, len, data, and fields of instructions.",
+    )(command)
+    return click.option(
+        "--time",
+        "time_style",
+        metavar="STYLE",
+        type=click.Choice(["relative", "delta", "absolute", "utc"]),
+        help="How times are shown: relative, seconds since the start (the usual); delta, since the "
+        "row before; absolute, date and time of day here; utc, the same in UTC.",
+    )(command)
+
+
+def _column_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.row_columns import columns_of
+
+    before, comma, begun = incomplete.rpartition(",")
+    names = columns_of(load_protocol(ctx.find_root().params.get("grammar")))
+    return [f"{before}{comma}{name}" for name in names if name.startswith(begun.lower())]
+
+
+def row_style(
+    time_style: str | None, columns: str | None, protocol: Protocol, style: str | None = None
+) -> RowStyle:
+    """What was asked for of each row, in the format `style`.
+
+    Raises UsageError where the format has no choice of columns or times, or a time is to be
+    written that is not among the columns. Raises ColumnError for what is no column.
+    """
+    from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
+
+    if style == "jsonl" and (time_style or columns is not None):
+        raise click.UsageError(
+            "--time and --columns are for lines and csv: a JSON line has all its keys, and t in "
+            "seconds since the start"
+        )
+    chosen = None if columns is None else chosen_columns(columns, protocol)
+    if time_style and chosen and TIME not in chosen:
+        raise click.UsageError(
+            f"--time {time_style} is how the column time is written: name it in --columns too"
+        )
+    return RowStyle(TimeStyle(time_style) if time_style else None, chosen)
+
 
 # In ms, as `truncation_timeout`, None if it is not given.
 timeout_option = click.option(
@@ -108,7 +191,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     """Compile a filter expression; None if there is none. Raises FilterError."""
     if expression is None:
         return None
-    from bilprov.analyzer.output.filter import compile_filter
+    from bilprov.analyzer.filters.filter import compile_filter
 
     return compile_filter(expression, protocol)
 
@@ -116,6 +199,15 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+def note_hindrances(*names: str) -> None:
+    """Print a note for what makes opened ports slow or unsafe; URLs and ptys have nothing."""
+    from bilprov.analyzer.doctor.system import notes
+
+    for name in names:
+        for sentence in notes(name):
+            note(escape_controls(sentence))
 
 
 class NotConfirmed(click.ClickException):

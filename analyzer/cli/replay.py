@@ -16,7 +16,11 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    plain_option,
+    row_options,
+    row_style,
     session_format_option,
+    session_style,
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -26,7 +30,6 @@ from bilprov.analyzer.output.outputs import (
     Format,
     Shown,
     Window,
-    chosen_format,
     opened_output,
 )
 from bilprov.analyzer.output.statistics import Statistics
@@ -65,12 +68,20 @@ if TYPE_CHECKING:
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
 @filter_option
 @session_format_option
+@row_options
+@click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
+@click.option(
+    "--duration",
+    type=Finite(0, min_open=True),
+    help="End after S seconds of the recording, counted from --start.",
+)
 @click.option(
     "--to",
     "port",
     metavar="PORT",
     help="Also send the host's bytes to a device there and compare its answers.",
 )
+@plain_option
 @judge_option
 @click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
 @line_options
@@ -84,7 +95,12 @@ def replay(
     end: float | None,
     expression: str | None,
     style: Format | None,
+    time_style: str | None,
+    columns: str | None,
+    count: int | None,
+    duration: float | None,
     port: str | None,
+    plain: bool,
     judged: bool,
     yes: bool,
     baud: int | None,
@@ -102,19 +118,29 @@ def replay(
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) tells which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
+
+    On a terminal it is played on a screen, as by `sniff`, which stays when the capture has ended;
+    what goes to a device is told in lines.
     """
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
+    if count is not None and port is not None:
+        raise click.UsageError("--count is of frames shown; what goes to --to ends at --duration")
     if judged:
         promise_verdict()
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
+    if port is not None and style == "live":
+        raise click.UsageError("--to is told in lines: leave out --format live")
+    style = session_style(style, plain or (style is None and port is not None))
+    rows = row_style(time_style, columns, protocol, style)
     test = compiled(expression, protocol)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
-    window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    window = _window(start, end, duration)
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
+    test = test and test.started(capture.start)
     for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)
@@ -128,33 +154,68 @@ def replay(
         target = None
         if port is not None:
             from bilprov.analyzer.cli.resend import opened_target, send_again
+            from bilprov.analyzer.replay.comparison import ReplayRun
 
             settings = line_settings(protocol, baud, parity, stopbits)
             pause = capture_timeout(capture, protocol, timeout)
+            run = ReplayRun()
             target = stack.enter_context(
-                opened_target(protocol, port, settings, pause, rate, stopper)
+                opened_target(protocol, port, settings, pause, rate, stopper, run)
             )
-        statistics = Statistics(protocol, capture_line(capture, protocol).byte_time)
-        title = f"replay of {printable(capture.path.name)}"
-        output = opened_output(chosen_format(style), protocol, statistics, title)
-        stack.callback(output.close)
+        statistics = Statistics()
         judge = None
         if judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        shown = Shown(output, test, window=window)
-        pipeline = Pipeline(opened.decoder, statistics, shown, judge=judge)
-        if target is not None:
-            return send_again(protocol, capture, pipeline, output, target, rate, window, stopper)
-        events = capture.sights() if judge else opened.events()
-        _show(events, pipeline, rate, window, stopper, judge)
+        if style == "live":
+            from bilprov.analyzer.screen.browser import Told
+            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+            from bilprov.analyzer.screen.recording import Recording
+            from bilprov.analyzer.screen.terminal import shown
+
+            def watched(feed: Feed[None]) -> None:
+                output = AllShown(ScreenOutput(feed, statistics), test, count, window)
+                pipeline = Pipeline(opened.decoder, statistics, output, judge=judge)
+                events = capture.sights() if judge else opened.events()
+                _show(events, pipeline, rate, window, stopper, judge)
+
+            feed = Feed(Recording(protocol), watched, stop=stopper.stop, live=True, stays=True)
+            told = Told(
+                f"replay of {printable(capture.path.name)}",
+                capture.start,
+                capture_line(capture, protocol).byte_time,
+                rows,
+                expression or "",
+                test,
+            )
+            shown(feed, told, stopper)
+            feed.join()
+        else:
+            output = opened_output(style, protocol, rows, capture.start)
+            shown_rows = Shown(output, test, count, window)
+            pipeline = Pipeline(opened.decoder, statistics, shown_rows, judge=judge)
+            if target is not None:
+                return send_again(
+                    protocol, capture, pipeline, output, target, run, rate, window, stopper
+                )
+            events = capture.sights() if judge else opened.events()
+            _show(events, pipeline, rate, window, stopper, judge)
     if judge is None:
         return 0
     from bilprov.analyzer.output.findings import tell_findings
 
-    return tell_findings(judge.finish(), chosen_format(style))
+    return tell_findings(judge.finish(), style)
+
+
+def _window(start: float | None, end: float | None, duration: float | None) -> Window:
+    """The window of time (s) that is shown: up to `end` or for the duration, whichever is first."""
+    ends = [end] if end is not None else []
+    if duration is not None:
+        ends.append((start or 0) + duration)
+    first, after = (None if s is None else round(s * 1e9) for s in (start, min(ends, default=None)))
+    return Window(first, after)
 
 
 def _opened(
@@ -180,7 +241,7 @@ def _show(
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
     for batch in batches(playing, at_once=not rate and judge is None):
-        if stopper.stopped:
+        if stopper.stopped or pipeline.shown.full:
             return
         now = batch[-1].t
         pipeline.events([event for event in batch if not isinstance(event, Look)])

@@ -25,6 +25,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 
@@ -35,9 +36,14 @@ def opened_target(
     timeout: int,
     rate: float,
     stopper: Stopper,
+    run: ReplayRun,
 ) -> Target:
-    """Open the device; `timeout` (ns) is the recorded truncation time-out. Raises LinkError."""
-    return Target(protocol, open_port(port, settings), scaled_timeout(timeout, rate), stopper)
+    """Open the device; `timeout` (ns) is the recorded truncation time-out. Raises LinkError.
+
+    `run` gets what is sent to it and what it answers.
+    """
+    pause = scaled_timeout(timeout, rate)
+    return Target(protocol, open_port(port, settings), pause, stopper, run.record)
 
 
 def send_again(
@@ -46,11 +52,15 @@ def send_again(
     pipeline: Pipeline,
     output: Output,
     target: Target,
+    run: ReplayRun,
     rate: float,
     window: Window,
     stopper: Stopper,
 ) -> int:
-    """Send the host bytes of the window, compare the answers, and return the exit code."""
+    """Send the host bytes of the window, compare the answers, and return the exit code.
+
+    `run` holds what was sent to the target and what it answered.
+    """
     recorded = ReplayRun()
     target.begin()
     inside = (event for event in capture.events() if window.has(event.t))
@@ -70,9 +80,9 @@ def send_again(
         _send_frames(target, rest)
     target.finish()
     if stopper.stopped:
-        note(f"stopped: {len(target.run.frames)} instructions were sent, nothing was compared")
+        note(f"stopped after {quantity(len(run.frames), 'instruction')}, nothing was compared")
         return 0
-    return _compare(protocol, recorded, target.run, output)
+    return _compare(protocol, recorded, run, output)
 
 
 def _records(parts: Iterable[Part]) -> list[Record]:
@@ -102,5 +112,6 @@ def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Ou
         t = 0 if about is None else recorded.frames[about].t
         fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
         output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
-    note(f"{len(recorded.frames)} instructions sent, {len(found)} differences")
+    sent = quantity(len(recorded.frames), "instruction")
+    note(f"{sent} sent, {quantity(len(found), 'difference')}")
     return 1 if found else 0

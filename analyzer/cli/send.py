@@ -2,28 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note, timeout_option
-from bilprov.analyzer.cli.typed_input import bytes_from_hex, encoded
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+    timeout_option,
+)
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.columns.decoder import Records
+from bilprov.analyzer.decode.records import HostRecord, Record
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import stream_output
+from bilprov.analyzer.replay.answers import (
+    FLOOD_WORDS,
+    UNANSWERED_STOPS,
+    AnswerCheck,
+    first_difference,
+)
+from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
-_PAUSE = "pause="
+_NO_ANSWER = "none"
 
 
 @click.command()
 @click.argument("port", metavar="PORT")
 @click.argument("items", nargs=-1, required=True, metavar="ITEM...")
 @click.option("--together", is_flag=True, help="Send without waiting for the answers.")
+@click.option(
+    "--expect",
+    "expectations",
+    multiple=True,
+    metavar="ANSWER,...",
+    help="The answer to each instruction, in order: names or numbers, none for no answer. "
+    "Exit code 0 if exactly these come, else 1.",
+)
 @click.option(
     "--format", "style", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
 )
@@ -36,6 +64,7 @@ def send(
     port: str,
     items: tuple[str, ...],
     together: bool,
+    expectations: tuple[str, ...],
     style: Literal["lines", "jsonl"],
     yes: bool,
     baud: int | None,
@@ -46,59 +75,102 @@ def send(
     """Send instructions or bytes to a device, one after the other.
 
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
-    pause=MS. The device is homed first and on every way out. Exit code: 0 everything was answered,
-    1 something was not, 2 the port cannot be used or nobody answers.
+    pause=MS. The device is homed first and on every way out.
+
+    Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
+    answer is missing, is no code of the grammar or is not allowed, bytes came without an
+    instruction, or not all was sent; 2 the port cannot be used or nobody answers.
     """
     protocol = load_protocol(grammar)
+    timeout = timeout_in_ns(protocol, truncation_timeout)
     try:
-        steps = [step(protocol, item) for item in items]
+        steps = [bytes_or_pause(protocol, item) for item in items]
+        expected = [_code(protocol, word) for text in expectations for word in text.split(",")]
     except ValueError as error:
         raise click.UsageError(str(error)) from error
+    planned = _instructions(protocol, steps, timeout, together=together)
+    if expectations:
+        promise_verdict()
+        if len(expected) != planned:
+            raise click.UsageError(
+                f"--expect names {len(expected)} and {planned} should be answered: name one for "
+                f"each instruction, {_NO_ANSWER} where no answer should come"
+            )
     settings = line_settings(protocol, baud, parity, stopbits)
-    timeout = timeout_in_ns(protocol, truncation_timeout)
-    opened = open_port(port, settings)
-    with opened:
+    output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
+    with open_port(port, settings) as opened:
+        note_hindrances(port)
         confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
-        output = stream_output(style)
-        with (
-            Stopper() as stopper,
-            Target(
-                protocol, opened, timeout, stopper, lambda record: output.show(Records([record]))
-            ) as target,
-        ):
-            target.begin()
-            for what in steps:
-                if stopper.stopped:
-                    break
-                if isinstance(what, float):
-                    target.wait(what)
-                    continue
-                target.send(what)
-                if not together:
-                    target.settle()
-            target.finish()
-    frames, answers = target.run.frames, target.run.answers
-    if len(answers) < len(frames):
-        note(f"{len(frames) - len(answers)} of {len(frames)} instructions were not answered")
-        return 1
-    return 0
+        with Stopper() as stopper:
+
+            def heard(record: Record) -> None:
+                if check.flooded:
+                    return
+                check.record(record)
+                run.record(record)
+                output.show(Records([record]))
+                if check.flooded:
+                    stopper.stop()
+
+            with Target(protocol, opened, timeout, stopper, heard) as target:
+                target.begin()
+                for what in steps:
+                    if stopper.stopped:
+                        break
+                    if isinstance(what, float):
+                        target.wait(what)
+                        continue
+                    target.send(what)
+                    if not together:
+                        target.settle()
+                target.finish()
+    told = [FLOOD_WORDS if check.flooded else check.unasked_words]
+    if expectations:
+        told.append(first_difference(protocol, run, expected))
+    else:
+        told += [check.wrong_words, check.missing_words]
+    if stopper.stopped and check.sent < planned:
+        told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
+    if not target.answered_stops:
+        told.append(UNANSWERED_STOPS)
+    sentences = [sentence for sentence in told if sentence]
+    for sentence in sentences:
+        note(sentence)
+    return 1 if sentences else 0
 
 
-def step(protocol: Protocol, item: str) -> bytes | float:
-    """Parse an item of the command line into bytes to send, or a pause in s. Raises ValueError."""
-    if item.startswith(_PAUSE):
-        try:
-            pause = float(item.removeprefix(_PAUSE))
-        except ValueError:
-            pause = -1.0
-        if not 0 <= pause <= 60_000:
-            raise ValueError(f"{item!r} is no pause; write pause=MS with 0 to 60000 milliseconds")
-        return pause / 1000
-    name, *words = item.split()
-    if any(spec.name.lower() == name.lower() for spec in protocol.instructions):
-        return encoded(protocol, name, words)
-    try:
-        return bytes_from_hex(item)
-    except ValueError as error:
-        names = ", ".join(spec.name for spec in protocol.instructions)
-        raise ValueError(f"{error}, or an instruction: {names}") from error
+def _code(protocol: Protocol, word: str) -> int | None:
+    """Parse an expected answer into its code, None for no answer. Raises ValueError."""
+    word = word.strip()
+    codes = {spec.name.lower(): code for code, spec in protocol.codes.items()}
+    if word.lower() in codes:
+        return codes[word.lower()]
+    if word.lower() == _NO_ANSWER:
+        return None
+    with suppress(ValueError):
+        number = int(word, 0)
+        if number in range(256):
+            return number
+    names = [*(spec.name for spec in protocol.responses), _NO_ANSWER]
+    raise ValueError(
+        f"--expect {word!r} is no answer{meant(word, names)}; there are {', '.join(names)} "
+        "and the numbers 0 to 255"
+    )
+
+
+def _instructions(
+    protocol: Protocol, steps: Sequence[bytes | float], timeout: int, *, together: bool
+) -> int:
+    """How many instructions the steps hold, whole ones and those that the time-out cuts short."""
+    session = Session(protocol, timeout=timeout, heard=frozenset({"host"}))
+    records: list[Record] = []
+    now = 0
+    for what in steps:
+        if isinstance(what, float):
+            now += round(what * 1e9)
+            continue
+        records += session.feed(Chunk(now, "host", what))
+        if not together:  # a frame that is incomplete is waited for
+            now += timeout
+    records += session.finish()
+    return sum(isinstance(record, HostRecord) for record in records)

@@ -7,6 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
 
 import click
 
@@ -18,7 +20,12 @@ from bilprov.analyzer.cli.options import (
     judge_option,
     line_options,
     note,
+    note_hindrances,
+    plain_option,
+    row_options,
+    row_style,
     session_format_option,
+    session_style,
     timeout_option,
 )
 from bilprov.analyzer.columns.decoder import StreamDecoder, preload
@@ -29,21 +36,20 @@ from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import (
     Format,
     NoOutput,
-    Output,
     Shown,
-    StreamOutput,
-    chosen_format,
     opened_output,
 )
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.spool import Spool
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
+from bilprov.captures.text import quantity
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
@@ -65,8 +71,10 @@ def tap_options(command: Command) -> Command:
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
 @filter_option
 @session_format_option
+@row_options
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=Finite(0, min_open=True), help="End after S seconds.")
+@plain_option
 @click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
 @judge_option
 @line_options
@@ -81,8 +89,11 @@ def sniff(
     path: str | None,
     expression: str | None,
     style: Format | None,
+    time_style: str | None,
+    columns: str | None,
     count: int | None,
     duration: float | None,
+    plain: bool,
     quiet: bool,
     judged: bool,
     baud: int | None,
@@ -98,14 +109,18 @@ def sniff(
     them. With --bridge PORT the host program opens the pty whose name is printed (on standard
     error) and every byte is passed on.
 
+    On a terminal the traffic is shown on a screen, as by `bilprov browse`; ? lists its keys.
+    Without -w the last GiB of it is kept meanwhile, and can be saved when the screen is left.
+
     With --judge a table at the end (with --format jsonl a last object of kind judgement) tells
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
     """
-    style = chosen_format(style)
+    style = session_style(style, plain)
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     test = compiled(expression, protocol)
+    rows = row_style(time_style, columns, protocol, style)
     timeout = timeout_in_ns(protocol, truncation_timeout)
     preload(protocol)
     with ExitStack() as stack:
@@ -115,65 +130,99 @@ def sniff(
             source = stack.enter_context(opened_tap(given, settings))
         except ValueError as error:
             raise click.UsageError(str(error)) from None
+        note_hindrances(*source.names.values())
         skew = 0 if source.one_clock else SKEW
-        recorder = None
+        if test:
+            test = test.started(source.start_wall)
+        metadata = session_metadata(
+            protocol,
+            ports=source.names,
+            line=str(settings),
+            timeout=timeout,
+            skew=skew,
+            heard=source.heard,
+            attached=source.attached,
+        )
+        recorder: Recorder | Spool | None = None
         if path:
-            metadata = session_metadata(
-                protocol,
-                ports=source.names,
-                line=str(settings),
-                timeout=timeout,
-                skew=skew,
-                heard=source.heard,
-                attached=source.attached,
-            )
             recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
-        statistics = Statistics(protocol, settings.byte_time)
+        elif style == "live" and not quiet:
+            recorder = stack.enter_context(Spool(source.start_wall, metadata))
+        statistics = Statistics()
         judge = None
         if judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        output: Output = NoOutput()
-        queue = None
-        if not quiet:
-            queue = stack.enter_context(TextQueue(sys.stdout))
-            shown_as = f"{title} {settings}"
-            output = opened_output(
-                style, protocol, statistics, shown_as, _kept(recorder), queue.write
-            )
-        stack.callback(output.close)
-        pipeline = Pipeline(
-            StreamDecoder(
-                protocol,
-                timeout=timeout,
-                heard=source.heard,
-                skew=skew,
-                attached=source.attached,
-            ),
-            statistics,
-            Shown(output, test, count),
-            recorder,
-            judge,
-            0 if isinstance(output, StreamOutput) else PATIENCE,
+        decoder = StreamDecoder(
+            protocol, timeout=timeout, heard=source.heard, skew=skew, attached=source.attached
         )
-        pipeline.events([Line(0, "open", "", title)])
-        lost = _listen(source, pipeline, stopper, duration)
-        pipeline.events([Line(source.now(), "close")])
-        pipeline.finish()
-        if recorder:  # before the text, which waits for somebody to read it
-            recorder.close()
-    _tell(statistics, recorder, queue, always=quiet or style == "live")
+
+        def listened(shown: Shown, patience: int) -> Lost:
+            """Listen to the end, and finish the capture."""
+            pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
+            pipeline.events([Line(0, "open", "", title)])
+            lost = _listen(source, pipeline, stopper, duration)
+            pipeline.events([Line(source.now(), "close")])
+            pipeline.finish()
+            if recorder:  # before the text, which waits for somebody to read it
+                recorder.finish()
+            return lost
+
+        queue = None
+        if quiet:
+            lost = listened(Shown(NoOutput(), test, count), PATIENCE)
+        elif style == "live":
+            from bilprov.analyzer.screen.browser import Told
+            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+            from bilprov.analyzer.screen.recording import Recording
+            from bilprov.analyzer.screen.terminal import shown
+
+            def watched(feed: Feed[Lost]) -> Lost:
+                output = ScreenOutput(feed, statistics, recorder)
+                lost = listened(AllShown(output, test, count), PATIENCE)
+                feed.stays, feed.said = lost.unplugged, lost.sentence
+                return lost
+
+            feed = Feed(Recording(protocol), watched, stop=stopper.stop, live=True)
+            feed.keeps = isinstance(recorder, Spool)
+            told = Told(
+                f"{title} {settings}",
+                source.start_wall,
+                settings.byte_time,
+                rows,
+                expression or "",
+                test,
+            )
+            name = shown(feed, told, stopper)
+            lost = feed.join()
+            if name and isinstance(recorder, Spool):
+                recorder.keep(Path(name))
+                path = name
+        else:
+            queue = stack.enter_context(TextQueue(sys.stdout))
+            output = opened_output(style, protocol, rows, source.start_wall, queue.write)
+            lost = listened(Shown(output, test, count), 0)
+    waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
+    if path or quiet or style == "live":
+        _tell(statistics, path, waited)
     code = tell_findings(judge.finish(), style) if judge else 0
-    if lost:
+    if lost.sentence:
         kept = f"; what was captured is kept in {path}" if path else ""
-        raise LinkError(lost + kept)
+        raise LinkError(lost.sentence + kept)
     return code
 
 
-def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> str:
-    """Process events until the end; return a sentence about lost bytes or a lost port, or ""."""
+class Lost(NamedTuple):
+    """What was lost, in a sentence ("" for nothing), and whether a port was `unplugged`."""
+
+    sentence: str = ""
+    unplugged: bool = False
+
+
+def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> Lost:
+    """Process events until the end, and return whether bytes or a port were lost."""
     end = None if duration is None else round(duration * 1e9)
     overrun, waited = "", 0
     with collecting_when_idle() as collect:
@@ -201,10 +250,10 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":
-                    return event.detail
+                    return Lost(event.detail, unplugged=True)
                 if isinstance(event, Line) and event.event == "overrun":
                     overrun = f"bytes of the {event.tap} were lost on the way: {event.detail}"
-    return overrun
+    return Lost(overrun)
 
 
 @contextmanager
@@ -232,20 +281,12 @@ def collecting_when_idle() -> Iterator[Callable[[bool], None]]:
         gc.unfreeze()
 
 
-def _kept(recorder: Recorder | None) -> Callable[[], str]:
-    return lambda: f"{recorder.path.name} {recorder.bytes} B" if recorder else ""
-
-
-def _tell(
-    statistics: Statistics, recorder: Recorder | None, queue: TextQueue | None, *, always: bool
-) -> None:
-    """Print the totals in one line, if a capture was recorded or else `always`."""
-    if not always and not recorder:
-        return
-    where = f" in {recorder.path}" if recorder else ""
-    waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
-    late = f"; the reader waited {waited / 1e9:.3f} s for slow output" if waited else ""
+def _tell(statistics: Statistics, path: str | None, waited_ns: int) -> None:
+    """Print the totals in one line."""
+    where = f" in {path}" if path else ""
+    late = f"; the reader waited {waited_ns / 1e9:.3f} s for slow output" if waited_ns else ""
     note(
-        f"{statistics.instructions} instructions, {statistics.responses} answers, "
-        f"{statistics.fault_count} faults{where}{late}"
+        f"{quantity(statistics.instructions, 'instruction')}, "
+        f"{quantity(statistics.responses, 'answer')}, "
+        f"{quantity(statistics.faults, 'fault')}{where}{late}"
     )

@@ -91,6 +91,23 @@ def spec_emit_c(grammar: str | None, output: str | None) -> None:
     _deliver(c_header(load_protocol(grammar)), output)
 
 
+@spec_emit.command("wireshark")
+@click.option("-o", "--output", metavar="FILE", help="Where to; standard output if left out.")
+@click.pass_obj
+def spec_emit_wireshark(grammar: str | None, output: str | None) -> None:
+    """A dissector in Lua for Wireshark and tshark, which reads what `export` writes as pcapng.
+
+    Example: bilprov spec emit wireshark -o robot.lua, then tshark -2 -r drive.pcapng -X
+    lua_script:robot.lua; for Wireshark, put it into the folder of personal Lua plugins.
+    """
+    from bilprov.analyzer.decode.session import SKEW
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.captures.schemas import MS
+    from bilprov.spec.emit.wireshark import lua_dissector
+
+    _deliver(lua_dissector(load_protocol(grammar), SKEW / MS), output)
+
+
 def _deliver(text: str, output: str | None) -> None:
     if output is None:
         click.echo(text, nl=False)

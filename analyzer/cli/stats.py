@@ -1,96 +1,112 @@
-"""The command `stats`: counts over whole captures, for people and as JSON."""
+"""The command `stats`: counts over whole captures, for people and as JSON and CSV."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.options import compiled, filter_option, note
+from bilprov.analyzer.cli.output_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    require_writable,
+    write_output,
+)
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
     from bilprov.captures.reader import Capture
 
-STANDARD_OUTPUT = "-"
 _LONG = 4_000_000  # bytes on the line from which on progress is shown
 
 
 @click.command()
 @click.argument("files", metavar="FILE.mcap...", nargs=-1, required=True)
+@filter_option
 @click.option(
     "--json",
-    "output",
+    "json_file",
     metavar="FILE",
     help="All of it as one JSON object; - is standard output, which then has nothing else.",
 )
+@click.option(
+    "--csv",
+    "csv_file",
+    metavar="FILE",
+    help="All of it as one CSV table (file, group, key, measure, value); - is standard output.",
+)
+@force_option
 @click.pass_obj
-def stats(grammar: str | None, files: tuple[str, ...], output: str | None) -> None:
-    """Count what captures hold: frames, answers, anomalies, latencies.
+def stats(
+    grammar: str | None,
+    files: tuple[str, ...],
+    expression: str | None,
+    json_file: str | None,
+    csv_file: str | None,
+    force: bool,
+) -> None:
+    """Count what captures hold: frames, answers, anomalies, latencies, load, time moving.
 
     Each capture is decoded from its raw bytes, as replay does, and counted by itself; where there
     are several, all of them together too. The keys of the JSON are explained in
-    analyzer/output/capture_stats.py.
+    analyzer/output/capture_stats.py, the CSV in stats_csv.py beside it. With --filter only what
+    passes is counted, from the first such byte to the last.
 
     Example: bilprov stats monday.mcap tuesday.mcap --json week.json
     """
     import msgspec
 
     from bilprov.analyzer.columns.totals import Totals
-    from bilprov.analyzer.files import write_whole
     from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.capture_stats import drawn, file_stats, stats_of
-    from bilprov.analyzer.output.console import show
-    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.output.capture_stats import file_stats, stats_of
+    from bilprov.analyzer.output.charts import ASCII, BLOCKS
+    from bilprov.analyzer.output.console import can_show, show
+    from bilprov.analyzer.output.stats_csv import stats_csv
+    from bilprov.analyzer.output.stats_tables import drawn
+    from bilprov.analyzer.replay.capture_session import capture_line, said_about
     from bilprov.analyzer.replay.capture_totals import capture_totals
     from bilprov.captures.reader import open_capture
 
-    _require_writable(output, files)
+    named = {"--json": json_file, "--csv": csv_file}
+    outputs = [(option, path) for option, path in named.items() if path is not None]
+    require_writable(outputs, inputs=files, force=force)
     protocol = load_protocol(grammar)
+    test = compiled(expression, protocol)
     captures = [open_capture(file) for file in files]
     for capture in captures:
         for sentence in said_about(capture, protocol):
             note(sentence)
     each, together = [], Totals(protocol)
-    with _bar(captures) as bar:
-        task = bar.add_task("", total=sum(map(_size, captures)))
+    with progress_bar(captures) as bar:
+        task = bar.add_task("", total=sum(map(line_bytes, captures)))
         for capture in captures:
-            totals = capture_totals(capture, protocol, lambda size: bar.advance(task, size))
+            totals = capture_totals(
+                capture,
+                protocol,
+                lambda size: bar.advance(task, size),
+                test.started(capture.start) if test else None,
+            )
             together.merge(totals)
-            each.append(file_stats(capture, totals))
-    found = stats_of(protocol, each, together)
-    text = msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n"
-    if output == STANDARD_OUTPUT:
-        click.echo(text, nl=False)
-        return
-    if output is not None:
-        write_whole(Path(output), text)
-    show(*drawn(found))
+            each.append(file_stats(capture, totals, capture_line(capture, protocol)))
+    found = stats_of(protocol, each, together, expression)
+    if json_file is not None:
+        write_output(json_file, msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+    if csv_file is not None:
+        write_output(csv_file, stats_csv(found).encode())
+    if STANDARD_OUTPUT not in named.values():
+        show(*drawn(found, BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII))
 
 
-def _require_writable(output: str | None, files: tuple[str, ...]) -> None:
-    """Raise UsageError if the JSON cannot be written, before anything is counted."""
-    from bilprov.analyzer.files import why_not_writable
-
-    if output is None or output == STANDARD_OUTPUT:
-        return
-    why_not = why_not_writable(Path(output))
-    if why_not:
-        raise click.UsageError(f"--json {output} cannot be written: {why_not}")
-    if Path(output).resolve() in {Path(file).resolve() for file in files}:
-        raise click.UsageError(f"--json {output} would overwrite the capture: name another file")
-
-
-def _size(capture: Capture) -> int:
+def line_bytes(capture: Capture) -> int:
     """How many bytes on the line a capture holds."""
     from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
     return sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
 
 
-def _bar(captures: list[Capture]) -> Progress:
+def progress_bar(captures: list[Capture]) -> Progress:
     """A progress bar on standard error; shown on a terminal only, and only if it takes long."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
@@ -102,5 +118,5 @@ def _bar(captures: list[Capture]) -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal or sum(map(_size, captures)) < _LONG,
+        disable=not console.is_terminal or sum(map(line_bytes, captures)) < _LONG,
     )

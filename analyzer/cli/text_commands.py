@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bilprov.analyzer.cli.options import sender_option, text_format_option
+from bilprov.analyzer.cli.options import note, sender_option, text_format_option
 from bilprov.analyzer.output.console import show, show_as, show_json
 
 
@@ -44,18 +44,9 @@ def _or_sentence(function: Any, *arguments: Any) -> Any:
         raise click.ClickException(str(error)) from None
 
 
-def _instruction_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    """Complete an instruction name from the grammar in use."""
-    from bilprov.analyzer.grammar_file import load_protocol
-
-    protocol = load_protocol(ctx.find_root().params.get("grammar"))
-    names = [spec.name for spec in protocol.instructions]
-    return [name for name in names if name.lower().startswith(incomplete.lower())]
-
-
 # A negative value looks like an option; here it is taken as a value, whose range check refuses it.
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("name", metavar="INSTRUCTION", shell_complete=_instruction_names)
+@click.argument("name", metavar="INSTRUCTION")
 @click.argument("values", metavar="[FIELD=VALUE]...", nargs=-1)
 @click.option("--raw", is_flag=True, help="Write the bytes themselves, for a pipe.")
 @click.pass_obj
@@ -84,33 +75,29 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
 @click.command()
 @text_format_option
 def ports(style: str) -> None:
-    """List the serial ports of this machine; USB adapters and boards are marked with a star."""
+    """List the serial ports of this machine, their adapters, and who holds them.
+
+    USB adapters and boards are marked with a star. The latency is how long an adapter holds bytes
+    back; what is wrong with a port tells bilprov doctor PORT.
+    """
     from dataclasses import asdict
 
-    from bilprov.analyzer.output.console import table
+    from bilprov.analyzer.output.port_list import drawn, unseen
     from bilprov.analyzer.transport.ports import list_ports
-    from bilprov.captures.text import printable
 
     found = list_ports()
     if style == "json":
         show_json([asdict(port) for port in found])
     elif found:
-        rows = [
-            (
-                "*" if port.likely else "",
-                printable(port.path),
-                printable(port.description),
-                printable(port.hardware_id),
-            )
-            for port in found
-        ]
-        show(table(("usb", "port", "description", "hardware"), rows))
+        show(*drawn(found))
     else:
         click.echo(
             "No serial port here. Plug the robot or its USB adapter in and look again, give the "
             "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
             "bilprov simulate"
         )
+    if unseen(found):
+        note(unseen(found))
 
 
 @click.command()
@@ -150,6 +137,9 @@ def completion(ctx: click.Context, shell: str) -> None:
     """Print the script that completes bilprov's subcommands, options and names in a shell."""
     from click.shell_completion import get_completion_class
 
+    from bilprov.analyzer.cli.shells import register
+
+    register()
     made = get_completion_class(shell)
     if made is None:
         raise click.ClickException(f"click knows no completion for {shell}")

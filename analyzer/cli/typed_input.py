@@ -8,6 +8,36 @@ from collections.abc import Iterable, Sequence
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
+PAUSE = "pause="
+_NOTHING = "no values"
+_LONGEST_PAUSE = 60_000  # ms
+
+
+def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) -> bytes | float:
+    """Parse what is typed to be sent: an instruction or hex as bytes, `pause=MS` as seconds.
+
+    `others` are words that may have been meant. Raises ValueError, in one sentence.
+    """
+    if item.startswith(PAUSE):
+        try:
+            pause = float(item.removeprefix(PAUSE))
+        except ValueError:
+            pause = -1.0
+        if not 0 <= pause <= _LONGEST_PAUSE:
+            raise ValueError(
+                f"{item!r} is no pause; write {PAUSE}MS with 0 to {_LONGEST_PAUSE} milliseconds"
+            )
+        return pause / 1000
+    name, *words = item.split() or [""]
+    names = [spec.name for spec in protocol.instructions]
+    if name.lower() in map(str.lower, names):
+        return encoded(protocol, name, words)
+    try:
+        return bytes_from_hex(item)
+    except ValueError as error:
+        guess = meant(name, [*names, *others])
+        raise ValueError(f"{error}, or an instruction{guess or ': ' + ', '.join(names)}") from error
+
 
 def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
     """Encode an instruction as its frame.
@@ -28,7 +58,9 @@ def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
     fields: dict[str, int] = {}
     bare = [word for word in words if "=" not in word]
     if len(bare) > len(spec.fields):
-        raise ValueError(f"{spec.name} takes {_takes(spec)}; given were {' '.join(words)}")
+        raise ValueError(
+            f"{spec.name} takes {fields_in_words(spec) or _NOTHING}; given were {' '.join(words)}"
+        )
     for name, word in [
         *((part.name, word) for part, word in zip(spec.fields, bare, strict=False)),
         *((word.split("=", 1)[0], word.split("=", 1)[1]) for word in words if "=" in word),
@@ -37,7 +69,8 @@ def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
         if part is None:
             known = [p.name for p in spec.fields]
             raise ValueError(
-                f"{spec.name} has no field {name!r}{meant(name, known)}; it takes {_takes(spec)}"
+                f"{spec.name} has no field {name!r}{meant(name, known)}; "
+                f"it takes {fields_in_words(spec) or _NOTHING}"
             )
         if part.name in fields:
             raise ValueError(f"{spec.name}.{part.name} is given twice")
@@ -54,9 +87,10 @@ def _number(name: str, word: str, low: int, high: int) -> int:
     raise ValueError(f"{name} is {word!r}, which is no number; allowed are {low} to {high}")
 
 
-def _takes(spec: InstructionSpec) -> str:
+def fields_in_words(spec: InstructionSpec) -> str:
+    """The fields of an instruction with their ranges, like `rgb=0..7`."""
     parts = [f"{part.name}={part.low}..{part.high}" for part in spec.fields]
-    return " ".join(parts) or "no values"
+    return " ".join(parts)
 
 
 def meant(word: str, names: Iterable[str]) -> str:

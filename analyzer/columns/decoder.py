@@ -52,14 +52,6 @@ class Records:
         """Yield them in order."""
         return iter(self.listed)
 
-    def newest(self, most: int) -> Sequence[Record]:
-        """The last records, at most so many."""
-        return self.listed[-most:]
-
-    def newest_faulty(self, most: int) -> Sequence[Record]:
-        """The last records with anomalies, at most so many."""
-        return [record for record in self.listed if record.faults][-most:]
-
 
 Part: TypeAlias = "Stretch | Records"
 """Some of the decoded traffic: `records()` yields the records, `host_rows` counts the frames."""

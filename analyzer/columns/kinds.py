@@ -24,8 +24,11 @@ def host_kinds(stretch: Stretch) -> Kinds:
     """The kinds of the new host rows; the verdict decides them."""
     verdict = stretch.new.verdict
     kinds: list[tuple[str, ...]] = [()] * len(OUTCOMES)
-    for place in np.flatnonzero(np.bincount(verdict)).tolist():
-        row = stretch.carried + int(np.argmax(verdict == place))
+    for place in range(len(OUTCOMES)):
+        with_it = verdict == place
+        if not with_it.any():
+            continue
+        row = stretch.carried + int(np.argmax(with_it))
         (frame,) = stretch.frame_bytes(np.array([row]))
         judgement = stretch.decoding.steps[frame].judgement
         # Neither times nor the state matter here; the states of a stretch need not be worked out.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +13,11 @@ from bilprov.spec.fields import Timing
 
 _STEP = 1000  # ns
 _EARLIEST = 100 * MS  # ns by which an answer may be stamped before its instruction
+_NEVER = np.iinfo(np.int64)
 
 
 _SHARES = (50, 95, 99)  # percent
+_BINS = 12  # of a histogram
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,49 +35,122 @@ class Spread:
     longest: int
 
 
-class Latencies:
-    """Latencies counted in steps of 1 us, from 100 ms early to the latest that is an answer.
+class Bin(NamedTuple):
+    """The `amount` of latencies from `start` up to, not including, `stop` (ns)."""
 
-    Those outside count for the nearest step. However many there are, it takes 8 bytes for a us.
+    start: int
+    stop: int
+    amount: int
+
+
+class Latencies:
+    """Latencies by group, counted in steps of 1 us.
+
+    They reach from 100 ms early to the latest that is an answer; those outside count for the
+    nearest step. However many there are, each group takes 8 bytes for a us near which one is.
     """
 
-    def __init__(self, timing: Timing) -> None:
+    def __init__(self, timing: Timing, groups: int = 1) -> None:
         latest = round((timing.answer_longest + timing.truncation_longest) * MS)
-        self._counts = np.zeros((_EARLIEST + latest) // _STEP + 1, np.int64)
-        self._ends: tuple[int, int] | None = None  # the shortest and the longest
+        # By step and group. The system gives it memory only where something is written.
+        self._counts = np.zeros(((_EARLIEST + latest) // _STEP + 1, groups), np.int64)
+        self._shortest = np.full(groups, _NEVER.max, np.int64)
+        self._longest = np.full(groups, _NEVER.min, np.int64)
 
-    def add(self, latencies: ArrayLike) -> None:
-        """Count some more (ns)."""
+    def add(self, latencies: ArrayLike, groups: ArrayLike = 0) -> None:
+        """Count some more (ns), each in its group or all in one."""
         found: NDArray[np.int64] = np.asarray(latencies, np.int64)
         if not len(found):
             return
-        ends = int(found.min()), int(found.max())
-        self._reach(ends)
-        last = len(self._counts) - 1
-        low, high = (min(max((end + _EARLIEST) // _STEP, 0), last) for end in ends)
-        place = ((found + _EARLIEST) // _STEP).clip(0, last) - low
-        if high - low <= 16 * len(found) + 1024:
-            self._counts[low : high + 1] += np.bincount(place, minlength=high - low + 1)
+        group = np.broadcast_to(np.asarray(groups, np.int64), found.shape)
+        shortest, longest = int(found.min()), int(found.max())
+        low, high = self._place(shortest), self._place(longest)
+        cells = found // _STEP
+        cells += _EARLIEST // _STEP
+        if shortest < -_EARLIEST or high == len(self._counts) - 1:
+            np.clip(cells, 0, len(self._counts) - 1, out=cells)
+        cells -= low
+        many = self._counts.shape[1]
+        cells *= many
+        cells += group
+        if (high - low + 1) * many <= 16 * len(found) + 1024:
+            counts = np.bincount(cells, minlength=(high - low + 1) * many)
+            self._counts[low : high + 1] += counts.reshape(-1, many)
         else:
-            np.add.at(self._counts, place + low, 1)
+            np.add.at(self._counts[low : high + 1].reshape(-1), cells, 1)
+        np.minimum.at(self._shortest, group, found)
+        np.maximum.at(self._longest, group, found)
 
     def merge(self, other: Latencies) -> None:
-        """Count the others' too; they must be of the same timing."""
-        self._counts += other._counts
-        if other._ends:
-            self._reach(other._ends)
+        """Count the others' too; they must be of the same timing and have the same groups."""
+        touched = other._touched()
+        self._counts[touched] += other._counts[touched]
+        np.minimum(self._shortest, other._shortest, out=self._shortest)
+        np.maximum(self._longest, other._longest, out=self._longest)
 
-    def _reach(self, ends: tuple[int, int]) -> None:
-        shortest, longest = self._ends or ends
-        self._ends = min(shortest, ends[0]), max(longest, ends[1])
-
-    @property
-    def spread(self) -> Spread | None:
-        """How they are spread, None if there are none."""
-        if self._ends is None:
+    def spread(self, group: int | None = None) -> Spread | None:
+        """How they are spread, in a group or in all of them; None if there are none."""
+        chosen = slice(None) if group is None else slice(group, group + 1)
+        touched = self._touched(chosen)
+        if touched.start == touched.stop:
             return None
-        upto = np.cumsum(self._counts)
+        shortest, longest = int(self._shortest[chosen].min()), int(self._longest[chosen].max())
+        upto = np.cumsum(self._counts[touched, chosen].sum(axis=1))
         count = int(upto[-1])
         places = (int(np.searchsorted(upto, count * share // 100, "right")) for share in _SHARES)
-        median, most, nearly = (max(at * _STEP - _EARLIEST, self._ends[0]) for at in places)
-        return Spread(count, self._ends[0], median, most, nearly, self._ends[1])
+        median, most, nearly = (max(_time(touched.start + at), shortest) for at in places)
+        return Spread(count, shortest, median, most, nearly, longest)
+
+    def histogram(self) -> list[Bin]:
+        """All of them in at most 12 bins; the last has all that is left.
+
+        The others have the same width, a round one such that 95 of 100 latencies fall into them.
+        """
+        touched = self._touched()
+        if touched.start == touched.stop:
+            return []
+        upto = np.append(0, np.cumsum(self._counts[touched].sum(axis=1)))
+        start, end = _time(touched.start), _time(touched.stop)
+        nearly = _time(
+            touched.start + int(np.searchsorted(upto[1:], upto[-1] * 95 // 100, "right"))
+        )
+        width = _round_width((nearly - start) // (_BINS - 2))
+        first = start // width * width
+        edges = [first + width * bin for bin in range(_BINS) if first + width * bin < end]
+        stops = [*edges[1:], end if len(edges) == _BINS else edges[-1] + width]
+        return [
+            Bin(begin, stop, _between(upto, begin - start, stop - start))
+            for begin, stop in zip(edges, stops, strict=True)
+        ]
+
+    def _touched(self, groups: slice = slice(None)) -> slice:
+        """The steps from the first in which there is one to the last."""
+        shortest, longest = int(self._shortest[groups].min()), int(self._longest[groups].max())
+        if shortest > longest:
+            return slice(0, 0)
+        return slice(self._place(shortest), self._place(longest) + 1)
+
+    def _place(self, latency: int) -> int:
+        """The step of a latency."""
+        return min(max((latency + _EARLIEST) // _STEP, 0), len(self._counts) - 1)
+
+
+def _time(place: int) -> int:
+    """When (ns) a step begins."""
+    return place * _STEP - _EARLIEST
+
+
+def _round_width(least: int) -> int:
+    """A width (ns) of 1, 2 or 5 times a power of ten that is larger than `least`, from 1 us on."""
+    width = _STEP
+    while True:
+        for times in (1, 2, 5):
+            if width * times > least:
+                return width * times
+        width *= 10
+
+
+def _between(upto: NDArray[np.int64], start: int, stop: int) -> int:
+    """How many there are in these ns after the first step, `upto` which step there are how many."""
+    low, high = (min(max(at // _STEP, 0), len(upto) - 1) for at in (start, stop))
+    return int(upto[high] - upto[low])

@@ -25,7 +25,7 @@ from bilprov.spec.codec import Judgement
 from bilprov.spec.motion import VARIABLES, is_moving
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.steps import ShortFrames, Steps, short_frames
-from bilprov.spec.tables import MOTIONS, VALID, FrameColumns, FrameTables, StateColumns, moving
+from bilprov.spec.tables import MOTIONS, FrameColumns, FrameTables, StateColumns, moving
 
 
 class Span(NamedTuple):
@@ -105,7 +105,7 @@ class Stretch:
     before: State
     last: State
     lines: tuple[Line, ...]
-    spans: tuple[Span, ...]
+    spans: Sequence[Span]
 
     @property
     def host_rows(self) -> int:
@@ -126,6 +126,11 @@ class Stretch:
     def states(self) -> StateColumns:
         """The predicted state after each new host row."""
         return self.decoding.tables.states(self.data, self.new, values_of(self.before))
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether the wheels turn after each new host row."""
+        return self.decoding.tables.moving(self.data, self.new, values_of(self.before))
 
     @cached_property
     def agrees(self) -> NDArray[np.bool_]:
@@ -165,11 +170,6 @@ class Stretch:
         return len(self.start) + len(self.t) + len(self.lines)
 
     @cached_property
-    def faulty(self) -> NDArray[np.bool_]:
-        """Whether each new host row is faulty."""
-        return np.not_equal(self.new.verdict, VALID)
-
-    @cached_property
     def odd(self) -> NDArray[np.bool_]:
         """Whether each device row has an anomaly."""
         return ~self.fits
@@ -178,20 +178,6 @@ class Stretch:
         """Yield the times (ns) at which frames were complete, and how many were."""
         times, counts = np.unique(self.end[self.carried :], return_counts=True)
         return zip(times.tolist(), counts.tolist(), strict=True)
-
-    def newest(self, most: int) -> list[Record]:
-        """The last records, at most so many."""
-        host, device = np.zeros(len(self.start), np.bool_), np.zeros(len(self.t), np.bool_)
-        host[-most:] = device[-most:] = True
-        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
-
-    def newest_faulty(self, most: int) -> list[Record]:
-        """The last records with anomalies, at most so many."""
-        host, device = (
-            np.isin(np.arange(len(mask)), np.flatnonzero(mask)[-most:])
-            for mask in (self.faulty, self.odd)
-        )
-        return list(self.chosen(host, device, [True] * len(self.lines)))[-most:]
 
     @property
     def after(self) -> int:

@@ -48,6 +48,22 @@ class AnswerCheck(NamedTuple):
     faults: tuple[Anomaly, ...]
 
 
+KINDS = (
+    "faulty instruction",
+    "truncated",
+    "garbage",
+    "disagreeing",
+    "unused code",
+    "unsolicited",
+    "unanswered",
+    "slow",
+    "early",
+    "out of step",
+    "lost bytes",
+    *LINE_SEVERITY,
+)
+"""The kinds of all anomalies of a session."""
+
 ALONE = Cause("", Severity.INFO, "")
 OUT_OF_STEP = Cause("out of step", Severity.INFO, "answers a frame whose beginning was not seen")
 _EARLY = Cause("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")

@@ -1,6 +1,7 @@
 """The records that a session decodes: a frozen value per frame, device byte, event and anomaly.
 
-All times are integers in nanoseconds since the session's start.
+All times are integers in nanoseconds since the session's start; `t_ns` and `latency_ns` are the
+same as `t` and `latency`, which in JSON lines and CSV are seconds.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TypeAlias
 
 import msgspec
 
-from bilprov.captures.schemas import Instruction, Line, Response, State
+from bilprov.captures.schemas import Instruction, Line, Response, State, Timed
 from bilprov.spec.codec import Judgement
 from bilprov.spec.framing import Kind
 from bilprov.spec.motion import State as MotionState
@@ -26,20 +27,19 @@ class Severity(IntEnum):
     ERROR = 4
 
 
-class Anomaly(msgspec.Struct, frozen=True, gc=False):
+class Anomaly(Timed, frozen=True, gc=False):
     """An anomaly in the traffic: its time `t` (ns), kind, severity, and reason in words.
 
     `instruction` is the sequence of the instruction that it is about, None where there is none.
     """
 
-    t: int
     kind: str
     severity: Severity
     reason: str
     instruction: int | None = None
 
 
-class HostRecord(msgspec.Struct, frozen=True, gc=False):
+class HostRecord(Timed, frozen=True, gc=False):
     """Host bytes (a whole frame, a truncated one, or garbage) and the state predicted after them.
 
     `t` and `end` are the times of the first and the last byte, `known` when it was known that no
@@ -47,7 +47,6 @@ class HostRecord(msgspec.Struct, frozen=True, gc=False):
     None for garbage, whose cause is in `note`.
     """
 
-    t: int
     end: int
     known: int
     kind: Kind
@@ -103,7 +102,7 @@ class HostRecord(msgspec.Struct, frozen=True, gc=False):
         )
 
 
-class DeviceRecord(msgspec.Struct, frozen=True, gc=False):
+class DeviceRecord(Timed, frozen=True, gc=False):
     """One device byte, with the instruction it answers.
 
     `answer` is the grammar's entry for the byte, None for an unused code. `instruction` is the
@@ -112,7 +111,6 @@ class DeviceRecord(msgspec.Struct, frozen=True, gc=False):
     response, None where nothing is expected.
     """
 
-    t: int
     byte: int
     answer: ResponseSpec | None
     answered: Judgement | None
@@ -121,6 +119,11 @@ class DeviceRecord(msgspec.Struct, frozen=True, gc=False):
     agrees: bool | None
     state: State
     faults: tuple[Anomaly, ...] = ()
+
+    @property
+    def latency_ns(self) -> int | None:
+        """The same as `latency`, under the name that tells its unit."""
+        return self.latency
 
     @property
     def words(self) -> str:
@@ -165,6 +168,11 @@ class LineRecord(msgspec.Struct, frozen=True):
         """When it happened (ns)."""
         return self.value.t
 
+    @property
+    def t_ns(self) -> int:
+        """The same as `t`, under the name that tells its unit."""
+        return self.t
+
 
 class FaultRecord(msgspec.Struct, frozen=True):
     """An anomaly without bytes of its own, such as a missing answer."""
@@ -176,6 +184,11 @@ class FaultRecord(msgspec.Struct, frozen=True):
     def t(self) -> int:
         """When the anomaly was found (ns)."""
         return self.fault.t
+
+    @property
+    def t_ns(self) -> int:
+        """The same as `t`, under the name that tells its unit."""
+        return self.t
 
     @property
     def value(self) -> Anomaly:

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
 from bilprov.analyzer.edit.new_capture import Progress, Stopped, write_resumption
@@ -38,7 +39,6 @@ from bilprov.analyzer.edit.recorded_values import (
 )
 from bilprov.analyzer.edit.selection import Selection
 from bilprov.analyzer.edit.steps import Stepper
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH
@@ -48,7 +48,7 @@ from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.filter import Filter
+    from bilprov.analyzer.filters.filter import Filter
 
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which goes on behind it"
 

@@ -28,7 +28,7 @@ from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.captures.reader import Capture
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.captures.topics import CUT_END, CUT_START, DEVICE_RAW, HISTORY, HOST_RAW, MACHINE
 from bilprov.spec.protocol import Protocol
 
@@ -116,7 +116,7 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
 
 
 def _about(summary: Summary) -> Iterator[tuple[str, str]]:
-    yield "size", f"{summary.size:,} bytes"
+    yield "size", quantity(summary.size, "byte")
     yield "written by", printable(summary.library) or "unknown"
     yield "start", summary.start
     yield "end", summary.end
@@ -130,5 +130,5 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
             yield printable(key.replace("_", " ")), printable(value)
     if summary.same_grammar is not None:
         yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"
-    yield "host sent", f"{summary.bytes['host']:,} bytes"
-    yield "device sent", f"{summary.bytes['device']:,} bytes"
+    yield "host sent", quantity(summary.bytes["host"], "byte")
+    yield "device sent", quantity(summary.bytes["device"], "byte")

@@ -18,6 +18,7 @@ import msgspec
 
 from bilprov.analyzer.monitor.passive_judge import Findings, Violation
 from bilprov.analyzer.output.outputs import Format
+from bilprov.captures.text import quantity
 
 
 def tell_findings(findings: Findings, style: Format) -> int:
@@ -43,8 +44,8 @@ def as_json(findings: Findings) -> dict[str, Any]:
 
 def sentences(findings: Findings) -> Iterator[str]:
     """The findings in words: what was judged, what was not, what contradicts the document."""
-    yield f"judged {findings.judged} of {findings.instructions} instructions" + (
-        f" and {findings.looks} looks after a fault" if findings.looks else ""
+    yield f"judged {findings.judged} of {quantity(findings.instructions, 'instruction')}" + (
+        f" and {quantity(findings.looks, 'look')} after a fault" if findings.looks else ""
     )
     for reason, count in findings.not_judged.items():
         yield f"not judged: {count} ({reason})"

@@ -11,8 +11,8 @@ from functools import lru_cache
 from itertools import chain, count, islice, repeat
 from typing import TYPE_CHECKING
 
+from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
-from bilprov.analyzer.output.json_lines import encode, json_line
 from bilprov.captures.schemas import State
 from bilprov.spec.codec import Judgement
 

@@ -1,4 +1,6 @@
-"""The outputs for decoded traffic: text lines, JSON lines, live view, nothing.
+"""The outputs for decoded traffic: text lines, JSON lines, CSV, nothing.
+
+The full screen is an output too (`screen.feeds`).
 
 What comes together is written and flushed at once, so that a pipe's reader gets it without delay.
 """
@@ -9,22 +11,22 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
 from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
-from bilprov.analyzer.output.json_lines import json_line
+from bilprov.analyzer.output.console import can_show
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.filter import Filter
-    from bilprov.analyzer.output.live_output import LiveOutput
-    from bilprov.analyzer.output.statistics import Statistics
+    from bilprov.analyzer.filters.filter import Filter
+    from bilprov.analyzer.output.row_columns import RowStyle
 
-Format = Literal["live", "lines", "jsonl"]
+Format = Literal["live", "lines", "jsonl", "csv"]
 
 
 class TextForm(Protocol):
@@ -57,9 +59,6 @@ class StreamOutput:
     def tick(self, now: int) -> None:
         """Nothing waits here."""
 
-    def close(self) -> None:
-        """Nothing is held."""
-
 
 class NoOutput:
     """Shows nothing."""
@@ -70,12 +69,15 @@ class NoOutput:
     def tick(self, now: int) -> None:
         """Nothing waits here."""
 
-    def close(self) -> None:
-        """Nothing is held."""
 
+class Output(Protocol):
+    """Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
 
-Output: TypeAlias = "StreamOutput | LiveOutput | NoOutput"
-"""Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
+    def show(self, part: Part, /) -> None:
+        """Show a part."""
+
+    def tick(self, now: int, /) -> None:
+        """Let time pass to `now` (ns since the start)."""
 
 
 def write_out(text: str) -> None:
@@ -85,39 +87,62 @@ def write_out(text: str) -> None:
 
 
 def stream_output(
-    style: Literal["lines", "jsonl"], write: Callable[[str], object] = write_out
+    style: Literal["lines", "jsonl"],
+    write: Callable[[str], object] = write_out,
+    time: Callable[[int], str] | None = None,
 ) -> StreamOutput:
     """The output to standard output as lines of text or as JSON lines.
 
-    Lines of text have colours on a terminal only, unless NO_COLOR is set.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set; `time` writes their
+    times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
-    arrows = ("→", "←") if _can_encode(sys.stdout, "→←") else ASCII_ARROWS
-    return StreamOutput(write, LineRenderer(colour=_wants_colour(sys.stdout), arrows=arrows))
+    arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
+    colour = _wants_colour(sys.stdout)
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
 
 
 def opened_output(
-    style: Format,
+    style: Literal["lines", "jsonl", "csv"],
     protocol: spec.Protocol,
-    statistics: Statistics,
-    title: str,
-    captured: Callable[[], str] = lambda: "",
+    rows: RowStyle,
+    start_wall: int,
     write: Callable[[str], object] = write_out,
-) -> Output:
-    """Open the output of the format `style` on standard output; see LiveOutput."""
-    if style != "live":
-        return stream_output(style, write)
-    from bilprov.analyzer.output.live_output import LiveOutput
+) -> StreamOutput:
+    """The output of the format `style` to standard output.
 
-    return LiveOutput(protocol, statistics, title, captured)
+    `start_wall` is the wall clock (ns since 1970) at the recording's start.
+    """
+    times = rows.times(start_wall)
+    if style == "csv":
+        from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+
+        columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
+        form = CsvText(columns, times)
+        write(form.header)
+        return StreamOutput(write, form)
+    if style == "lines" and rows.columns:
+        from bilprov.analyzer.output.row_columns import ColumnLines
+
+        colour = _wants_colour(sys.stdout)
+        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
+    return stream_output(style, write, times.padded if rows.time else None)
 
 
 def chosen_format(asked: Format | None) -> Format:
     """The requested format; if there is none, `live` on a terminal and `lines` in a pipe."""
     if asked is not None:
         return asked
-    return "live" if sys.stdout.isatty() and os.environ.get("TERM") != "dumb" else "lines"
+    return "live" if has_terminal() else "lines"
+
+
+def has_terminal() -> bool:
+    """Whether the full screen can be shown: there is a terminal to draw on and to type at."""
+    streams = (sys.stdin, sys.stdout)
+    return os.environ.get("TERM", "dumb") not in ("", "dumb") and all(
+        stream is not None and stream.isatty() for stream in streams
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +185,7 @@ class Shown:
         return self.left == 0
 
     def show(self, part: Part) -> Part:
-        """Show what passes of a part, and return it."""
+        """Show what passes of a part, and return that."""
         if self.test is not None or self.left is not None or not self.window.covers(part):
             part = Records(list(self._passing(part)))
         self.output.show(part)
@@ -202,11 +227,3 @@ class Shown:
 def _wants_colour(stream: TextIO) -> bool:
     # https://no-color.org: any value that is not empty.
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def _can_encode(stream: TextIO, text: str) -> bool:
-    try:
-        text.encode(stream.encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True

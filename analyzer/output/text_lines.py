@@ -6,7 +6,7 @@ distinct frame is rendered once and cached.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -41,11 +41,19 @@ class LineRenderer:
     """Renders records for one output.
 
     `colour` adds ANSI colour codes, which only a terminal should get. `arrows` are the signs for
-    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others.
+    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others. `time`
+    writes a time (ns since the start), which is in seconds without it.
     """
 
-    def __init__(self, *, colour: bool, arrows: tuple[str, str] = ("→", "←")) -> None:
+    def __init__(
+        self,
+        *,
+        colour: bool,
+        arrows: tuple[str, str] = ("→", "←"),
+        time: Callable[[int], str] | None = None,
+    ) -> None:
         self._colour = colour
+        self._time = time or _seconds
         self._to_device, self._to_host = arrows
         self._host = lru_cache(maxsize=8192)(self._host_text)
         self._device = lru_cache(maxsize=8192)(self._device_text)
@@ -65,11 +73,11 @@ class LineRenderer:
             severity = severity_of(record)
             text = self._host(record.hex, record.words, severity)
             why = self._why(record.reason, severity)
-            return f"{_time(record.t)} {text}{self._state(record.state)}{why}"
+            return f"{self._time(record.t)} {text}{self._state(record.state)}{why}"
         if isinstance(record, DeviceRecord):
-            return f"{_time(record.t)} {self._device_line(record)}"
+            return f"{self._time(record.t)} {self._device_line(record)}"
         if isinstance(record, LineRecord) and not record.faults:
-            return _line_event(record.value)
+            return f"{self._time(record.t)} - {_line_event(record.value)}"
         return self._fault_line(record.faults[0])
 
     def _host_text(self, hex_text: str, words: str, severity: Severity | None) -> str:
@@ -87,7 +95,7 @@ class LineRenderer:
 
     def _fault_line(self, fault: Anomaly) -> str:
         words = f"{fault.kind}: {fault.reason}"
-        return f"{_time(fault.t)} ! {self._paint(words, fault.severity)}"
+        return f"{self._time(fault.t)} ! {self._paint(words, fault.severity)}"
 
     def _state_text(self, state: State) -> str:
         words = state_words(state)
@@ -97,14 +105,15 @@ class LineRenderer:
         return self._paint(f"  {reason}", severity) if reason else ""
 
     def _paint(self, text: str, severity: Severity | None) -> str:
-        if not self._colour:
-            return text
-        if severity is None:
-            return click.style(text, fg="green")
-        return click.style(text, fg=SEVERITY_COLOURS[severity])
+        return painted(text, severity) if self._colour else text
 
 
 ASCII_ARROWS = (">", "<")
+
+
+def painted(text: str, severity: Severity | None) -> str:
+    """The text in the colour of what it tells: green where nothing is odd."""
+    return click.style(text, fg="green" if severity is None else SEVERITY_COLOURS[severity])
 
 
 def state_words(state: State) -> str:
@@ -116,8 +125,8 @@ def state_words(state: State) -> str:
 def _line_event(line: Line) -> str:
     where = f"{line.tap} line" if line.tap else "line"
     detail = f": {printable(line.detail)}" if line.detail else ""
-    return f"{_time(line.t)} - {where} {printable(line.event)}{detail}"
+    return f"{where} {printable(line.event)}{detail}"
 
 
-def _time(t: int) -> str:
+def _seconds(t: int) -> str:
     return f"{t / 1e9:12.6f}"

@@ -9,15 +9,22 @@ from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecor
 from bilprov.spec.codec import spaced
 from bilprov.spec.protocol import Protocol
 
+_KEPT = 16  # unpaired device bytes
+
 
 @dataclass(slots=True)
 class ReplayRun:
-    """The instructions of a run and their answers, by sequence, and the unpaired device bytes."""
+    """The instructions of a run and their answers, by sequence, and the unpaired device bytes.
+
+    Of these the first ones are kept, so that a device that floods does not fill the memory, and all
+    are counted.
+    """
 
     frames: dict[int, HostRecord] = field(default_factory=dict)
     answers: dict[int, DeviceRecord] = field(default_factory=dict)
     unanswered: set[int] = field(default_factory=set)
     unpaired: list[DeviceRecord] = field(default_factory=list)
+    unpaired_count: int = 0
 
     def record(self, record: Record) -> None:
         """Add a record of the run."""
@@ -26,7 +33,9 @@ class ReplayRun:
         elif isinstance(record, DeviceRecord):
             sequence = record.instruction
             if sequence is None:
-                self.unpaired.append(record)
+                self.unpaired_count += 1
+                if len(self.unpaired) < _KEPT:
+                    self.unpaired.append(record)
             else:
                 self.answers[sequence] = record
         elif isinstance(record, FaultRecord) and record.fault.instruction is not None:
@@ -62,17 +71,19 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
         was, is_now = recorded.answers.get(sequence), now.answers.get(sequence)
         if was is None and sequence not in recorded.unanswered:
             continue
-        if (was.byte if was else None) != (is_now.byte if is_now else None):
+        code, code_now = (answer.byte if answer else None for answer in (was, is_now))
+        if code != code_now:
             yield Difference(
                 sequence,
-                f"{words}: recorded {_answer(protocol, was)}, now {_answer(protocol, is_now)}",
+                f"{words}: recorded {answer_words(protocol, code)}, "
+                f"now {answer_words(protocol, code_now)}",
             )
-    if now.unpaired and len(now.unpaired) != len(recorded.unpaired):
-        said = " ".join(record.hex for record in now.unpaired[:16])
+    if now.unpaired_count not in (0, recorded.unpaired_count):
+        said = " ".join(record.hex for record in now.unpaired)
         yield Difference(
             None,
-            f"bytes that answer no instruction: recorded {len(recorded.unpaired)}, "
-            f"now {len(now.unpaired)} ({said})",
+            f"bytes that answer no instruction: recorded {recorded.unpaired_count}, "
+            f"now {now.unpaired_count} ({said})",
         )
 
 
@@ -80,7 +91,9 @@ def _described(frame: HostRecord) -> str:
     return f"{frame.words} ({frame.hex})"
 
 
-def _answer(protocol: Protocol, record: DeviceRecord | None) -> str:
-    if record is None:
+def answer_words(protocol: Protocol, code: int | None) -> str:
+    """The answer of this code in words, like `OK (00)`; None is no answer."""
+    if code is None:
         return "no answer"
-    return f"{record.answer.name if record.answer else 'unused'} ({record.hex})"
+    known = protocol.codes.get(code)
+    return f"{known.name if known else 'unused'} ({code:02x})"

@@ -6,7 +6,7 @@ import math
 import select
 import time
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain
+from itertools import chain, dropwhile
 from typing import TypeVar
 
 from bilprov.analyzer.transport.signals import Stopper
@@ -42,9 +42,8 @@ def paced(
 
     def at_their_times() -> Iterator[Paced]:
         began = clock()
-        for event in events:
-            if start is not None and event.t < start:
-                continue
+        # An older event after one that is played has come late: decoding needs it all the same.
+        for event in dropwhile(lambda event: start is not None and event.t < start, events):
             if end is not None and event.t >= end:
                 return
             if rate > 0:
@@ -58,22 +57,22 @@ def paced(
 
 
 def played(
-    events: Iterable[Event],
+    events: Iterable[Paced],
     rate: float,
     *,
     sleep: Callable[[float], object],
     start: int | None = None,
     end: int | None = None,
-) -> Iterator[Event]:
+) -> Iterator[Paced]:
     """Yield the events needed to decode `start <= t < end` (ns), in order; those inside are paced.
 
     Events before the window come without delay, because the predicted state and the framing depend
     on them. So do events shortly after it, because they may complete what began inside.
     """
     rest = iter(events)
-    after: list[Event] = []
+    after: list[Paced] = []
 
-    def inside() -> Iterator[Event]:
+    def inside() -> Iterator[Paced]:
         for event in rest:
             if end is not None and event.t >= end:
                 after.append(event)
@@ -99,8 +98,10 @@ BATCH_BYTES = 1 << 18
 BATCH_EVENTS = 1 << 12
 
 
-def batches(events: Iterable[Paced], *, at_once: bool) -> Iterator[list[Paced]]:
-    """Yield the events in order: one by one, or `at_once` up to 256 KiB and 4,096 events.
+def batches(
+    events: Iterable[Paced], *, at_once: bool, largest: int = BATCH_BYTES
+) -> Iterator[list[Paced]]:
+    """Yield the events in order: one by one, or `at_once` up to `largest` bytes and 4,096 events.
 
     The first batches are smaller, so that there is soon something to show.
     """
@@ -111,7 +112,7 @@ def batches(events: Iterable[Paced], *, at_once: bool) -> Iterator[list[Paced]]:
         size += len(event.data) if isinstance(event, Chunk) else 0
         if not at_once or size >= most or len(batch) >= BATCH_EVENTS:
             yield batch
-            batch, size, most = [], 0, min(2 * most, BATCH_BYTES)
+            batch, size, most = [], 0, min(2 * most, largest)
     if batch:
         yield batch
 

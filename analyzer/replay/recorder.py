@@ -184,9 +184,13 @@ class Recorder(Closing):
         self._writer.check()
         self._count(0, now)
 
-    def close(self) -> None:
+    def finish(self) -> None:
         """Finish the file; further calls do nothing."""
         self._writer.close()
+
+    def close(self) -> None:
+        """Finish the file; further calls do nothing."""
+        self.finish()
 
     def _count(self, frames: int, now: int) -> None:
         change = self._throttle.count(frames, now)

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
 
 from bilprov.analyzer.client.wire import PortWire, home, home_once
-from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.records import Record, written_state
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk
+from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
 
 class Target(Closing):
     """One device on an open port; a context manager that homes it on every way out.
 
-    `timeout` (ns) is the longest pause inside a frame as it is sent here. `run` holds the
-    instructions and answers so far; `shown` is called with each record.
+    `timeout` (ns) is the longest pause inside a frame as it is sent here. `heard` is called with
+    each record. `state` is what the instructions so far predict. `answered_stops` tells whether the
+    device answered the last homing: one that did not may still be moving.
     """
 
     def __init__(
@@ -32,10 +35,11 @@ class Target(Closing):
         port: Port,
         timeout: int,
         stopper: Stopper,
-        shown: Callable[[Record], object] = lambda record: None,
+        heard: Callable[[Record], object],
     ) -> None:
-        self.run = ReplayRun()
-        self._shown = shown
+        self.state = written_state(protocol.power_on)
+        self.answered_stops = False
+        self._heard = heard
         self._protocol = protocol
         self._port = port
         self._wire = PortWire(port)
@@ -45,8 +49,8 @@ class Target(Closing):
 
     def begin(self) -> None:
         """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
-        answered = home(self._protocol, self._wire, lambda: self._stopper.stopped)
-        if not answered and not self._stopper.stopped:
+        self.answered_stops = home(self._protocol, self._wire, lambda: self._stopper.stopped)
+        if not self.answered_stops and not self._stopper.stopped:
             raise LinkError(
                 f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
             )
@@ -55,18 +59,22 @@ class Target(Closing):
     def send(self, data: bytes) -> None:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
-        for record in self._session.feed(Chunk(self._now(), "host", data)):
-            self._record(record)
+        self._show(self._session.feed(Chunk(self._now(), "host", data)))
         self._port.write(data)
 
-    def pump(self, seconds: float) -> None:
-        """Read the device's answers, waiting at most `seconds` for them. Raises LinkError."""
+    def pump(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
+        """Read what the device sends, waiting at most `seconds` for that.
+
+        A stop ends the waiting, and so does one of the descriptors `also`; those of them that are
+        readable are returned. Raises LinkError.
+        """
         now = self._now()
-        wait_readable([self._port], max(0.0, seconds), [self._stopper.fileno()])
+        waited = [self._stopper.fileno(), *also]
+        _, ready = wait_readable([self._port], max(0.0, seconds), waited)
         data = self._port.read()
         records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
-        for record in [*records, *self._session.advance(now)]:
-            self._record(record)
+        self._show([*records, *self._session.advance(now)])
+        return [descriptor for descriptor in also if descriptor in ready]
 
     def wait(self, seconds: float) -> None:
         """Let time pass (s), reading meanwhile; Ctrl-C ends it. Raises LinkError."""
@@ -85,20 +93,33 @@ class Target(Closing):
         Raises LinkError.
         """
         self.settle()
-        self.pump(self._protocol.timing.answer_deadline / 1000)  # an answer too many
-        for record in self._session.finish():
-            self._record(record)
+        self.wait(self._protocol.timing.answer_deadline / 1000)  # for answers too many
+        self._show(self._session.finish())
 
-    def _record(self, record: Record) -> None:
-        self.run.record(record)
-        self._shown(record)
+    def home(self) -> None:
+        """Stop the device in mid-run; what follows is decoded as after a stop. Raises LinkError."""
+        self._show(self._session.finish())
+        self.answered_stops = home_once(self._protocol, self._wire)
+        was = self.state
+        before = State(Motion(was.motion), was.speed, was.steering, was.led)
+        self.state = written_state(self._protocol.stop.effect.apply(before))
+        saved = self._session.saved()
+        if saved is not None:  # frame boundaries are known: all that was sent came from here
+            self._session.resume(
+                msgspec.structs.replace(saved, time=self._now(), state=self.state, waiting=())
+            )
 
     def close(self) -> None:
         """Home the device and close its port; further calls do nothing."""
         with contextlib.suppress(LinkError):  # the port is lost: nothing can be sent to it
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
-            home_once(self._protocol, self._wire)
+            self.answered_stops = home_once(self._protocol, self._wire)
         self._port.close()
+
+    def _show(self, records: Iterable[Record]) -> None:
+        for record in records:
+            self.state = record.state
+            self._heard(record)
 
     def _now(self) -> int:
         return time.monotonic_ns() - self._start

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from shlex import quote
 from urllib.parse import urlsplit
 
+from bilprov.analyzer.transport.machine import Held, Machine, Process
 from bilprov.spec.errors import UserError
 
 _OPENING = {
-    errno.ENOENT: "there is no {name}; ports here: {ports}; see `bilprov ports`",
-    errno.EACCES: (
-        "permission to open {name} is denied; add yourself to the dialout group: "
-        "sudo usermod -aG dialout $USER, then log in again"
-    ),
-    errno.EBUSY: "{name} is in use by another program; close it",
     errno.EISDIR: "{name} is a folder, not a serial port; see `bilprov ports`",
     errno.ENOTTY: "{name} is not a serial port; see `bilprov ports`",
     errno.EIO: "{name} has a name here but no device behind it; plug it in, or see `bilprov ports`",
@@ -45,20 +42,121 @@ _SAME_AS = {
 }
 
 
+_NEAR = 0.85  # how alike two names are, of 1, where one may be meant by the other
+
+
 class LinkError(UserError):
-    """A port cannot be opened, read or written. The message is one sentence for the user."""
+    """A port cannot be opened, read or written. The message is one sentence for the user.
+
+    `sentence` is the message without the `command` that mends it, "" where there is none.
+    """
+
+    def __init__(self, sentence: str, command: str = "") -> None:
+        super().__init__(f"{sentence}: {command}" if command else sentence)
+        self.sentence = sentence
+        self.command = command
+
+
+def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError:
+    """Return a LinkError that says that there is no such port, and which there are."""
+    name = name or "port ''"
+    taken = machine.taken_for_braille()
+    if taken:
+        usb = taken[0]
+        return LinkError(
+            f"there is no {name}; brltty has taken the adapter {usb.identity} {usb.title} for a "
+            "Braille display: where nobody needs one, end it and plug the adapter in again",
+            NO_BRAILLE,
+        )
+    from difflib import get_close_matches
+
+    titles = {Path(path).name.lower(): path for path in ports_here}
+    near = get_close_matches(Path(name).name.lower(), titles, n=1, cutoff=_NEAR)
+    advice = f"did you mean {titles[near[0]]}?" if near else "see `bilprov ports`"
+    listed = ", ".join(ports_here) or "none"
+    return LinkError(f"there is no {name}; ports here: {listed}; {advice}")
+
+
+def denied(name: str, machine: Machine) -> LinkError:
+    """Return a LinkError that says who may open the port, and the command that lets you."""
+    owner = machine.owner(name)
+    device = quote(machine.device(name))
+    if owner is None or not owner.group_may or owner.group == "root":
+        whose = f"it belongs to {owner.user} alone" if owner else "its owner is not to be seen"
+        return LinkError(
+            f"permission to open {name} is denied: {whose}; until it is plugged in again this "
+            "lets everybody",
+            f"sudo chmod a+rw {device}",
+        )
+    belongs = f"it belongs to {owner.user} and the group {owner.group}"
+    if machine.is_member(owner.group):
+        return LinkError(
+            f"permission to open {name} is denied: {belongs}, which you have joined after this "
+            "session began; log in again, or begin a shell that knows it",
+            f"newgrp {quote(owner.group)}",
+        )
+    return LinkError(
+        f"permission to open {name} is denied: {belongs}; join the group, then log in again",
+        f"sudo usermod -aG {quote(owner.group)} $USER",
+    )
+
+
+def busy(name: str, held: Held, machine: Machine) -> LinkError:
+    """Return a LinkError that says who holds the port, and the command that ends it."""
+    if not held.holders and held.own:
+        return LinkError(f"{name} is open in this program already; a port is opened once")
+    if not held.holders:
+        return LinkError(
+            f"{name} is in use by another program, which this user may not see; this names it",
+            f"sudo fuser -v {quote(machine.device(name))}",
+        )
+    holder = held.holders[0]
+    more = f" and {len(held.holders) - 1} more" if len(held.holders) > 1 else ""
+    sentence = f"{name} is in use by another program, {holder}{more}; close it there, or end it"
+    return LinkError(sentence, _ending(holder, name, machine))
+
+
+NO_BRAILLE = "sudo systemctl mask --now brltty.service brltty-udev.service"
+"""The command that ends brltty, which udev would start anew; both names are in use."""
+
+
+def _ending(holder: Process, name: str, machine: Machine) -> str:
+    """The kindest command that ends a process for good: what is started anew, by its service."""
+    service = {
+        "ModemManager": "ModemManager.service",
+        "agetty": f"serial-getty@{machine.title(name)}.service",
+    }.get(holder.name)
+    if service:
+        return f"sudo systemctl stop {service}"
+    return f"{'' if machine.is_own(holder.pid) else 'sudo '}kill {holder.pid}"
+
+
+# What is said with the help of the machine: who holds the port, whose it is, what else there is.
+_EXPLAINED: dict[int, Callable[[str, Sequence[str], Machine], LinkError]] = {
+    errno.ENOENT: missing,
+    errno.EACCES: lambda name, _, machine: denied(name, machine),
+    errno.EBUSY: lambda name, _, machine: busy(name, machine.held(name)[name], machine),
+}
 
 
 def opening_failed(
-    name: str, error: BaseException, settings: str, ports_here: Sequence[str]
+    name: str,
+    error: BaseException,
+    settings: str,
+    ports_here: Sequence[str],
+    machine: Machine | None = None,
 ) -> LinkError:
     """Return a LinkError that says why `name` could not be opened.
 
     `settings` is the line as text, like `115200 8N1`; `ports_here` are the paths that could be
-    opened instead. pyserial often drops the error number, so the whole chain of causes is searched.
+    opened instead; `machine` is asked for more. pyserial often drops the error number, so the whole
+    chain of causes is searched.
     """
     chain = list(_causes(error))
     number = _number(chain)
+    path = path_in(name)
+    if number in _EXPLAINED and path is not None:
+        return _EXPLAINED[number](path, ports_here, machine or Machine())
     if number in (errno.EIO, errno.EAGAIN) and "://" in name and not _is_wrapped_path(name):
         number = errno.EHOSTUNREACH
     if number is None and isinstance(chain[-1], TimeoutError):
@@ -69,9 +167,8 @@ def opening_failed(
     parts = urlsplit(name) if "://" in name else None
     return LinkError(
         sentence.format(
-            name=name or "port ''",
+            name=name,
             settings=settings,
-            ports=", ".join(ports_here) or "none",
             address=parts.netloc if parts else name,
         )
     )
@@ -97,6 +194,14 @@ def writing_failed(name: str, error: BaseException, timeout: float) -> LinkError
     if _number(list(_causes(error))) is not None:
         return link_lost(name, error)
     return LinkError(f"{name} took no byte for {timeout:g} s; does anything read at the other end?")
+
+
+def path_in(name: str) -> str | None:
+    """Return the path in the name of a port, None for a URL of something else than a path."""
+    scheme, colon, rest = name.partition("://")
+    if not colon:
+        return name
+    return rest.partition("?")[0] if scheme.lower() in ("spy", "alt") else None
 
 
 def _is_wrapped_path(name: str) -> bool:

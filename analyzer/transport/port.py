@@ -12,6 +12,7 @@ import select
 import termios
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from bilprov.analyzer.transport.errors import LinkError, link_lost, writing_failed
@@ -141,6 +142,18 @@ class Port(Closing):
             return bool(getattr(self._handle, {"dcd": "cd"}.get(line, line)))
         except (*FAULTS, NotImplementedError, AttributeError):
             return None  # pyserial's ways to say that this kind of URL has no such line
+
+    def set_baud(self, baud: int) -> None:
+        """Change the baud rate, and leave DTR alone, which opening anew would not.
+
+        Without effect on `socket://`. Raises LinkError for a rate that the port does not have.
+        """
+        self._require_open()
+        try:
+            self._handle.baudrate = baud
+        except FAULTS as error:
+            raise LinkError(f"{self.name} does not accept {baud} baud") from error
+        self.settings = replace(self.settings, baud=baud)
 
     def close(self) -> None:
         """Close the port. Never raises; further calls do nothing."""

@@ -18,6 +18,7 @@ from serial.tools import list_ports as serial_list_ports
 
 from bilprov.analyzer.transport.errors import LinkError, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.machine import Machine, Process
 from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
 
 _POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
@@ -47,7 +48,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
                 exclusive=True,
             )
     except Exception as error:  # URL handlers raise any type of error (KeyError, TypeError)
-        raise opening_failed(name, error, str(settings), _paths_here()) from error
+        raise opening_failed(name, error, str(settings), paths_here()) from error
     port = Port(name, settings, handle)
     try:
         sock = getattr(handle, "_socket", None)
@@ -60,7 +61,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
             _ignore_break_signal(port.fileno())
     except FAULTS as error:
         port.close()
-        raise opening_failed(name, error, str(settings), _paths_here()) from error
+        raise opening_failed(name, error, str(settings), paths_here()) from error
     return port
 
 
@@ -103,28 +104,63 @@ def wait_readable(
 
 @dataclass(frozen=True, slots=True, order=True)
 class PortInfo:
-    """A serial port of this machine: its path, and its description and id from the system.
+    """A serial port of this machine, and what the system tells of it.
 
-    `likely` is true for a USB adapter or board, where a robot is probably connected.
+    `likely` is true for a USB adapter or board, where a robot is probably connected; `usb` is its
+    vendor and product id in hex. `by_id` is the path that stays when adapters are plugged in anew,
+    `latency_ms` for how long the adapter holds bytes back, None where it has no such timer.
+    `holders` have the port open; `unseen` processes cannot be looked into, so one may too.
     """
 
     path: str
     description: str
     hardware_id: str
     likely: bool
+    usb: str = ""
+    serial_number: str = ""
+    by_id: str = ""
+    driver: str = ""
+    latency_ms: int | None = None
+    holders: tuple[Process, ...] = ()
+    unseen: int = 0
 
 
-def list_ports() -> list[PortInfo]:
+def list_ports(machine: Machine | None = None) -> list[PortInfo]:
     """Return the serial ports of this machine, sorted by path; ptys and URLs are not among them."""
+    machine = machine or Machine()
+    found = {port.device: port for port in serial_list_ports.comports()}
+    paths = [path for path in found if not machine.no_hardware(path)]
+    held = machine.held(*paths) if paths else {}
     return sorted(
         PortInfo(
-            path=found.device,
-            description="" if found.description == "n/a" else found.description or "",
-            hardware_id="" if found.hwid == "n/a" else found.hwid or "",
-            likely=found.vid is not None,
+            path=path,
+            description="" if found[path].description == "n/a" else found[path].description or "",
+            hardware_id="" if found[path].hwid == "n/a" else found[path].hwid or "",
+            likely=found[path].vid is not None,
+            usb=_usb_id(found[path]),
+            serial_number=found[path].serial_number or "",
+            by_id=machine.by_id(path),
+            driver=machine.driver(path),
+            latency_ms=machine.latency_timer(path),
+            holders=held[path].holders,
+            unseen=held[path].unseen,
         )
-        for found in serial_list_ports.comports()
+        for path in paths
     )
+
+
+def _usb_id(port: Any) -> str:
+    return "" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}"
+
+
+def paths_here() -> list[str]:
+    """Return the paths of the serial ports of this machine; looks into no process."""
+    try:
+        machine = Machine()
+        found = (port.device for port in serial_list_ports.comports())
+        return sorted(path for path in found if not machine.no_hardware(path))
+    except (OSError, TypeError, ValueError):  # an adapter was unplugged while its files were read
+        return []
 
 
 def same_line(one: str, other: str) -> bool:
@@ -132,13 +168,6 @@ def same_line(one: str, other: str) -> bool:
     if one == other:
         return True
     return "://" not in one + other and Path(one).resolve() == Path(other).resolve()
-
-
-def _paths_here() -> list[str]:
-    try:
-        return [port.path for port in list_ports()]
-    except (OSError, TypeError, ValueError):  # an adapter was unplugged while its files were read
-        return []
 
 
 def _require_address(name: str) -> None:

@@ -23,30 +23,47 @@ class Stopper(Closing):
     As a context manager it installs handlers for the three signals (in the main thread; elsewhere
     it only offers `stop`) and restores the old handlers at the end. A SIGHUP that is ignored
     already, as under nohup, stays ignored. A second signal has no effect, so that a command can
-    finish its file; SIGQUIT (Ctrl-\\) still ends the process at once.
+    finish its file; SIGQUIT (Ctrl-\\) still ends the process at once. A program that goes on after
+    Ctrl-C, such as a prompt, takes the request back by `withdraw`.
     """
 
     def __init__(self) -> None:
         self._reader, self._writer = socket.socketpair()
+        self._reader.setblocking(False)
         self._writer.setblocking(False)
-        self._stopped = False
+        self._causes: set[int] = set()
         self._handlers = ExitStack()
 
     @property
     def stopped(self) -> bool:
         """Whether a stop was asked for."""
-        return self._stopped
+        return bool(self._causes)
 
     def fileno(self) -> int:
         """Return the descriptor that is readable once a stop was asked for."""
         return self._reader.fileno()
 
-    def stop(self) -> None:
-        """Request a stop, from any thread or signal handler; further calls do nothing."""
-        if not self._stopped:
-            self._stopped = True
-            with contextlib.suppress(OSError):  # closed already: no loop waits any more
-                self._writer.send(b"\0")
+    def stop(self, cause: int = 0) -> None:
+        """Request a stop, from any thread or signal handler; `cause` is a signal's number."""
+        self._causes.add(cause)
+        # Closed already: no loop waits any more. Full: the descriptor is readable all the same.
+        with contextlib.suppress(OSError):
+            self._writer.send(b"\0")
+
+    def withdraw(self, cause: int) -> bool:
+        """Take back the stop that this signal requested, and return whether it had.
+
+        A stop for another cause stands.
+        """
+        if cause not in self._causes:
+            return False
+        self._causes.discard(cause)
+        with contextlib.suppress(BlockingIOError):
+            while self._reader.recv(64):
+                pass
+        if self._causes:
+            self.stop(next(iter(self._causes)))
+        return True
 
     def close(self) -> None:
         """Restore the old handlers and close; further calls do nothing."""
@@ -56,7 +73,9 @@ class Stopper(Closing):
 
     def __enter__(self) -> Self:
         if _in_main_thread():
-            self._handlers.enter_context(_handled(_heeded(), lambda number, frame: self.stop()))
+            self._handlers.enter_context(
+                _handled(_heeded(), lambda number, frame: self.stop(number))
+            )
             # A signal that comes between the interpreter's own check and the select call would be
             # handled only at the next event. The wakeup descriptor, which C code writes, ends the
             # select at once.

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
-from bilprov.spec.by_effect import moves, setting
+from bilprov.spec.by_effect import link_check as frames_of_link_check
+from bilprov.spec.by_effect import moves
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 
@@ -33,16 +34,12 @@ def link_check(protocol: Protocol, taken: int | None = None) -> tuple[Case, ...]
 
     The setting must not move the robot. `taken` is an unused ID to leave out.
     """
-    low, high = protocol.limits.get("speed", (0, 0))
-    speed = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
-    judged = judge(protocol, speed)
-    cases = [_answered(protocol, f"power-on/{judged.name}", "a setting does not move it", speed)]
-    free = [identity for identity in protocol.unused_ids if identity != taken]
-    if free:
-        unused = bytes([protocol.header_bytes[free[0], 0]])
+    setting, unused, short = frames_of_link_check(protocol, taken)
+    name = judge(protocol, setting).name
+    cases = [_answered(protocol, f"power-on/{name}", "a setting does not move it", setting)]
+    if unused:
         cases.append(_answered(protocol, "link/unused-id", "an unused ID is refused", unused))
-    if judged.length:
-        short = bytes([protocol.header_bytes[judged.id, 0]])
+    if short:
         cases.append(_answered(protocol, "link/too-few", "missing data are refused", short))
     return tuple(cases)
 

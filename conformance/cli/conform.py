@@ -15,11 +15,17 @@ from typing import Any, TypeVar
 import click
 import msgspec
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+)
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.captures.text import quantity
 from bilprov.conformance.api import (
     Options,
     estimated_seconds,
@@ -30,6 +36,7 @@ from bilprov.conformance.api import (
 )
 from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.selection import matching, shard_named
+from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
@@ -106,14 +113,23 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 
 
 @click.command()
-@click.argument("target", metavar="PORT|sim|emulator:KIND:FIRMWARE")
+@click.argument(
+    "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
+)
 @click.option(
     "--probe",
+    shell_complete=completion.probes,
     help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (a port's unless given) or "
     "sim (the target sim's own).",
 )
 @click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
-@click.option("--only", multiple=True, metavar="GLOB", help="Only these cases; * crosses /.")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="GLOB",
+    shell_complete=completion.cases,
+    help="Only these cases; * crosses /.",
+)
 @click.option(
     "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
 )
@@ -156,9 +172,17 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @update_expected_option
 @click.option("--record", metavar="FILE.mcap", help="Record the run into a new capture.")
 @click.option(
-    "--fault", metavar="NAME", help="With sim: misbehave in this way; random:SEED draws one."
+    "--fault",
+    metavar="NAME",
+    shell_complete=completion.faults,
+    help="With sim: misbehave in this way; random:SEED draws one.",
 )
-@click.option("--variant", metavar="NAME", help="With sim: read the document so.")
+@click.option(
+    "--variant",
+    metavar="NAME",
+    shell_complete=completion.variants,
+    help="With sim: read the document so.",
+)
 @line_options
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
 @click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
@@ -263,10 +287,11 @@ def _tested(
         target = stack.enter_context(opened(stopper))
         count = planned(target.protocol, options, cases)
         if target.moves:
+            note_hindrances(robot.target)
             seconds = estimated_seconds(target.protocol, cases, options, target.line)
             what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
             confirm_motion(what, yes=robot.yes)
-            note(f"{count} cases, about {seconds:.0f} s; what goes wrong may add a few")
+            note(f"{quantity(count, 'case')}, about {seconds:.0f} s; what goes wrong may add a few")
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
         listeners: list[RunListener] = []

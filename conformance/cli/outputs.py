@@ -9,15 +9,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import click
 
-from bilprov.analyzer.files import why_not_writable, write_whole
+from bilprov.analyzer.cli import output_files
+from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.transport.signals import undisturbed
 from bilprov.conformance.report.formats import FORMATS, Writer
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-
-STANDARD_OUTPUT = "-"
 
 
 class Output(NamedTuple):
@@ -57,7 +56,7 @@ def output_options(
 
 def onto_standard_output(outputs: Iterable[Output]) -> bool:
     """Whether one of the outputs goes to standard output, where nothing else may then stand."""
-    return any(output.path == STANDARD_OUTPUT for output in outputs)
+    return any(output.path == output_files.STANDARD_OUTPUT for output in outputs)
 
 
 def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> None:
@@ -65,26 +64,7 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
 
     It is called before the robot moves. `inputs` are files that must not be overwritten.
     """
-    taken = {Path(path).resolve(): f"the input {path}" for path in inputs}
-    on_standard_output = ""
-    for option, path, _ in outputs:
-        if path == STANDARD_OUTPUT:
-            if on_standard_output:
-                raise click.UsageError(
-                    f"{on_standard_output} and {option} both go to standard output: "
-                    "name a file for one of them"
-                )
-            on_standard_output = option
-            continue
-        file = Path(path)
-        why_not = why_not_writable(file)
-        if why_not:
-            raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
-        if file.resolve() in taken:
-            raise click.UsageError(
-                f"{option} {path} would overwrite {taken[file.resolve()]}: name another file"
-            )
-        taken[file.resolve()] = option
+    output_files.require_writable(((output.option, output.path) for output in outputs), inputs)
 
 
 def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Protocol) -> None:
@@ -103,7 +83,7 @@ def write_each(texts: Iterable[tuple[str, str]]) -> None:
     with undisturbed(again=False):
         for path, text in texts:
             data = text.encode(errors="backslashreplace")
-            if path == STANDARD_OUTPUT:
+            if path == output_files.STANDARD_OUTPUT:
                 onto_stdout.append(data)
                 continue
             try:

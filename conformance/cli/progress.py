@@ -56,6 +56,10 @@ class Progress(Closing, RunListener):
         total = max(self._total, self._done)  # a fault may add cases of its own
         self._bar.update(self._task, total=total, advance=1, failed=failed)
 
+    def note(self, sentence: str) -> None:
+        """Print a sentence above the bar, on standard error."""
+        self._bar.console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+
     def close(self) -> None:
         """Remove the bar."""
         self._bar.stop()

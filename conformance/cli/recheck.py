@@ -8,7 +8,7 @@ from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.conformance.cli.outputs import (
     Output,
     onto_standard_output,
@@ -70,4 +70,4 @@ def _sum(found: Recheck) -> str:
         more = len(found.differences)
         return f"not the same: {more} {'difference' if more == 1 else 'differences'}"
     far = "" if found.whole else ", as far as the recording goes"
-    return f"the same: {found.cases} cases, verdict {found.verdict}{far}"
+    return f"the same: {quantity(found.cases, 'case')}, verdict {found.verdict}{far}"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cli.outputs import (
-    STANDARD_OUTPUT,
     Output,
     deliver,
     output_options,

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cases.levels import LEVELS
+from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.outputs import (
-    STANDARD_OUTPUT,
     Output,
     onto_standard_output,
     output_options,
@@ -39,7 +40,13 @@ _SHOWN = 4  # faults named behind a case group
     help="How many random faults, random:1 to random:N.",
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="The suite's seed.")
-@click.option("--only", multiple=True, metavar="GLOB", help="Only faults of these names.")
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="GLOB",
+    shell_complete=completion.faults,
+    help="Only faults of these names.",
+)
 @output_options(["json"], help="All of it as JSON; - is standard output.")
 @click.option(
     "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."

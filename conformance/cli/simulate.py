@@ -7,6 +7,7 @@ import click
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import named_device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
@@ -15,8 +16,18 @@ from bilprov.conformance.mutation.catalogue import listed_faults, listed_variant
 @click.command()
 @click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
 @click.option("--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too.")
-@click.option("--fault", metavar="NAME", help="Misbehave in one way; random:SEED draws one.")
-@click.option("--variant", metavar="NAME", help="Read the document in another legal way.")
+@click.option(
+    "--fault",
+    metavar="NAME",
+    shell_complete=completion.faults,
+    help="Misbehave in one way; random:SEED draws one.",
+)
+@click.option(
+    "--variant",
+    metavar="NAME",
+    shell_complete=completion.variants,
+    help="Read the document in another legal way.",
+)
 @click.option("--list-faults", is_flag=True, help="List the named faults.")
 @click.option("--list-variants", is_flag=True, help="List the legal variants, and mixtures.")
 @click.pass_obj

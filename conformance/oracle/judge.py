@@ -6,6 +6,7 @@ from collections.abc import Container, Iterator
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS, Look
+from bilprov.captures.text import quantity
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.timers import Timers
@@ -74,7 +75,8 @@ def _mismatch(protocol: Protocol, wanted: Accepted, heard: Received) -> str:
     if unused:
         return f"answered {code_words(protocol, unused[0])}: a device never sends an unused code"
     if len(codes) > len(wanted.codes):
-        return f"{len(codes)} answers came, {len(wanted.codes) or 'none'} was due"
+        due = f"{len(wanted.codes) or 'none'} {'were' if len(wanted.codes) > 1 else 'was'} due"
+        return f"{quantity(len(codes), 'answer')} came, {due}"
     return (
         f"answered {answer_words(protocol, codes)} "
         f"instead of {answer_words(protocol, wanted.codes)}"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.captures.text import quantity
+from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.run_report import Report
 
 if TYPE_CHECKING:
@@ -30,8 +33,7 @@ def conclusion(report: Report) -> Text:
 
     if report.unusable:
         return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
-    counts = {name: count for name, count in report.counts.items() if count}
-    words = ", ".join(f"{count} {name}" for name, count in counts.items())
+    words = _counts(report)
     shard = report.options.get("shard")
     words += f" (shard {shard[0]} of {shard[1]})" if shard else ""
     comparison = report.comparison
@@ -50,3 +52,27 @@ def conclusion(report: Report) -> Text:
     if report.ended:
         text.append(f" (ended early: {report.ended})")
     return text
+
+
+def _counts(report: Report) -> str:
+    """How many cases have each verdict; without a probe, what was not seen and what was right."""
+    counts = Counter(result.verdict for result in report.results)
+    told = []
+    if report.link.get("probe") == "none" and counts[Verdict.INCONCLUSIVE]:
+        unseen = Counter(filter(None, map(_unseen, report.results)))
+        if unseen:
+            what = " and ".join(quantity(count, axis) for axis, count in unseen.most_common())
+            told = [f"{what} not seen without a probe"]
+            counts[Verdict.INCONCLUSIVE] -= unseen.total()
+            if right := counts.pop(Verdict.PASS, 0):
+                told.append(f"{quantity(right, 'answer')} right")
+    return ", ".join(told + [f"{counts[v]} {v.label}" for v in Verdict if counts[v]])
+
+
+def _unseen(result: CaseResult) -> str:
+    """The axis of an inconclusive case that no probe has seen, "" if there are other reasons."""
+    if result.verdict is not Verdict.INCONCLUSIVE:
+        return ""
+    left = {n: axis for n, axis in result.axes.items() if axis.verdict is Verdict.INCONCLUSIVE}
+    seen = any(not axis.reason.startswith(NOT_OBSERVABLE) for axis in left.values())
+    return "" if seen else next(iter(left), "")

@@ -16,6 +16,14 @@ from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
 from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
 
+# The verdicts whose cases are listed, the last one's only if every case is asked for.
+_LISTED = (
+    Verdict.ERROR,
+    Verdict.FAIL,
+    Verdict.INCONCLUSIVE,
+    Verdict.NON_STRICT,
+    Verdict.INFORMATIONAL,
+)
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
 _DIFFERING = 20
@@ -35,9 +43,11 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
     """Print the summary; `everything` lists every case that did not pass."""
     if report.results:
         console.print(_table(report))
-    for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.INCONCLUSIVE, Verdict.NON_STRICT):
+    for verdict in _LISTED:
         known = report.comparison.expected if report.comparison else frozenset()
         found = [r for r in report.results if r.verdict is verdict and r.id not in known]
+        if verdict is Verdict.INFORMATIONAL and not everything:
+            continue
         if verdict is Verdict.INCONCLUSIVE and not everything:
             _reasons(found, console)
         else:

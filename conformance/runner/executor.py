@@ -22,6 +22,7 @@ from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs
 from bilprov.conformance.runner.waiting import GaveUp
 
 _SLOW = 0.005  # s for an answer
+_PROBE_ANSWERS = 60  # that are waited for, about, to find out the device's choices
 SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
 
 
@@ -78,6 +79,7 @@ class Runner:
                 yield from first_choices(run)
             yield from home(run)
             yield from calibrate(run)
+            self._tell_slow()
             yield from home(run)
             yield from see_motions(run)
             if self._measure and run.profile.truncation_timeout is None:
@@ -101,18 +103,38 @@ class Runner:
             self._not_run(Verdict.INCONCLUSIVE, f"precondition lost: {gave_up}")
         self._not_run(Verdict.SKIPPED, "an earlier case failed (--fail-fast)")
 
+    def _tell_slow(self) -> None:
+        """Tell how long a device takes whose answers are late, and what that makes of the run."""
+        run = self.run
+        takes = run.profile.round_trip or 0
+        if takes <= run.timers.deadline:
+            return
+        whole, cases = run.timers.run_budget, sum(map(self._cost, self._left))
+        probes = _PROBE_ANSWERS * takes / 1e9 if self._discover else 0.0
+        about = f"the run takes about {probes + cases:.0f} s more"
+        if whole is not None and cases > whole / 1e9:
+            about = (
+                f"the cases would take {cases:.0f} s and get {whole / 1e9:.0f} s: --budget S "
+                "gives them more"
+            )
+        run.note(
+            f"an answer takes {takes / 1e6:.0f} ms and is due after {run.timers.deadline / 1e6:.0f}"
+            f" ms: slow, non-strict (R-answer-deadline); {about}"
+        )
+
+    def _cost(self, case: AnyCase) -> float:
+        """About how long (s) a case takes with this device."""
+        run = self.run
+        slow, timeout = (run.profile.round_trip or 0) / 1e9, run.waiting.timeout / 1e9
+        return seconds(run.protocol, case, 0.0, timeout) + answers_in(case) * slow
+
     def _fit(self) -> None:
         """Skip the cases for which a slow device leaves no time in the run's budget."""
         run = self.run
         whole, slow = run.timers.run_budget, (run.profile.round_trip or 0) / 1e9
         if whole is None or slow < _SLOW:
             return
-        timeout = run.waiting.timeout / 1e9
-
-        def cost(case: AnyCase) -> float:
-            return seconds(run.protocol, case, 0.0, timeout) + answers_in(case) * slow
-
-        kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, cost)}
+        kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, self._cost)}
         why = (
             f"an answer takes {slow * 1000:.0f} ms: {whole / 1e9:.0f} s do not hold every case; "
             "--budget S gives them more"

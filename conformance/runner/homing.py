@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
 from bilprov.conformance.dut.operations import Ended, Observation, Procedure, listen, observe, send
@@ -188,8 +189,9 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
     expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
         return SetUp("", expected)
-    run.strays.missing(len(frames) - answered)
-    return SetUp(f"{answered} answers to {len(frames)} instructions of the set-up", expected)
+    run.strays.missing(max(0, len(frames) - answered))  # more answers than frames are a flood
+    answers, asked = quantity(answered, "answer"), quantity(len(frames), "instruction")
+    return SetUp(f"{answers} to {asked} of the set-up", expected)
 
 
 def watch(

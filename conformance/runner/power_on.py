@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
 from bilprov.conformance.dut.operations import (
@@ -24,6 +25,7 @@ from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.homing import pad
 from bilprov.conformance.runner.run import Run
+from bilprov.spec.codec import spaced
 from bilprov.spec.motion import State
 from bilprov.spec.open_points import FLUSH_POINTS
 
@@ -31,6 +33,8 @@ _STOPPED = "stopped"
 _CALIBRATION = 20
 _TRIES = 3  # retries of a check that failed once
 _CHATTER = 2  # most answers to the first instruction: more are a banner
+_FIRST_ANSWERS = 40  # of a real device: where none of them is a code, something else answers
+_SHOWN = 8  # of these, in the sentence that says so
 
 
 def first_bytes(run: Run) -> Procedure[str]:
@@ -69,7 +73,8 @@ def first_bytes(run: Run) -> Procedure[str]:
             if axes["state"].verdict is Verdict.FAIL:
                 axes["state"] = yield from _still_again(run, case, axes["state"])
         outcomes.append((case, axes, heard, sent))
-    unusable = _line_fault(run, [(case.frame, heard) for case, _, heard, _ in outcomes[1:]])
+    exchanges = [(case.frame, heard) for case, _, heard, _ in outcomes[1:]]
+    unusable = _line_fault(run, exchanges) or (yield from _other_device(run, exchanges))
     if not unusable:
         for case, axes, heard, sent in outcomes:
             run.conclude(case, axes, heard.answers, sent)
@@ -118,7 +123,7 @@ def _ahead(run: Run) -> Procedure[None]:
     case = runner_case(
         run.protocol, "line/pipelining", clause, requirement, pad(run), "R-pipelining"
     )
-    words = f"{max(short)} answers to {due} stops sent at once"
+    words = f"{quantity(max(short), 'answer')} to {due} stops sent at once"
     reason = f"loses answers: {words}, in each of {_TRIES} tries"
     run.conclude(
         case, {"answer": Axis(Verdict.FAIL, f"{due} answers", words, reason, "R-pipelining")}
@@ -278,6 +283,34 @@ def _line_fault(run: Run, exchanges: list[tuple[bytes, Received]]) -> str:
             "wired together"
         )
     return ""
+
+
+def _other_device(run: Run, exchanges: list[tuple[bytes, Received]]) -> Procedure[str]:
+    """Why what answers is no device of this protocol, "" if it may be one.
+
+    It is none where not one of its first answers is a code of the grammar: then harmless stops are
+    sent until there are enough answers to tell.
+    """
+    if run.config.virtual:
+        return ""
+    codes = tuple(code for _, heard in exchanges for code in heard.codes)
+    while not any(code in run.protocol.codes for code in codes[:_FIRST_ANSWERS]):
+        if len(codes) >= _FIRST_ANSWERS:
+            break
+        yield from send(pad(run))
+        heard = yield from run.waiting.all_answers(run.protocol.longest_frame)
+        if not heard.answers:
+            break
+        codes += heard.codes
+    else:
+        return ""
+    first = bytes(codes[:_FIRST_ANSWERS])
+    begin = f"{spaced(first[:_SHOWN])} {first[:_SHOWN].decode('latin-1')!a}"
+    none = f"none of the first {len(first)} answers is a" if len(first) > 1 else "its answer is no"
+    return (
+        f"{none} code of the grammar ({begin}): text, another baud rate or another device; check "
+        "the port and --baud, or ask with bilprov doctor PORT --ask"
+    )
 
 
 def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -> Procedure[Axis]:

@@ -28,13 +28,15 @@ from bilprov.spec.protocol import Protocol
 class RunConfig:
     """What is settled before a run begins.
 
-    `power` says whether the robot can be switched off and on.
+    `power` says whether the robot can be switched off and on, `virtual` whether the device is an
+    object in virtual time: what answers is then no other device, baud rate or program.
     """
 
     protocol: Protocol
     timers: Timers
     observability: Observability
     power: bool = False
+    virtual: bool = True
 
     @property
     def observable(self) -> bool:
@@ -98,6 +100,8 @@ def result_of(
 class Run:
     """State of one run. `begin` and `report` are called when a case begins and when it is final.
 
+    `note` is called with a sentence that the user should read while the run goes on.
+
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
     `results` every final result in order.
     """
@@ -109,6 +113,7 @@ class Run:
         *,
         begin: Callable[[str], None] = lambda ident: None,
         report: Callable[[CaseResult], None] = lambda result: None,
+        note: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self.config = config
         self.profile = profile or Profile()
@@ -118,6 +123,7 @@ class Run:
         self.results: list[CaseResult] = []
         self.strays = StrayAnswers(config.protocol, self.conclude)
         self.begin = begin
+        self.note = note
         self._report = report
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.judge import matching
@@ -90,7 +91,8 @@ def judge_burst(
         if found:
             return found
     if len(heard.answers) > due:
-        reason = f"{len(heard.answers)} answers came, {due} were due"
+        came = quantity(len(heard.answers), "answer")
+        reason = f"{came} came, {due} {'were' if due > 1 else 'was'} due"
         wanted = answer_words(
             run.protocol, tuple(step.accepted[0].codes[0] for step in taken[:due])
         )

@@ -12,6 +12,7 @@ import click
 from click import exceptions
 
 from bilprov.analyzer.output.help import Group, with_pages
+from bilprov.analyzer.settings import read_settings
 
 
 class Row(NamedTuple):
@@ -28,6 +29,9 @@ COMMANDS = {
         "Analyze", "bilprov.analyzer.cli.sniff", "sniff", "Listen to a line, decode and log it."
     ),
     "replay": Row("Analyze", "bilprov.analyzer.cli.replay", "replay", "Play a capture again."),
+    "browse": Row(
+        "Analyze", "bilprov.analyzer.cli.browse", "browse", "Look through a capture on a screen."
+    ),
     "decode": Row(
         "Analyze", "bilprov.analyzer.cli.decode", "decode", "Decode bytes from hex or a file."
     ),
@@ -39,6 +43,18 @@ COMMANDS = {
         "bilprov.analyzer.cli.stats",
         "stats",
         "Count what captures hold: frames, answers.",
+    ),
+    "export": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.export",
+        "export",
+        "Write a capture for other programs.",
+    ),
+    "plot": Row(
+        "Analyze",
+        "bilprov.analyzer.cli.plot",
+        "plot",
+        "Draw a capture along its time, as a page.",
     ),
     "convert": Row(
         "Analyze",
@@ -54,11 +70,17 @@ COMMANDS = {
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
     ),
+    "shell": Row(
+        "Analyze", "bilprov.conformance.cli.shell.command", "shell", "Drive a device by hand."
+    ),
     "ports": Row(
         "Analyze",
         "bilprov.analyzer.cli.text_commands",
         "ports",
         "List the serial ports of this machine.",
+    ),
+    "doctor": Row(
+        "Analyze", "bilprov.analyzer.cli.doctor", "doctor", "Find what keeps a port from use."
     ),
     "conform": Row(
         "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
@@ -100,6 +122,9 @@ COMMANDS = {
     "spec": Row(
         "Protocol", "bilprov.analyzer.cli.spec", "spec", "Show protocol, readings and errata."
     ),
+    "config": Row(
+        "Protocol", "bilprov.analyzer.cli.config", "config", "Show settings and where they are set."
+    ),
     "completion": Row(
         "Protocol", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
     ),
@@ -138,7 +163,24 @@ class FrontDoor(Group):
         if name is None or listed is None:  # completion asks for what does not exist
             return name, listed, rest
         row = COMMANDS[name]
-        return name, with_pages(getattr(import_module(row.module), row.attribute)), rest
+        command = with_pages(getattr(import_module(row.module), row.attribute))
+        if ctx.resilient_parsing:
+            from bilprov.analyzer.cli.completion import with_completion
+
+            with_completion(command)
+            return name, command, rest
+        if "--help" in rest:
+            return name, command, rest
+        settings = read_settings(COMMANDS)
+        if settings.empty:
+            return name, command, rest
+        from bilprov.analyzer.cli.settings import with_settings
+
+        grammar = settings.values_of(name).get("grammar")
+        if grammar is not None and ctx.params.get("grammar") is None:
+            ctx.params["grammar"] = str(grammar.value)
+        command, ctx.default_map = with_settings(command, name, settings, rest)
+        return name, command, rest
 
 
 def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
@@ -190,9 +232,7 @@ def _run(arguments: list[str]) -> int:
     """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
     asked = os.environ.get("_BILPROV_COMPLETE")
     if asked:
-        from click.shell_completion import shell_complete
-
-        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
+        return _complete(asked)
     try:
         with front_door.make_context("bilprov", arguments) as context:
             result = front_door.invoke(context)
@@ -201,6 +241,23 @@ def _run(arguments: list[str]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2 if stop.code else 0
     return result if type(result) is int else 0
+
+
+def _complete(asked: str) -> int:
+    """Print what a shell's completion asks for; nothing where the line has an error."""
+    from contextlib import suppress
+
+    from click.shell_completion import shell_complete
+
+    from bilprov.analyzer.cli.completion import with_completion
+    from bilprov.analyzer.cli.shells import register
+    from bilprov.spec.errors import UserError
+
+    register()
+    with_completion(front_door)
+    with suppress(UserError, OSError):
+        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
+    return 0
 
 
 if __name__ == "__main__":

@@ -286,6 +286,7 @@ FULL = """
 import resource, signal, sys
 from bilprov.__main__ import main
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 main(["convert", "--decoded", *sys.argv[1:]])
 """

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.cli.options import compiled
 from bilprov.analyzer.decode.anomalies import UNCLEAR
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import (
     HostRecord,
     Record,
@@ -23,7 +24,6 @@ from bilprov.analyzer.decode.records import (
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.edit.cut import write_selected, write_window
 from bilprov.analyzer.edit.new_capture import Stopped, edited_metadata, new_capture
-from bilprov.analyzer.output.json_lines import json_line
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures.reader import open_capture
@@ -343,7 +343,9 @@ def test_a_full_disk_leaves_nothing_and_is_one_sentence(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     out = tmp_path / "out.mcap"
-    result = process("cut", str(SAMPLE), str(out), "--end", "1", preexec_fn=little_room)
+    compiled = {"PYTHONDONTWRITEBYTECODE": "1"}  # it would be cut short too
+    cut = ("cut", str(SAMPLE), str(out), "--end", "1")
+    result = process(*cut, preexec_fn=little_room, env=compiled)
     assert result.returncode == 2
     (said,) = result.stderr.decode().splitlines()
     assert said.startswith(f"bilprov: {out} cannot be written (File too large): make room")

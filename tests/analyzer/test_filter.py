@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-import pytest
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from datetime import datetime
+from typing import Any
+from zoneinfo import ZoneInfo
 
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.filter import FilterError, compile_filter
-from bilprov.analyzer.output.json_lines import JsonLine, json_line
-from bilprov.captures.schemas import Line
-from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, conversation, decoded
+from bilprov.analyzer.filters.fields import fields_of
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.filters.moments import offset
+from bilprov.analyzer.filters.parts import FilterError
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol, load
+from tests.support.decoding import MS, Event, conversation, decoded, hosts
+from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 TALK = [
     (b"\x11\x7f", b"\0"),
@@ -52,6 +66,50 @@ def lines(protocol: Protocol) -> list[JsonLine]:
         ("t > -1 and t < 0.03", ["11 7f", "00"]),
         ("name not in ('Speed', OK) and direction == device", ["01"]),
         (" name ==\nSpeed ", ["11 7f"]),
+        ("name == forward or NAME == LED", ["20", "81 09"]),
+        ("name in {Speed, forward}", ["11 7f", "20"]),
+        ("name in [Speed]", ["11 7f"]),
+        ("name contains rIG", ["41 40"]),
+        ("name == speed", ["11 7f"]),
+        ("id == LED and rgb & 1", ["81 09"]),
+        ("rgb & 6", []),
+        ("rgb & 9 == 9 and (rgb & 8) == 8", ["81 09"]),
+        ("id == 9 or id in 4..5", ["41 40", "9f" + " 00" * 15]),
+        ("id != Speed and len == 1", ["81 09", "41 40"]),
+        ("len > 1", ["9f" + " 00" * 15]),
+        ("data contains 00 00 00", ["9f" + " 00" * 15]),
+        ("data == 7f", ["11 7f"]),
+        ("data == 09 || data in {40, 7f}", ["11 7f", "81 09", "41 40"]),
+        ("data == '' and faulty", []),
+        ("data == ''", ["20"]),
+        ("data[0] >= 0x40", ["11 7f", "41 40"]),
+        ("data[0] & 0x40 and data[0] < 0x7f", ["41 40"]),
+        ("hex contains 81 09 or hex[1] == 0x7f", ["11 7f", "81 09"]),
+        ("hex == 81:09", ["81 09"]),
+        ("'81 09' in hex", ["81 09"]),
+        ("response != OK", ["01"]),
+        ("response == BAD_HEADER", ["01"]),
+        ("response >= 1", ["01"]),
+        ("response != judgement", ["00"]),
+        ("faulty and direction == device", ["00", "01"]),
+        ("faulty", ["81 09", "00", "9f" + " 00" * 15, "01", ""]),
+        ("faulty and latency > 0.5 ms", ["00", "01"]),
+        ("faulty and latency in 999µs..1001 µs", ["00", "01"]),  # with the micro sign
+        ("faulty and latency == 1000μs", ["00", "01"]),  # with the Greek letter
+        ("faults contains disagreeing", ["00"]),
+        ("faults == disagreeing", ["00"]),
+        ("not !(name == Speed)", ["11 7f"]),
+        ("name == Speed && speed in 100..200", ["11 7f"]),
+        ("speed in {1, 100..127}", ["11 7f"]),
+        ("speed in 126.5..127.5", ["11 7f"]),
+        ("speed > 126.5 and speed < 127.5", ["11 7f"]),
+        ("t in 20ms..21ms", ["11 7f", "00"]),
+        ("t == 0.02 or t == 40000us", ["11 7f", "20"]),
+        ("reason contains LED and direction == host", ["81 09"]),
+        ("state.speed == speed", ["11 7f"]),
+        ("agrees == false", ["00"]),
+        ("AGREES != TRUE", ["00"]),
+        ("kind == instruction and not state.moving and len == 1", ["11 7f", "81 09", "41 40"]),
     ],
 )
 def test_a_filter_lets_pass_the_lines_that_it_describes(
@@ -62,7 +120,15 @@ def test_a_filter_lets_pass_the_lines_that_it_describes(
     assert [line.hex for line in lines if test(line)] == passing
 
 
-@pytest.mark.parametrize("text", ["speed == 1 or speed != 1", "speed not in (1, 2)", "speed >= 0"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "speed == 1 or speed != 1",
+        "speed not in (1, 2)",
+        "speed >= 0",
+        "not (speed not in {1}) and name == Speed or speed not in 0..1",
+    ],
+)
 def test_comparing_what_a_line_does_not_have_is_false(
     protocol: Protocol, lines: list[JsonLine], text: str
 ) -> None:
@@ -72,38 +138,277 @@ def test_comparing_what_a_line_does_not_have_is_false(
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("", ["does not parse", "column 1", "allowed are"]),
-        ("faulty and", ["does not parse", "allowed are"]),
-        ("sped > 1", ["column 1", "'sped'", "did you mean speed", "--help"]),
-        ("zzz", ["column 1", "'zzz' is no name here; --help says which there are"]),
-        ("faulty or nam == Speed", ["column 11", "'nam'"]),
-        ("speed", ["column 1", "number", "compare"]),
-        ("name", ["text", "compare"]),
-        ("speed > 'a'", ["column 9", "text", "number"]),
-        ("name == 1", ["never true"]),
-        ("name in Speed and speed in 3", ["never true"]),
-        ("name in ()", ["one or more values"]),
-        ("faults < ('slow',)", ["list of text", "never true"]),
-        ("agrees < True", ["truth", "never true"]),
-        ("name in (Speed, 1)", ["one kind"]),
-        ("speed is 1", ["allowed are"]),
-        ("None", ["not allowed"]),
-        ("x" * 1001, ["1001 characters", "1000"]),
-        ("(" * 400, ["does not parse"]),
-        ("a\0b", ["filter"]),
+        "id == 1 or id != 1",
+        "len >= 0",
+        "data contains 00 or data not contains 00",
+        "speed & 1 or speed > 0",
+        "sequence >= 0",
     ],
 )
-def test_what_is_no_filter_is_said_with_place_and_what_is_allowed(
-    protocol: Protocol, text: str, words: list[str]
+def test_an_answer_lacks_what_is_the_instructions(
+    protocol: Protocol, lines: list[JsonLine], text: str
+) -> None:
+    test = compile_filter(text, protocol)
+
+    assert {line.direction for line in lines if test(line)} == {"host"}
+
+
+@pytest.mark.parametrize(
+    "text", ["response >= 0", "latency > -1s", "answers >= 0", "response & 1 == 1 or response == 0"]
+)
+def test_an_instruction_lacks_what_is_the_answers(
+    protocol: Protocol, lines: list[JsonLine], text: str
+) -> None:
+    test = compile_filter(text, protocol)
+
+    assert {line.direction for line in lines if test(line)} == {"device"}
+
+
+def test_an_answer_of_no_code_is_a_response_and_none_of_the_names(protocol: Protocol) -> None:
+    (line,) = (json_line(r) for r in decoded(Session(protocol), [Chunk(0, "device", b"\x55")]))
+    assert line
+
+    assert compile_filter("response != OK and response == 0x55", protocol)(line)
+    assert not compile_filter("name == OK or name != OK", protocol)(line)
+
+
+def test_truncated_bytes_have_the_header_that_came_and_garbage_has_none(protocol: Protocol) -> None:
+    events = [Chunk(0, "host", b"\x9f\x01"), Chunk(2000 * MS, "host", b"\x00")]
+    (cut, _) = (json_line(record) for record in hosts(decoded(Session(protocol), events)))
+    assert cut
+
+    assert compile_filter("id == 9 and len == 15 and data == 01", protocol)(cut)
+    assert compile_filter("faulty and kind == truncated and faults contains truncated", protocol)(
+        cut
+    )
+    garbage = msgspec.structs.replace(cut, kind="garbage")
+    assert not compile_filter("id >= 0 or len >= 0 or data not contains 05", protocol)(garbage)
+    assert compile_filter("hex == 9f 01", protocol)(garbage)
+
+
+def wall(zone: str, text: str) -> int:
+    """Ns since 1970 of a local moment."""
+    return int(datetime.fromisoformat(text).replace(tzinfo=ZoneInfo(zone)).timestamp()) * 10**9
+
+
+@pytest.fixture
+def zone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Moves this process to a time zone."""
+
+    def moved(name: str) -> None:
+        monkeypatch.setenv("TZ", name)
+        time.tzset()
+        offset.cache_clear()
+
+    yield moved
+    monkeypatch.undo()
+    time.tzset()
+    offset.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("time > 14:03:20", [2, 3]),
+        ("time >= 14:03:20", [1, 2, 3]),
+        ("time < 14:03:20.5", [0, 1]),
+        ("14:03:21 <= time", [2, 3]),
+        ("time in 14:03:20..14:03:21", [1, 2]),
+        ("time in {14:03:19..14:03:20, 14:03:22..23:00}", [0, 1, 3]),
+        ("time in 14:03:22..14:03:19", [0, 3]),
+        ("time not in 14:03:20..14:03:21", [0, 3]),
+        ("time > 14:03", [0, 1, 2, 3]),
+        ("time > 2026-11-22 14:03:20", [2, 3]),
+        ("time > '2026-11-22T14:03:20'", [2, 3]),
+        ("time >= 2026-11-22T13:03:21Z", [2, 3]),
+        ("time >= 2026-11-22 14:03:21+01:00", [2, 3]),
+        ("time in 2026-11-22..2026-11-22 14:03:20", [0, 1]),
+        ("time > 2026-11-23", []),
+        ("time == time or faulty", None),
+    ],
+)
+def test_time_is_the_readers_time_of_day(
+    protocol: Protocol, zone: Callable[[str], None], text: str, seconds: list[int] | None
+) -> None:
+    zone("Europe/Stockholm")
+    stop = bytes([protocol.pad_byte])
+    events: list[Event] = [Chunk(n * 1000 * MS, "host", stop) for n in range(4)]
+    lines = [json_line(record) for record in hosts(decoded(Session(protocol), events))]
+    if seconds is None:
+        with pytest.raises(FilterError, match="same"):
+            compile_filter(text, protocol)
+        return
+    test = compile_filter(text, protocol)
+
+    started = test.started(wall("Europe/Stockholm", "2026-11-22 14:03:19"))
+
+    assert [line.t for line in lines if line and started(line)] == seconds
+    assert [line for line in lines if line and test(line)] == []
+
+
+def test_the_time_of_day_follows_the_clock_that_is_put_back(
+    protocol: Protocol, zone: Callable[[str], None]
+) -> None:
+    zone("Europe/Stockholm")
+    stop = bytes([protocol.pad_byte])
+    events: list[Event] = [Chunk(n * 1800 * 1000 * MS, "host", stop) for n in range(6)]
+    lines = [json_line(record) for record in hosts(decoded(Session(protocol), events))]
+    # At 3:00 on 2026-10-25 it is 2:00 again.
+    test = compile_filter("time in 2:00..2:45", protocol).started(
+        wall("Europe/Stockholm", "2026-10-25 01:30")
+    )
+
+    assert [line.t / 1800 for line in lines if line and test(line)] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("start", [0, -5, 1 << 62, 10**20])
+def test_a_recording_without_a_start_has_no_time_of_day(
+    protocol: Protocol, lines: list[JsonLine], start: int
+) -> None:
+    test = compile_filter("time >= 00:00", protocol).started(start)
+
+    assert [line for line in lines if test(line)] == []
+
+
+WRONG = [
+    # what is missing, or too much
+    ("", "", "the filter is empty; write a condition like faulty or latency > 20ms"),
+    ("   ", "", "the filter is empty"),
+    ("x" * 1001, "^", "1001 characters, allowed are 1000"),
+    ("faulty and", "          ^", "something is missing at the end: a condition like faulty"),
+    ("name ==", "       ^", "something is missing at the end: a value or a name"),
+    ("speed in", "        ^", "a set like {1, 2} or a range like 1..2"),
+    ("not", "   ^", "something is missing"),
+    ("(faulty", "^", "'(' is never closed"),
+    ("faulty)", "      ^", "closes nothing that is open"),
+    ("name in {Speed", "        ^", "'{' is never closed"),
+    ("name in {Speed]", "              ^", "']' does not close the '{'"),
+    ("name == 'Speed", "        ^^^^^^", "quote is never closed"),
+    ("name in {}", "        ^^", "a set holds one or more values"),
+    ("(" * 41 + "faulty" + ")" * 41, " " * 40 + "^", "nested too deeply"),
+    ("!" * 41 + "faulty", " " * 40 + "^", "nested too deeply"),
+    ("speed > 1 2", "          ^", "'and' or 'or' is missing before '2'"),
+    ("name Speed", "     ^^^^^", "is missing before 'Speed'"),
+    ("name in {Speed LED}", "               ^^^", "a comma is missing before 'LED'"),
+    # other languages
+    ("name = Speed", "     ^", "did you mean ==?"),
+    ("name is Speed", "     ^^", "did you mean ==?"),
+    ("name eq Speed", "     ^^", "did you mean ==?"),
+    ("faulty | agrees", "       ^", "did you mean ||?"),
+    ("faulty & agrees", "^^^^^^", "'faulty' is true or false, and & takes whole numbers"),
+    ("faulty ^ agrees", "       ^", "is no part of a filter"),
+    ("a\0b", " ^", "is no part of a filter"),
+    # names and values that there are not
+    ("sped > 1", "^^^^", "did you mean speed?"),
+    ("faulty or nam == Speed", "          ^^^", "'nam' is no name here: did you mean name?"),
+    ("zzz", "^^^", "'zzz' is no name here: there are speed, strength"),
+    ("name == Horn", "        ^^^^", "'Horn' is no value of name in this grammar: there are Stop"),
+    ("faults == Horn", "          ^^^^", "early, out of step, lost bytes, gap and 7 more"),
+    ("state.motion == up", "                ^^", "backward, rotate_right, rotate_left"),
+    ("name == Forwad", "        ^^^^^^", "did you mean Forward?"),
+    ("direction == hots", "             ^^^^", "did you mean host?"),
+    ("name contains zz", "              ^^", "is in no name; there are Stop"),
+    ("latency > ms", "          ^^", "stands behind a number, like 20ms"),
+    ('name == "a\\x41"', "          ^^", "a backslash goes before a quote or a backslash"),
+    # no condition
+    ("speed", "^^^^^", "'speed' is a number, no condition: compare it, like speed > 0"),
+    ("faulty or name", "          ^^^^", "no condition: compare it, like name == Stop"),
+    ("Speed", "^^^^^", "'Speed' is a value, no condition: write name == Speed"),
+    ("OK", "^^", "write name == OK"),
+    ("5", "^", "asks nothing of the row"),
+    ("(faulty or agrees) == true", " ^^^^^^^^^^^^^^^^", "join it with and, or, not"),
+    # the same for all rows
+    ("Speed != OK", "^^^^^^^^^^^", "the same for all rows, did you mean name == Speed?"),
+    ("1 == 1", "^^^^^^", "the same for all rows"),
+    ("name == name", "        ^^^^", "both sides are the same"),
+    # kinds that never meet
+    ("speed > 'a'", "        ^^^", "text, and speed is a number: write speed > 0"),
+    ("name == 1", "        ^", "'1' is a number, and name is a word like Stop"),
+    ("name in (Speed, 1)", "                ^", "is a number, and name is a word"),
+    ("response == Speed", "            ^^^^^", "a value of name and id and none of response"),
+    ("id == OK", "      ^^", "a value of name and response and none of id"),
+    ("kind == direction", "        ^^^^^^^^^", "no values in common: they never meet"),
+    ("latency > speed", "          ^^^^^", "seconds, speed is a number: these never meet"),
+    ("name == judgement", "        ^^^^^^^^^", "these never meet"),
+    ("t > 14:03:20", "    ^^^^^^^^", "is a time of day, and t is a time in seconds"),
+    ("time > 5", "       ^", "is no time of day like 14:03:20; seconds since the start are t"),
+    ("reason == 5", "          ^", "is a number, and reason is text"),
+    ("latency & 4", "^^^^^^^", "is a time in seconds, and & takes whole numbers"),
+    ("data[0] == Speed", "           ^^^^^", "which does not fit here"),
+    # values that can never be
+    ("rgb == 256", "       ^^^", "rgb is 0 to 255, so rgb == 256 never holds"),
+    ("speed > 300", "        ^^^", "speed is 0 to 255, so speed > 300 never holds"),
+    ("speed >= 300", "         ^^^", "never holds"),
+    ("speed < 0", "        ^", "never holds"),
+    ("speed <= -1", "         ^^", "never holds"),
+    ("speed != 1000", "         ^^^^", "never holds"),
+    ("speed in {1, 300}", "             ^^^", "never holds"),
+    ("speed in 300..400", "         ^^^", "never holds"),
+    ("speed in 1.2..1.8", "         ^^^^^^^^", "no whole number is in this range"),
+    ("rgb == 2.5", "       ^^^", "is not whole, and rgb always is"),
+    ("rgb in {2.5}", "        ^^^", "is not whole"),
+    ("rgb & 256", "      ^^^", "so it has no such bit"),
+    ("rgb & 4 == 3", "           ^", "has other bits than 4"),
+    ("rgb & 0", "      ^", "no such bit"),
+    ("rgb & -1", "      ^^", "is no mask"),
+    ("response == 256", "            ^^^", "response is 0 to 255"),
+    ("len == 16", "       ^^", "len is 0 to 15"),
+    ("id == 16", "      ^^", "id is 0 to 15"),
+    ("sequence == -1", "            ^^", "sequence is 0 or more"),
+    ("state.steering > 255", "                 ^^^", "state.steering is -255 to 255"),
+    ("data[15] == 1", "     ^^", "the last byte that data can have is data[14]"),
+    ("data[-1] == 1", "     ^^", "data[0] is the first byte"),
+    ("data[x] == 1", "     ^", "data[0] is its first byte"),
+    ("t in 2s..1s", "     ^^^^^^", "the range ends at 1s, before it begins"),
+    ("time > 25:00", "       ^^^^^", "'25:00' is no time"),
+    ("time > 2026-02-30", "       ^^^^^^^^^^", "is no time"),
+    ("time in 2026-11-22..14:00", "        ^^^^^^^^^^^^^^^^^", "do not go together"),
+    ("time in 2026-11-22..2026-11-21", "        ^^^^^^^^^^^^^^^^^^^^^^", "before it begins"),
+    ("t == 1e999", "     ^^^^^", "is too large"),
+    # units
+    ("speed > 20ms", "          ^^", "speed has no unit, so write 20"),
+    ("latency > 20min", "            ^^^", "there are us, ms and s"),
+    ("latency > 20 min", "             ^^^", "which is no unit (us, ms, s)"),
+    # signs that do not fit
+    ("agrees < True", "       ^", "true or false, which has no order: use == or !="),
+    ("name < Speed", "     ^", "which has no order"),
+    ("faults < ('slow',)", "       ^", "list of words, which has no order"),
+    ("name in Speed", "        ^^^^^", "in takes a set like {Speed} or a range like 1..2"),
+    ("t in 5", "     ^", "in takes a set like {5}"),
+    ("name == {Speed}", "        ^^^^^^^", "a set or a range stands behind in"),
+    ("t > 1..2", "     ^^", "a range stands behind in, like t in 1s..2s"),
+    ("name in Speed..LED", "        ^^^^^^^^^^", "which has no ranges: name each value"),
+    ("time == 14:03:20", "     ^^", "write time in 14:03:20..14:03:21"),
+    ("time in {14:03}", "         ^^^^^", "write a range"),
+    ("speed contains 5", "      ^^^^^^^^", "contains is for names, text, bytes and faults"),
+    ("Speed contains LED", "^^^^^^^^^^^^^^^^^^", "the same for all rows"),
+    ("1 in speed", "  ^^", "the name stands before in"),
+    ("faults in {slow}", "       ^^", "faults contains"),
+    # bytes
+    ("data contains 1", "              ^", "two digits for each byte; bytes are written like 05"),
+    ("data contains zz", "              ^^", "bytes are written like 05 or 11 ff"),
+    ("data == 'zz'", "        ^^^^", "is no hex"),
+    ("data contains ''", "              ^^", "at least one byte"),
+    ("hex in {81 05, zz}", "               ^^", "bytes are written"),
+    ("data == hex", "        ^^^", "bytes are written like 05 or 11 ff"),
+]
+
+
+@pytest.mark.parametrize(("text", "marks", "words"), WRONG)
+def test_what_is_no_filter_is_said_in_one_sentence_that_points_at_it(
+    protocol: Protocol, text: str, marks: str, words: str
 ) -> None:
     with pytest.raises(FilterError) as caught:
         compile_filter(text, protocol)
 
-    sentence = str(caught.value)
-    assert all(word in sentence for word in words), sentence
-    assert sentence.isprintable()
+    error = caught.value
+    assert words in error.sentence
+    assert str(error) == f"filter column {error.column}: {error.sentence}"
+    assert str(error).isprintable()
+    if marks.strip() and len(text) <= 1000:
+        assert " " * (error.column - 1) + "^" * error.length == marks
 
 
 @pytest.mark.parametrize(
@@ -121,11 +426,65 @@ def test_what_is_no_filter_is_said_with_place_and_what_is_allowed(
         "speed + 1 > 3",
         "await_ == 1",
         "True if faulty else False",
+        "None",
     ],
 )
-def test_nothing_but_the_language_is_run(protocol: Protocol, text: str) -> None:
+def test_nothing_but_the_language_is_known(protocol: Protocol, text: str) -> None:
     with pytest.raises(FilterError):
         compile_filter(text, protocol)
+
+
+@given(text=st.text(max_size=40))
+@settings(max_examples=200)
+def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, text: str) -> None:
+    _filter_or_error(text, protocol)
+
+
+_PIECES = """
+name speed t time data hex faulty latency Speed OK 1 20ms 14:03 == != < in contains not and or ! &
+&& || ( ) { } [ ] , .. ' " 11 ff 0x80 kHz state.moving faults slow
+"""
+
+
+@given(pieces=st.lists(st.sampled_from(_PIECES.split()), max_size=9))
+@settings(max_examples=400)
+def test_any_pieces_are_a_filter_or_an_error_with_its_place(
+    protocol: Protocol, pieces: list[str]
+) -> None:
+    _filter_or_error(" ".join(pieces), protocol)
+
+
+def _filter_or_error(text: str, protocol: Protocol) -> None:
+    with suppress(FilterError):
+        compile_filter(text, protocol)
+        return
+    with pytest.raises(FilterError) as caught:
+        compile_filter(text, protocol)
+    error = caught.value
+    assert 1 <= error.column <= len(text) + 1
+    assert error.column - 1 + error.length <= len(text) + 1
+    assert str(error).isprintable()
+
+
+@pytest.mark.slow
+@given(acts=ACTS, chosen=SETTINGS)
+@settings(max_examples=25)
+def test_every_anomaly_and_every_row_has_words_that_the_language_knows(
+    each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
+) -> None:
+    session = Session(each_protocol, **chosen)
+    records = decoded(session, played(each_protocol, acts))
+
+    fields = fields_of(each_protocol)
+    for line in filter(None, map(json_line, records)):
+        assert set(line.faults) <= set(fields["faults"].words)
+        assert line.kind in fields["kind"].words
+        assert line.name is None or line.name in fields["name"].words
+        for name, value in line.fields.items():
+            low, high = fields[name].low, fields[name].high
+            assert low is not None
+            assert high is not None
+            assert low <= value <= high
 
 
 def test_another_grammars_fields_and_names_are_known(horn: Protocol, protocol: Protocol) -> None:
@@ -136,3 +495,21 @@ def test_another_grammars_fields_and_names_are_known(horn: Protocol, protocol: P
     assert [line.hex for line in lines if line and test(line)] == ["91 02"]
     with pytest.raises(FilterError):
         compile_filter("sound > 1", protocol)
+
+
+def test_the_reach_of_a_field_is_what_its_bytes_can_carry(wide: Protocol) -> None:
+    fields = fields_of(wide)
+
+    reach = {name: (fields[name].low, fields[name].high) for name in ("speed", "strength", "pace")}
+    assert reach == {"speed": (0, 65535), "strength": (-32768, 32767), "pace": (0, (1 << 24) - 1)}
+    assert (fields["id"].high, fields["len"].high) == (7, 31)
+
+
+def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_name(
+    grammar_text: str,
+) -> None:
+    protocol = load(grammar_text.replace('"rgb"', '"len"'))
+    (line,) = (json_line(r) for r in decoded(Session(protocol), [Chunk(0, "host", b"\x81\x05")]))
+    assert line
+
+    assert compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)(line)

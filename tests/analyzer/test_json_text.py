@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
-from bilprov.analyzer.output.json_lines import encode, json_line
+from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.spec.protocol import Protocol
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, told

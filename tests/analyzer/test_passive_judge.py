@@ -498,7 +498,7 @@ def test_a_window_is_judged_alone(faulty: Path) -> None:
 
 
 def test_a_filter_hides_frames_and_no_violation(faulty: Path) -> None:
-    words = ("--format", "jsonl", "--judge", "--filter", "speed > 300")
+    words = ("--format", "jsonl", "--judge", "--filter", "latency > 59s")
     result = command("replay", str(faulty), "--rate", "0", *words)
 
     assert len(result.stdout.splitlines()) == 1

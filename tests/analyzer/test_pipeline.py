@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import pytest
@@ -11,18 +10,21 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.filter import compile_filter
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
-from bilprov.analyzer.output.statistics import Snapshot, Statistics
+from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import raw_frame
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, Event
+from tests.support.decoding import MS, Event, conversation
 from tests.support.traffic import ACTS, BATCHES, Act, played
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+Counts = tuple[int, int, int, Rates]
+"""Instructions, responses, faults, and the rates at the end."""
 
 FILTERS = [None, "faulty", "direction == device and not agrees", "state.moving or latency > 0.001"]
 
@@ -36,12 +38,12 @@ def shown(
     expression: str | None = None,
     count: int | None = None,
     window: Window | None = None,
-) -> tuple[str, Snapshot]:
-    """What a pipeline shows as JSON lines, and the statistics in the end."""
+) -> tuple[str, Counts]:
+    """What a pipeline shows as JSON lines, and what was counted in the end."""
     text: list[str] = []
     test = None if expression is None else compile_filter(expression, protocol)
     output = StreamOutput(text.append, JsonText())
-    statistics = Statistics(protocol, 86_806)
+    statistics = Statistics()
     pipeline = Pipeline(
         StreamDecoder(protocol),
         statistics,
@@ -56,7 +58,7 @@ def shown(
         pipeline.advance(now)
         at, turn = at + len(batch), turn + 1
     pipeline.finish()
-    return "".join(text), statistics.snapshot(now)
+    return "".join(text), _counts(statistics, now)
 
 
 @pytest.mark.slow
@@ -85,13 +87,9 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
         "window": Window(first, None if first is None else 3 * first),
     }
 
-    text, snapshot = shown(protocol, events, batches, patience, **more)
-    one_by_one, expected = shown(protocol, events, [1], 0, **more)
-
-    assert text == one_by_one
-    for name in Snapshot.__dataclass_fields__:
-        if name != "recent_faults":  # of the moments when they were counted
-            assert getattr(snapshot, name) == getattr(expected, name), name
+    assert shown(protocol, events, batches, patience, **more) == shown(
+        protocol, events, [1], 0, **more
+    )
 
 
 @pytest.mark.slow
@@ -101,42 +99,40 @@ def test_parts_are_counted_as_their_records_are(
     protocol: Protocol, acts: list[Act], batches: list[int]
 ) -> None:
     events = played(protocol, acts)
-    _, snapshot = shown(protocol, events, batches)
-    session, statistics = Session(protocol), Statistics(protocol, 86_806)
+    _, counts = shown(protocol, events, batches)
+    session, statistics = Session(protocol), Statistics()
     for event in events:
         _count(statistics, event, Records(session.feed(event)))
-    part = Records(session.finish())
-    statistics.part(part, part)
-    expected = statistics.snapshot(snapshot.t)
+    statistics.part(Records(session.finish()))
 
-    for name in ("instructions", "responses", "faults", "latencies", "state", "recent"):
-        assert getattr(snapshot, name) == getattr(expected, name), name
-    assert set(snapshot.recent_faults) == set(expected.recent_faults)
+    assert counts[:3] == _counts(statistics, 0)[:3]
 
 
 def test_each_frame_of_a_part_counts_when_it_came(protocol: Protocol) -> None:
     stop = raw_frame(protocol, protocol.stop.id, 0)
-    session, statistics = Session(protocol), Statistics(protocol, 86_806)
+    session, statistics = Session(protocol), Statistics()
     frames = [Chunk(second * 1000 * MS, "host", stop) for second in range(10)]
     part = Records([record for event in frames for record in session.feed(event)])
 
-    statistics.part(part, part)
+    statistics.part(part)
 
-    assert statistics.snapshot(9000 * MS).frame_rate == 1.0
+    assert statistics.rates(9000 * MS).frames == 1.0
 
 
-def test_parts_of_which_a_filter_shows_nothing_are_not_kept(protocol: Protocol) -> None:
-    statistics = Statistics(protocol, 86_806)
-    empty = [Records([]) for _ in range(1000)]
-    held = [sys.getrefcount(part) for part in empty]
+def test_statistics_count_what_passed(protocol: Protocol) -> None:
+    session, statistics = Session(protocol), Statistics()
+    for event in conversation([(b"\x11\xff", b"\0"), (b"\x81\x09", b"\0"), (b"\x20", b"\0")]):
+        _count(statistics, event, Records(session.feed(event)))
 
-    for part in empty:
-        statistics.part(part, part)
-    del part
-
-    assert [sys.getrefcount(part) for part in empty] == held
+    assert (statistics.instructions, statistics.responses, statistics.faults) == (3, 3, 2)
+    assert statistics.rates(200 * MS) == Rates(3 / 0.25, (5 / 0.25, 3 / 0.25))
 
 
 def _count(statistics: Statistics, event: Event, part: Part) -> None:
     statistics.events([event])
-    statistics.part(part, part)
+    statistics.part(part)
+
+
+def _counts(statistics: Statistics, now: int) -> Counts:
+    counts = statistics.instructions, statistics.responses, statistics.faults
+    return *counts, statistics.rates(now)

@@ -55,6 +55,15 @@ def test_start_and_end_cut_the_range_and_playing_begins_at_start() -> None:
     assert played(1, start=3 * SECOND) == [(1, 4)]
 
 
+def test_an_event_that_comes_late_is_played_although_its_time_is_before_the_start() -> None:
+    late = [Chunk(0, "host", b"\0"), Chunk(9, "host", b"\1"), Chunk(4, "host", b"\2")]
+    clock = Clock()
+
+    seen = list(paced(late, 1, clock=clock, sleep=clock.sleep, start=5))
+
+    assert seen == late[1:]
+
+
 def test_playing_stops_at_the_end_without_reading_on() -> None:
     source = iter(EVENTS)
     clock = Clock()

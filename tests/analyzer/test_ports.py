@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import select
+import shutil
 import socket
 import subprocess
 import sys
@@ -367,22 +368,59 @@ def test_a_port_that_is_not_there() -> None:
 
 
 def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
-    assert refusal(pty.name) == f"{pty.name} is in use by another program; close it"
-    assert "is in use" in refusal(f"spy://{pty.name}")
+    already = f"{pty.name} is open in this program already; a port is opened once"
+    assert refusal(pty.name) == refusal(f"spy://{pty.name}") == already
 
 
-def test_a_port_without_permission(pty: PtyPair) -> None:
-    Path(pty.name).chmod(0)
+def test_a_port_in_use_by_another_program_says_which_and_how_to_end_it(pty: PtyPair) -> None:
+    code = (
+        "import sys; from bilprov.analyzer.transport.ports import open_port\n"
+        "port = open_port(sys.argv[1]); print(flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, pty.name],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    ) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        with pytest.raises(LinkError) as caught:
+            open_port(pty.name)
+        assert caught.value.command == f"kill {holder.pid}"
+        assert f"(pid {holder.pid}); close it there, or end it: kill" in str(caught.value)
+        holder.communicate()
+
+
+def refused_to_nobody(name: str) -> str:
+    """What somebody who is not root is told of a port."""
     child = subprocess.run(
-        [sys.executable, "-c", AS_NOBODY, pty.name],
+        [sys.executable, "-c", AS_NOBODY, name],
         capture_output=True,
         text=True,
         check=True,
         cwd=ROOT,
     )
-    assert child.stdout == (
-        f"permission to open {pty.name} is denied; add yourself to the dialout group: "
-        "sudo usermod -aG dialout $USER, then log in again\n"
+    return child.stdout
+
+
+@pytest.mark.parametrize("mode", [0, 0o660])  # the second lets a group that nobody should join
+def test_a_port_without_permission(pty: PtyPair, mode: int) -> None:
+    shutil.chown(pty.name, group=os.getegid())
+    Path(pty.name).chmod(mode if os.geteuid() == 0 else 0)
+    assert refused_to_nobody(pty.name) == (
+        f"permission to open {pty.name} is denied: it belongs to {Path(pty.name).owner()} alone; "
+        f"until it is plugged in again this lets everybody: sudo chmod a+rw {pty.name}\n"
+    )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a pty to another group")
+def test_a_port_of_a_group_says_which_to_join(pty: PtyPair) -> None:
+    shutil.chown(pty.name, group="dialout")
+    Path(pty.name).chmod(0o660)
+    assert refused_to_nobody(pty.name) == (
+        f"permission to open {pty.name} is denied: it belongs to root and the group dialout; join "
+        "the group, then log in again: sudo usermod -aG dialout $USER\n"
     )
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.comparison import ReplayRun, differences
 from bilprov.analyzer.replay.playback import played
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk, Line
@@ -341,3 +343,18 @@ def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffi
     assert "was never finished" in told
     assert "holds no traffic: not a byte of host or device is in it" in told
     assert "no traffic" not in commands.command("replay", str(whole), "--rate", "0").stderr.decode()
+
+
+def test_bytes_that_answer_nothing_are_all_counted_and_a_few_are_kept(protocol: Protocol) -> None:
+    recorded, now = ReplayRun(), ReplayRun()
+    for run, answers in ((recorded, 1), (now, 5000)):
+        session = Session(protocol)
+        for event in (Chunk(0, "host", b"\x00"), Chunk(MS, "device", b"\x00" * answers)):
+            for record in session.feed(event):
+                run.record(record)
+        for record in session.finish():
+            run.record(record)
+
+    (difference,) = differences(protocol, recorded, now)
+    assert difference.reason.startswith("bytes that answer no instruction: recorded 0, now 4999 (")
+    assert len(now.unpaired) < 100

@@ -46,7 +46,7 @@ def made(
     with Recorder(path, START, metadata) as recorder:
         pipeline = Pipeline(
             decoder,
-            Statistics(protocol, 86_806),
+            Statistics(),
             Shown(NoOutput()),
             recorder,
             PassiveJudge(protocol, paired=True, attached=attached) if judged else None,
@@ -88,7 +88,7 @@ def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str
     opened = opened_at(path, protocol, start if seek else 0)
     pipeline = Pipeline(
         opened.decoder,
-        Statistics(protocol, 86_806),
+        Statistics(),
         Shown(StreamOutput(text.append, JsonText()), window=Window(start)),
     )
     for event in opened.events():

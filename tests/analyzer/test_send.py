@@ -6,8 +6,12 @@ import json
 
 import pytest
 
-from tests.support.commands import process
-from tests.support.robots import sentence, simulate
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import Done, command, process
+from tests.support.robots import sentence, served_here, simulate
+from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 
@@ -59,7 +63,7 @@ def test_what_is_not_answered_ends_with_1() -> None:
         result = process("send", served.port, "90", "--yes")
 
     assert result.returncode == 1
-    assert "1 of 1 instructions were not answered" in result.stderr.decode()
+    assert "no answer came to 1 of 1 instruction" in result.stderr.decode()
 
 
 @pytest.mark.parametrize(
@@ -82,3 +86,157 @@ def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
     assert result.returncode == 2
     assert words in sentence(result)
     assert state["speed"] == 0
+
+
+def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    with (
+        served_here(device) as (port, _),
+        running("send", port, "Speed 9", "Forward", "pause=60000", "Stop", "--yes") as command,
+    ):
+        for _ in range(4):
+            command.stdout.readline()
+        code, _, err = command.end()
+
+    assert (code, err) == (1, b"2 of 3 instructions were sent\n")
+    assert (device.state.moving, device.state.speed) == (False, 9)
+
+
+# -- what the answers are worth -------------------------------------------------------------------
+
+
+def sent(protocol: Protocol, *words: str, fault: str = "") -> tuple[Done, Simulator]:
+    """Send to a simulated device; gives how it ended, and the device."""
+    device = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
+    with served_here(device) as (port, _):
+        return command("send", port, *words, "--yes"), device
+
+
+@pytest.mark.parametrize(
+    ("fault", "items", "words"),
+    [
+        ("wrong-code-for-bad-data", ["81 09"], "an answer is not allowed: the device says BAD_HE"),
+        (
+            "wrong-code-for-bad-data",
+            ["81 09", "81 0a"],
+            "2 answers are not allowed, first: ",
+        ),
+        ("unused-code-for-faults", ["90"], "an answer is not allowed: 5 is an unused response"),
+        ("double-answer", [], "1 byte came without an instruction"),
+    ],
+)
+def test_an_answer_that_no_reading_allows_ends_with_1(
+    protocol: Protocol, fault: str, items: list[str], words: str
+) -> None:
+    result, device = sent(protocol, "Forward", *items, fault=fault)
+
+    assert result.returncode == 1
+    assert words in sentence(result)
+    assert not device.state.moving
+
+
+def test_an_answer_that_a_reading_allows_ends_with_0(protocol: Protocol) -> None:
+    with simulate("--variant", "R-unused-length=too-many") as served:
+        result = command("send", served.port, "91 00", "--yes")
+
+    assert b"TOO_MANY_DATA" in result.stdout
+    assert (result.returncode, result.stderr) == (0, b"")
+
+
+class Flood(Simulator):
+    """A robot that, once it has heard LED 7, sends bytes without end."""
+
+    flooding = False
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.flooding |= b"\x81\x07" in data
+        super().receive(data, now)
+
+    def advance(self, now: int) -> bytes:
+        return super().advance(now) + b"\x00" * 1000 * self.flooding
+
+    def deadline(self) -> int | None:
+        return 0 if self.flooding else super().deadline()
+
+
+@pytest.mark.parametrize("more", [[], ["--together"], ["--expect", "OK,OK,OK"]])
+def test_a_device_that_floods_the_line_ends_it_at_once(protocol: Protocol, more: list[str]) -> None:
+    device = Flood(protocol)
+    with served_here(device) as (port, _):
+        items = ("Forward", "LED 7", "pause=60000", "Speed 1")
+        result = command("send", port, *items, "--yes", *more)
+
+    assert result.returncode == 1
+    told = result.stderr.decode().splitlines()
+    assert told[0] == "the device floods the line: 64 bytes came that answer no instruction"
+    assert "2 of 3 instructions were sent" in told
+    assert len(result.stdout.splitlines()) < 80
+    assert (device.state.moving, device.state.speed) == (False, 0)
+
+
+@pytest.mark.parametrize(
+    ("items", "expected"),
+    [
+        (["Speed 1", "81 09", "Stop"], ["OK,BAD_DATA,OK"]),
+        (["Speed 1", "81 09", "Stop"], ["ok", "2", "0x0"]),
+        (["90 20 81", "05"], ["bad_header, OK ,too_few_data,too_few_data"]),
+        (["81", "05", "--together"], ["OK"]),
+        (["41", "pause=200", "00", "--together"], ["TOO_FEW_DATA,OK"]),
+    ],
+)
+def test_expected_answers_end_with_0(
+    protocol: Protocol, items: list[str], expected: list[str]
+) -> None:
+    options = [word for text in expected for word in ("--expect", text)]
+    result, _ = sent(protocol, *items, *options)
+
+    assert (result.returncode, result.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected", "words"),
+    [
+        (
+            "",
+            "OK,OK",
+            "instruction 2 of 2, LED rgb=9 (81 09): expected OK (00), came BAD_DATA (02)",
+        ),
+        ("", "OK,7", "expected unused (07), came BAD_DATA (02)"),
+        ("silent-on-faults", "OK,BAD_DATA", "expected BAD_DATA (02), came no answer"),
+        ("", "none,OK", "instruction 1 of 2, Speed speed=1 (11 01): expected no answer, came OK"),
+    ],
+)
+def test_the_first_unexpected_answer_is_told(
+    protocol: Protocol, fault: str, expected: str, words: str
+) -> None:
+    result, _ = sent(protocol, "Speed 1", "81 09", "--expect", expected, fault=fault)
+
+    assert result.returncode == 1
+    assert words in sentence(result)
+
+
+def test_what_is_not_allowed_may_be_expected(protocol: Protocol) -> None:
+    for fault, answer in (("silent-on-faults", "none"), ("unused-code-for-faults", "5")):
+        result, _ = sent(protocol, "90", "--expect", answer, fault=fault)
+
+        assert (result.returncode, result.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("expected", "words"),
+    [
+        ("BADDATA", "--expect 'BADDATA' is no answer, did you mean BAD_DATA?; there are OK, "),
+        ("256", "--expect '256' is no answer"),
+        ("", "--expect '' is no answer"),
+        ("OK", "--expect names 1 and 2 should be answered: name one for each instruction"),
+        ("OK,OK,OK", "--expect names 3 and 2 should be answered"),
+    ],
+)
+def test_expectations_that_cannot_be_are_wrong_use_and_nothing_is_sent(
+    protocol: Protocol, expected: str, words: str
+) -> None:
+    result, device = sent(protocol, "Speed 9", "Forward", "--expect", expected)
+
+    assert result.returncode == 2
+    assert words in sentence(result)
+    assert device.state.speed == 0

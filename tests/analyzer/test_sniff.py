@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,6 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support import commands
-from tests.support.signals import ignoring
 from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
 
 pytestmark = pytest.mark.waits
@@ -273,40 +270,6 @@ def test_a_bridge_passes_every_byte_and_names_its_pty(tmp_path: Path, protocol: 
     assert open_capture(path).metadata["attached"] == "no"
 
 
-def test_the_live_view_draws_on_a_terminal_and_leaves_it_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with open_pty() as host, open_pty() as screen:
-        slave = os.open(screen.name, os.O_RDWR | os.O_NOCTTY)
-        with ignoring():
-            process = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", "sniff", host.name, "-w", str(path)],
-                stdin=subprocess.DEVNULL,
-                stdout=slave,
-                stderr=subprocess.PIPE,
-                env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
-            )
-        os.close(slave)
-        drawn = b""
-        give_up = time.monotonic() + PATIENCE
-        try:
-            while b"Forward" not in drawn and time.monotonic() < give_up:
-                if b"predicted" in drawn:
-                    _write(host, b"\x20")
-                    time.sleep(0.05)
-                drawn += screen.read()
-        finally:
-            process.send_signal(signal.SIGINT)
-            while process.poll() is None and time.monotonic() < give_up:
-                drawn += screen.read()
-            _, err = process.communicate(timeout=PATIENCE)
-            drawn += screen.read()
-
-    assert process.returncode == 0
-    assert b"Forward" in drawn
-    assert drawn.count(b"\x1b[?1049h") == drawn.count(b"\x1b[?1049l") == 1
-    assert b"instructions" in err
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -319,6 +282,8 @@ def test_the_live_view_draws_on_a_terminal_and_leaves_it_as_it_was(tmp_path: Pat
         (["x", "--filter", "1 +"], ["column"]),
         (["x", "--baud", "0"], ["--baud"]),
         (["x", "--truncation-timeout", "0"], ["--truncation-timeout"]),
+        (["x", "--format", "live"], ["--format live", "terminal"]),
+        (["x", "--plain", "--format", "jsonl"], ["--plain", "jsonl"]),
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: list[str], words: list[str]) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -69,6 +72,23 @@ def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
     assert {name: count for name, count in counts["responses"].items() if count} == given
     assert counts["agreeing"] == sum(line["agrees"] is True for line in answers)
     assert counts["anomalies"] == Counter(kind for line in lines for kind in line["faults"])
+    for side in ("host", "device"):
+        odd = (kind for line in lines if line["direction"] == side for kind in line["faults"])
+        assert counts["by_direction"][side] == Counter(odd)
+    said = {line["sequence"]: line["name"] for line in frames}
+    for name, one in counts["by_instruction"].items():
+        if "unused" not in name:
+            mine = [line for line in answers if said[line["answers"]] == name]
+            assert one["frames"] == counts["instructions"][name]
+            assert one["responses"] == Counter(line["name"] for line in mine)
+            ends = {line["latency"] for line in mine}
+            if ends:
+                assert (one["latency"]["min"], one["latency"]["max"]) == (min(ends), max(ends))
+    bins = counts["latency_bins"]
+    assert sum(one["count"] for one in bins) == len(answers)
+    rates = file["rates"]
+    assert sum(rates["frames"]) == len(frames)
+    assert rates["step"] == 1
     latencies = sorted(line["latency"] for line in answers)
     assert (counts["latency"]["min"], counts["latency"]["max"]) == (latencies[0], latencies[-1])
     assert counts["latency"]["median"] == pytest.approx(latencies[len(latencies) // 2], abs=1e-6)
@@ -76,8 +96,10 @@ def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
 
 def test_every_key_is_explained() -> None:
     found = counted(EXAMPLES)
-    keys = {*found, *found["files"][0], *found["total"], *found["total"]["latency"]}
-    keys |= set(found["grammar"])
+    file, total = found["files"][0], found["total"]
+    keys = {*found, *file, *total, *file["rates"], *found["grammar"]}
+    keys |= {*total["latency"], *total["load"], *total["latency_bins"][0]}
+    keys |= {*total["by_direction"], *next(iter(total["by_instruction"].values()))}
 
     explained = set(re.findall(r"`(\w+)`", capture_stats.__doc__ or ""))
 
@@ -187,15 +209,138 @@ def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protoco
     assert len(told) > 1
 
 
-def test_the_json_replaces_an_older_file_and_the_tables_are_shown_too(tmp_path: Path) -> None:
-    file = tmp_path / "stats.json"
-    file.write_text("older")
+def test_the_files_are_written_and_the_tables_are_shown_too(tmp_path: Path) -> None:
+    file, table = tmp_path / "stats.json", tmp_path / "stats.csv"
 
-    result = command("stats", EXAMPLES, "--json", str(file))
+    result = command("stats", EXAMPLES, "--json", str(file), "--csv", str(table))
 
     assert (result.returncode, result.stderr) == (0, b"")
     assert b"instruction" in result.stdout
     assert json.loads(file.read_text()) == counted(EXAMPLES)
+    assert table.read_bytes() == command("stats", EXAMPLES, "--csv", "-").stdout
+
+
+@pytest.mark.parametrize("option", ["--json", "--csv"])
+def test_an_older_file_is_replaced_only_if_the_user_says_so(tmp_path: Path, option: str) -> None:
+    file = tmp_path / "older"
+    file.write_text("older")
+
+    assert "say --force to overwrite it" in wrong(EXAMPLES, option, str(file))
+    assert file.read_text() == "older"
+    assert command("stats", EXAMPLES, option, str(file), "--force").returncode == 0
+    assert file.read_text() != "older"
+
+
+def rows_of(*arguments: str) -> list[dict[str, str]]:
+    text = command("stats", *arguments, "--csv", "-").stdout.decode()
+    return list(csv.DictReader(io.StringIO(text, newline="")))
+
+
+def test_the_csv_has_every_number_of_the_json(tmp_path: Path) -> None:
+    other = written(tmp_path / "other.mcap", conversation([(b"\x20", b"\0"), (b"\x90", b"\0")]))
+    found = counted(EXAMPLES, other)
+
+    rows = rows_of(EXAMPLES, other)
+
+    def values(file: str, group: str) -> dict[tuple[str, str], float]:
+        mine = [row for row in rows if (row["file"], row["group"]) == (file, group)]
+        numbers = {(row["key"], row["measure"]): float(row["value"]) for row in mine}
+        assert len(numbers) == len(mine)
+        return numbers
+
+    parts = [(file["path"], file["counts"]) for file in found["files"]] + [("", found["total"])]
+    for path, counts in parts:
+        total = {("", key): v for key, v in counts.items() if isinstance(v, int | float)}
+        total |= {("", f"load.{side}"): share for side, share in counts["load"].items()}
+        assert values(path, "total") == total
+        one = counts["by_instruction"]
+        assert values(path, "instruction") == {(n, "frames"): c["frames"] for n, c in one.items()}
+        assert values(path, "answer") == {
+            (name, response): count
+            for name, c in one.items()
+            for response, count in c["responses"].items()
+        }
+        assert values(path, "instruction anomaly") == {
+            (name, kind): count for name, c in one.items() for kind, count in c["anomalies"].items()
+        }
+        latencies = {"": counts["latency"]} | {name: c["latency"] for name, c in one.items()}
+        assert values(path, "latency") == {
+            (name, key): v
+            for name, spread in latencies.items()
+            for key, v in (spread or {}).items()
+        }
+        assert values(path, "anomaly") == {
+            (kind, side): count
+            for side, kinds in counts["by_direction"].items()
+            for kind, count in kinds.items()
+        }
+        given = values(path, "response")
+        assert {name: n for (name, key), n in given.items() if key == "given"} == counts[
+            "responses"
+        ]
+        assert sum(values(path, "latency bin").values()) == counts["latency"]["count"]
+    for file in found["files"]:
+        rates = values(file["path"], "rate")
+        assert sum(n for (_, key), n in rates.items() if key == "frames") == sum(
+            file["rates"]["frames"]
+        )
+
+
+def test_a_name_in_the_csv_is_no_formula_and_controls_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "=cmd|'x'\x1b[31m"
+    folder.mkdir()
+    written(folder / "=1+1.mcap", [])
+
+    result = command("stats", "=1+1.mcap", "--csv", "-", cwd=folder)
+    absolute = command("stats", str(folder / "=1+1.mcap"), "--csv", "-")
+
+    assert b"\r\n'=1+1.mcap,total,,frames,0\r\n" in result.stdout
+    assert b"\x1b" not in absolute.stdout + command("stats", str(folder / "=1+1.mcap")).stdout
+
+
+def test_only_what_passes_the_filter_is_counted() -> None:
+    shown = command(
+        "replay", EXAMPLES, "--rate", "0", "--format", "jsonl", "--filter", "faulty"
+    ).stdout
+    lines = [json.loads(line) for line in shown.splitlines()]
+
+    found = counted(EXAMPLES, "--filter", "faulty")
+
+    assert found["filter"] == "faulty"
+    assert found["total"]["frames"] == len([x for x in lines if x["direction"] == "host"]) > 0
+    assert found["total"]["anomalies"] == Counter(kind for x in lines for kind in x["faults"])
+    shown = command("stats", EXAMPLES, "--filter", "faulty").stdout
+    assert b"Only what passes faulty is counted." in shown
+    assert "filter" in wrong(EXAMPLES, "--filter", "nonsense ==")
+
+
+def busy(protocol: Protocol, seconds: int) -> list[Event]:
+    """A recording with every instruction, answers of many latencies, and a line that is full."""
+    random, events = Random(1), []
+    for second in range(seconds):
+        for _ in range(random.randrange(20)):
+            header = random.randrange(256)
+            frame = bytes([header]) + random.randbytes(protocol.lengths[header])
+            t = second * 1000 * MS + random.randrange(900) * MS
+            events.append(Chunk(t, "host", frame))
+            events.append(Chunk(t + random.randrange(90 * MS), "device", random.randbytes(1)))
+    return sorted(events, key=lambda event: event.t)
+
+
+@pytest.mark.parametrize(("encoding", "block"), [("utf-8", "█"), ("ascii", "#")])
+def test_the_tables_fit_80_columns_in_any_encoding(
+    tmp_path: Path, protocol: Protocol, encoding: str, block: str
+) -> None:
+    file = written(tmp_path / "c.mcap", busy(protocol, 90))
+
+    result = process("stats", file, cwd=tmp_path, env={"PYTHONIOENCODING": encoding})
+
+    shown = result.stdout.decode(encoding)
+    lines = shown.replace(str(tmp_path), "").splitlines()
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert block * 10 in shown
+    assert max(map(len, lines)) <= 80
+    assert all(line.isprintable() for line in lines)
 
 
 def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
@@ -203,11 +348,13 @@ def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
     before = Path(capture).read_bytes()
 
     assert "missing argument" in wrong()
-    assert "does not exist" in wrong("/nowhere/c.mcap")
+    assert "does not exist" in wrong(str(tmp_path / "no.mcap"))
     assert "is a folder" in wrong(str(tmp_path))
     assert "is not MCAP" in wrong(__file__)
-    assert "cannot be written" in wrong(capture, "--json", "/nowhere/stats.json")
-    assert "would overwrite the capture" in wrong(capture, "--json", capture)
+    assert "cannot be written" in wrong(capture, "--json", str(tmp_path / "no" / "stats.json"))
+    assert "would overwrite the input" in wrong(capture, "--json", capture)
+    assert "both go to standard output" in wrong(capture, "--json", "-", "--csv", "-")
+    assert "would overwrite --json" in wrong(capture, "--json", "x", "--csv", "./x")
     assert "no such option" in wrong(capture, "--yaml", "x")
     assert Path(capture).read_bytes() == before
 
@@ -215,7 +362,7 @@ def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
 def test_one_capture_that_cannot_be_read_leaves_no_json(tmp_path: Path) -> None:
     file = tmp_path / "stats.json"
 
-    wrong(EXAMPLES, "/nowhere/c.mcap", "--json", str(file))
+    wrong(EXAMPLES, str(tmp_path / "no.mcap"), "--json", str(file))
 
     assert not file.exists()
 

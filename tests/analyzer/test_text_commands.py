@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.port_list import drawn, unseen
+from bilprov.analyzer.transport.machine import Process
+from bilprov.analyzer.transport.ports import PortInfo
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.readings import ERRATA, READINGS
@@ -199,25 +204,50 @@ def test_another_grammar_is_followed_everywhere(horn: str) -> None:
 
 
 def test_ports_lists_or_says_what_to_do() -> None:
-    assert text("ports").strip()
-    assert isinstance(json.loads(text("ports", "--format", "json")), list)
+    assert command("ports").stdout.strip()
+    for port in json.loads(command("ports", "--format", "json").stdout):
+        assert {"path", "description", "hardware_id", "likely", "holders", "unseen"} <= set(port)
+
+
+PORTS = [
+    PortInfo("/dev/ttyS0", "", "PNP0501", likely=False, driver="serial"),
+    PortInfo(
+        "/dev/ttyUSB0",
+        "FT232R \x1b[31mUSB UART",
+        "USB VID:PID=0403:6001",
+        likely=True,
+        usb="0403:6001",
+        serial_number="A10K3XYZ",
+        by_id="/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K3XYZ-if00-port0",
+        driver="ftdi_sio",
+        latency_ms=16,
+        holders=(Process(4242, "minicom", "minicom -D /dev/ttyUSB0"),),
+        unseen=3,
+    ),
+]
+
+
+def test_ports_fit_80_columns_and_hold_every_fact() -> None:
+    console = Console(width=80, file=io.StringIO(), color_system=None)
+    for part in drawn(PORTS):
+        console.print(part)
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    words = ("/dev/ttyS0", "*", "0403:6001", "ftdi_sio", "16 ms", "minicom (pid 4242)", "A10K3XYZ")
+    for word in (*words, "usb-FTDI_FT232R_USB_UART_A10K3XYZ-if00-port0"):
+        assert word in shown
+    assert "\x1b" not in shown
+    assert max(len(line) for line in shown.splitlines()) <= 80
+
+
+def test_ports_say_whose_processes_they_could_not_look_into() -> None:
+    assert unseen(PORTS).startswith("3 processes of other users could not be looked into")
+    assert unseen(PORTS[:1]) == ""
 
 
 @pytest.mark.waits  # for bash, to tell its version
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_prints_a_script_for_the_shell(shell: str) -> None:
     assert "_BILPROV_COMPLETE" in text("completion", shell)
-
-
-def test_completion_offers_subcommands_and_instructions() -> None:
-    def offered(words: str, at: int) -> bytes:
-        return command(
-            _BILPROV_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(at)
-        ).stdout
-
-    assert b"explain" in offered("bilprov ex", 1)
-    assert b"RotateLeft" in offered("bilprov encode rot", 2)
-    assert b"R-led-id" in offered("bilprov spec readings R-led", 3)
 
 
 # info

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
-from bilprov.analyzer.columns.latencies import Latencies
+from bilprov.analyzer.columns.latencies import Bin, Latencies, Spread
+from bilprov.analyzer.columns.rates import BUCKETS, SECOND, Rates
 from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.columns.totals import SECOND, Totals
+from bilprov.analyzer.columns.totals import SERIES, Totals
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.replay.capture_totals import chosen
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, devices, hosts
@@ -41,7 +48,8 @@ def require_same(protocol: Protocol, found: Totals, records: Sequence[Record]) -
     judgements = [record.judgement for record in frames if record.judgement]
     answers = devices(records)
     names = Counter(judgement.name for judgement in judgements)
-    assert without_none(found.instructions()) == names
+    by_name = found.instructions()
+    assert without_none({name: one.frames for name, one in by_name.items()}) == names
     expected = Counter(judgement.response.name for judgement in judgements)
     assert without_none(found.expected()) == expected
     assert without_none(found.responses()) == Counter(answer.words for answer in answers)
@@ -53,6 +61,9 @@ def require_same(protocol: Protocol, found: Totals, records: Sequence[Record]) -
     assert found.disagreeing == sum(answer.agrees is False for answer in answers)
     faults = (fault.kind for record in records for fault in serious_faults(record))
     assert found.faults == Counter(faults)
+    for side in ("host", "device", ""):
+        faults = (f.kind for r in records if direction(r) == side for f in serious_faults(r))
+        assert found.faults_of(side) == Counter(faults)
     heard = [r for r in records if isinstance(r, HostRecord | DeviceRecord)]
     assert found.first == min((record.t for record in heard), default=None)
     ends = [record.end if isinstance(record, HostRecord) else record.t for record in heard]
@@ -60,17 +71,72 @@ def require_same(protocol: Protocol, found: Totals, records: Sequence[Record]) -
     seconds = Counter(record.end // SECOND for record in frames)
     assert found.peak == max(seconds.values(), default=0)
 
-    latencies = sorted(answer.latency for answer in answers if answer.latency is not None)
-    spread = found.latencies
+    pairs = [(answer, answer.answered) for answer in answers if answer.answered]
+    for name, one in by_name.items():
+        mine = [answer for answer, to in pairs if to.name == name]
+        assert one.responses == Counter(answer.words for answer in mine)
+        odd = [*mine, *(record for record in frames if record.judgement.name == name)]
+        assert one.faults == Counter(f.kind for record in odd for f in serious_faults(record))
+        require_spread(one.latencies, [answer.latency for answer in mine])
+    require_spread(found.latencies.spread(), [answer.latency for answer, _ in pairs])
+    require_bins(found.latencies.histogram(), [answer.latency for answer, _ in pairs])
+    require_rates(found.rates, records)
+
+
+def direction(record: Record) -> str:
+    """Whose record it is, as its JSON line says."""
+    line = json_line(record)
+    return (line and line.direction) or ""
+
+
+def require_spread(spread: Spread | None, latencies: list[Any]) -> None:
     if not latencies:
         assert spread is None
         return
+    latencies.sort()
     assert spread
     assert spread.count == len(latencies)
     assert (spread.shortest, spread.longest) == (latencies[0], latencies[-1])
     exact = [latencies[len(latencies) * share // 100] for share in (50, 95, 99)]
     rounded = [max(latency // 1000 * 1000, latencies[0]) for latency in exact]
     assert [spread.median, spread.ninety_fifth, spread.ninety_ninth] == rounded
+
+
+def require_bins(bins: list[Bin], latencies: list[Any]) -> None:
+    assert len(bins) <= 12
+    for start, stop, amount in bins:
+        assert amount == sum(start <= latency < stop for latency in latencies)
+    assert sum(one.amount for one in bins) == len(latencies)
+    assert all(one.stop == other.start for one, other in pairwise(bins))
+    assert len({stop - start for start, stop, _ in bins[:-1]}) <= 1
+
+
+def require_rates(rates: Rates, records: Sequence[Record]) -> None:
+    counts: dict[str, Counter[int]] = {name: Counter() for name in SERIES}
+    for record in records:
+        if isinstance(record, HostRecord):
+            counts["host_bytes"][bucket(rates, record.end)] += len(record.data)
+            counts["frames"][bucket(rates, record.end)] += record.judgement is not None
+        elif isinstance(record, DeviceRecord):
+            counts["device_bytes"][bucket(rates, record.t)] += 1
+        for fault in serious_faults(record):
+            counts["faults"][bucket(rates, fault.t)] += 1
+    for name in SERIES:
+        assert Counter(dict(enumerate(rates.series(name)))) == counts[name]
+
+
+def bucket(rates: Rates, t: int) -> int:
+    return max(0, t - rates.start) // rates.width
+
+
+def moved(protocol: Protocol, records: Sequence[Record], first: int, last: int) -> int:
+    """For how long (ns) the wheels turn between two times, added up record by record."""
+    now, moving, total = first, protocol.power_on.moving, 0
+    for record in hosts(records):
+        t = min(max(record.known, first), last)
+        total += moving * max(0, t - now)
+        now, moving = max(now, t), record.state.moving
+    return total + moving * max(0, last - now)
 
 
 @pytest.mark.slow
@@ -81,7 +147,43 @@ def test_totals_are_the_counts_of_the_records(
 ) -> None:
     parts = told(StreamDecoder(each_protocol, **chosen), played(each_protocol, acts), batches)
 
-    require_same(each_protocol, totals(each_protocol, parts), records_of(parts))
+    found, records = totals(each_protocol, parts), records_of(parts)
+    require_same(each_protocol, found, records)
+    if found.first is not None and found.last is not None:
+        assert found.moving == moved(each_protocol, records, found.first, found.last)
+
+
+FILTERS = (
+    "faulty",
+    "direction == host",
+    "state.moving and t > 0.1",
+    "latency > 0.02",
+    "kind == gap",
+)
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(ACTS, BATCHES, SETTINGS, st.sampled_from(FILTERS))
+def test_with_a_filter_the_totals_are_the_counts_of_the_records_that_pass(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    chosen_settings: dict[str, Any],
+    expression: str,
+) -> None:
+    decoder = StreamDecoder(each_protocol, **chosen_settings)
+    parts = told(decoder, played(each_protocol, acts), batches)
+    test = compile_filter(expression, each_protocol)
+    found = Totals(each_protocol)
+    for part in parts:
+        found.add(part, chosen(part, test))
+
+    records = records_of(parts)
+    passing = [r for r in records if (line := json_line(r)) is not None and test(line)]
+    require_same(each_protocol, found, passing)
+    if found.first is not None and found.last is not None:
+        assert found.moving == moved(each_protocol, records, found.first, found.last)
 
 
 def answered(protocol: Protocol, count: int, seed: int) -> list[Event]:
@@ -120,7 +222,8 @@ def test_two_recordings_together_have_the_counts_of_both(protocol: Protocol) -> 
     assert together.instructions() == both.instructions()
     assert together.expected() == both.expected()
     assert together.responses() == both.responses()
-    assert together.latencies == both.latencies
+    assert together.latencies.spread() == both.latencies.spread()
+    assert together.latencies.histogram() == both.latencies.histogram()
     assert together.faults == both.faults
     assert (together.agreeing, together.disagreeing) == (both.agreeing, both.disagreeing)
     assert together.host_bytes == both.host_bytes
@@ -133,7 +236,7 @@ def test_latencies_out_of_range_count_for_its_ends(protocol: Protocol) -> None:
     latencies.add([-(1 << 60), -5, 1 << 60])
     latencies.add([1_234_567])
 
-    spread = latencies.spread
+    spread = latencies.spread()
     assert spread
     assert (spread.count, spread.shortest, spread.longest) == (4, -(1 << 60), 1 << 60)
     assert spread.median == 1_234_000
@@ -149,3 +252,27 @@ def test_totals_take_no_more_memory_for_more_frames(protocol: Protocol) -> None:
 
     assert len(set(sizes)) == 1
     assert not any(isinstance(value, list) for value in vars(found).values())
+
+
+def test_counts_by_time_are_bounded_however_long_a_recording_is() -> None:
+    rates, times = Rates("frames"), [5 * SECOND, 6 * SECOND, 7000 * SECOND, 1 << 62, 1 << 80]
+
+    for t in times:
+        rates.add("frames", t)
+    rates.count("frames", np.array([8 * SECOND, 7000 * SECOND]))
+
+    assert rates.width > SECOND
+    assert BUCKETS // 2 <= len(rates.series("frames")) <= BUCKETS
+    assert sum(rates.series("frames")) == len(times) + 2
+
+
+@pytest.mark.parametrize("steps", [[0.5], [1000], [5, 1025], [3, 700, 1029, 5000]])
+def test_wider_steps_hold_what_the_narrow_ones_held(steps: list[float]) -> None:
+    times = np.array([round((3 + step) * SECOND) for step in steps], np.int64)
+    one, other = Rates("frames"), Rates("frames")
+    one.count("frames", times, np.arange(1, len(steps) + 1))
+    for amount, t in enumerate(times.tolist(), 1):
+        other.add("frames", t, amount)
+
+    assert (one.start, one.width) == (other.start, other.width)
+    assert one.series("frames") == other.series("frames")

@@ -205,6 +205,7 @@ from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 capture = BackgroundWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
 bytes_of = random.Random(1).randbytes

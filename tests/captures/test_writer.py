@@ -77,7 +77,11 @@ def test_every_kind_of_value_comes_back_on_its_topic(tmp_path: Path) -> None:
         for t, value in enumerate(ONE_OF_EACH):
             capture.write(value, t)
     read = list(open_capture(path).messages())
-    assert [message.value for message in read] == [msgspec.to_builtins(v) for v in ONE_OF_EACH]
+    for message, value in zip(read, ONE_OF_EACH, strict=True):
+        written = msgspec.to_builtins(value)
+        assert isinstance(message.value, dict)
+        assert {name: message.value[name] for name in written} == written
+        assert set(message.value) - set(written) <= {"t_ns", "latency_ns"}
     assert [message.t for message in read] == list(range(len(ONE_OF_EACH)))
     assert [message.sequence for message in read] == list(range(len(ONE_OF_EACH)))
     assert {message.topic for message in read} == {t.name for t in topics.TOPICS if t.schema}
@@ -265,6 +269,7 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
 capture = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
 bytes_of = random.Random(1).randbytes
@@ -391,8 +396,8 @@ def test_schemas_are_plain_objects_and_say_the_unit_of_times(topic: topics.Topic
     assert b"$ref" not in text
     assert b"$defs" not in text
     assert_plain(schema)
-    assert list(schema["properties"]) == list(topic.value.__struct_fields__)
-    for name in {"t", "end", "latency"} & set(schema["properties"]):
+    assert set(schema["properties"]) - {"t_ns", "latency_ns"} == set(topic.value.__struct_fields__)
+    for name in {"t", "end", "latency", "t_ns", "latency_ns"} & set(schema["properties"]):
         assert "nanoseconds" in schema["properties"][name]["description"]
 
 
@@ -404,6 +409,26 @@ def test_messages_hold_what_their_schema_requires_and_no_null(value: topics.Writ
     assert set(schema["required"]) <= set(message) <= set(schema["properties"])
     for name, item in message.items():
         assert isinstance(item, kinds[schema["properties"][name]["type"]])
+
+
+@pytest.mark.parametrize("value", ONE_OF_EACH, ids=lambda v: type(v).__name__)
+def test_a_message_has_its_times_twice_the_second_time_with_their_unit(
+    value: topics.Written,
+) -> None:
+    message = json.loads(topics.encoded(value))
+    schema = json.loads(topics.json_schema(type(value)))
+    for name in ("t", "latency"):
+        assert message.get(name) == message.get(f"{name}_ns")
+        assert message.get(name) == getattr(value, f"{name}_ns", None)
+        assert (name in schema["required"]) == (f"{name}_ns" in schema["required"])
+
+
+def test_a_message_of_an_older_kit_gets_them_when_it_is_read() -> None:
+    old = {"t": 8, "hex": "00", "byte": 0, "name": "OK", "latency": 3, "reason": ""}
+    whole = topics.completed("/device/responses", old)
+    assert (whole["t_ns"], whole["latency_ns"], whole["agrees"]) == (8, 3, None)
+    assert topics.completed("/device/responses", {})["latency_ns"] is None
+    assert topics.completed("/elsewhere", {"t": 8}) == {"t": 8}
 
 
 def test_topics_encodings_and_schema_names_are_the_contract() -> None:

@@ -534,7 +534,8 @@ def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: 
     assert len(begun) == len(set(begun))
     looks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/looks"]
     assert {look["moving"] for look in looks} == {True, False}
-    assert {"t", "moving", "motion", "speed", "steering", "led", "left", "right"} == set(looks[0])
+    facets = {"moving", "motion", "speed", "steering", "led", "left", "right"}
+    assert {"t", "t_ns", *facets} == set(looks[0])
     records = list(read_capture(file))
     sent = [r for r in records if isinstance(r, HostRecord)]
     answered = [r for r in records if isinstance(r, DeviceRecord)]

@@ -125,6 +125,15 @@ def test_a_dead_line_is_given_up_in_one_sentence() -> None:
     assert b"nobody answered" in result.stdout
 
 
+def test_a_device_that_answers_in_text_is_no_device_of_this_protocol() -> None:
+    with simulate("--fault", "code-in-ascii") as robot:
+        result = process("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-")
+
+    report = msgspec.json.decode(result.stdout)
+    assert (result.returncode, report["exit"], report["cases"]) == (2, 2, [])
+    assert b"none of the first 40 answers is a code of the grammar" in result.stderr
+
+
 class Switched(Simulator):
     """A simulator whose power goes off and on when a file appears, which it then takes away."""
 

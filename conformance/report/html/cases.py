@@ -11,12 +11,12 @@ from functools import lru_cache
 from itertools import groupby
 from typing import Any
 
+from bilprov.analyzer.html.markup import Safe, joined, tag
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
 from bilprov.conformance.oracle.wording import code_words
 from bilprov.conformance.report.grouping import Row
-from bilprov.conformance.report.html.markup import Safe, joined, tag
 from bilprov.conformance.report.run_report import AXES, Report, reproduce
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from bilprov.analyzer.html.markup import Safe, bar, tag, text
 from bilprov.conformance.oracle.choices import default_of
-from bilprov.conformance.report.html.markup import Safe, bar, tag, text
 from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.readings import READINGS
 

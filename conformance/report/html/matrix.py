@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bilprov.analyzer.html.markup import Safe, bar, joined, tag
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.grouping import Row, by_group, tally
-from bilprov.conformance.report.html.markup import Safe, bar, joined, tag
 
 _BAR = 160  # units of a bar's width
 

@@ -1,22 +1,18 @@
-"""Writes reports as one self-contained HTML page, which loads nothing from elsewhere.
-
-The page has a Content-Security-Policy that lets only its own script and style run, by their hashes.
-"""
+"""Writes reports as one self-contained HTML page, which loads nothing from elsewhere."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from bilprov.analyzer.html.markup import Safe, joined, json_block, tag
+from bilprov.analyzer.html.page import html_page
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import Row, names, rows, tally
 from bilprov.conformance.report.html.cases import case_data, case_rows
 from bilprov.conformance.report.html.facts import coverage, facts, profile
-from bilprov.conformance.report.html.markup import Safe, joined, json_block, tag
 from bilprov.conformance.report.html.matrix import matrix
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
@@ -32,35 +28,15 @@ def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
     style = (_PAGE / "report.css").read_text(encoding="utf-8")
     script = (_PAGE / "report.js").read_text(encoding="utf-8")
     told, cases = names(reports), rows(reports)
-    title = ", ".join(told)
-    policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
-        "base-uri 'none'; form-action 'none'"
-    )
-    head = joined(
-        [
-            Safe('<meta charset="utf-8">'),
-            Safe(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
-            Safe('<meta name="viewport" content="width=device-width, initial-scale=1">'),
-            Safe('<meta name="color-scheme" content="light dark">'),
-            tag("title", f"{title} · bilprov conformance report"),
-            tag("style", Safe(style)),
-        ]
-    )
     body = joined(
         [
             _header(reports, told),
             tag("main", joined(_sections(reports, told, cases))),
             json_block("data", case_data(reports, told, cases, protocol)),
-            tag("script", Safe(script)),
         ]
     )
-    page = tag("html", tag("head", head), tag("body", body), lang="en")
-    return f"<!doctype html>\n{page}\n"
-
-
-def _hash(content: str) -> str:
-    return f"sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}"
+    title = f"{', '.join(told)} · bilprov conformance report"
+    return html_page(title, body, style=style, script=script)
 
 
 def _header(reports: Sequence[Report], told: Sequence[str]) -> Safe:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.oracle.choices import verdict_of
@@ -99,11 +100,13 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
         profile.whole_frame = profile.whole_frame and choices.differs("R-truncation-timeout")
     faults = sum(times for found, times in shown.items() if found.fault)
     if judged.verdict is Verdict.FAIL and best.fault and faults <= _AGREE:
-        reason = f"flaky, {faults} times in {sum(shown.values())} tries: {best.fault}"
+        tries = quantity(sum(shown.values()), "try", "tries")
+        reason = f"flaky, {quantity(faults, 'time')} in {tries}: {best.fault}"
         judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
     elif len(shown) > 1 and judged.verdict < Verdict.INCONCLUSIVE:
         other = shown.most_common(2)[1][0]
-        reason = f"flaky: shown once in {sum(shown.values())} tries: {other.actual}"
+        tries = quantity(sum(shown.values()), "try", "tries")
+        reason = f"flaky: shown once in {tries}: {other.actual}"
         judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
     run.conclude(case, {axis: judged}, best.heard)
 

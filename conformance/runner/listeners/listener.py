@@ -33,6 +33,9 @@ class RunListener(LinkListener):
     def end(self, result: CaseResult) -> None:
         """A case is final."""
 
+    def note(self, sentence: str) -> None:
+        """Something that the user should know while the run goes on."""
+
     def reported(self, report: Report) -> None:
         """The run is over; this is its report."""
 

@@ -6,11 +6,17 @@ import pytest
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
-from bilprov.conformance.dut.link import Device
+from bilprov.conformance.dut.link import Device, drive
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.listeners.listener import RunListener
+from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
+from tests.support.robots import ALL_SEEING, CountingLink
 
 FEW = Options(only=("wrong-length/Stop/*",))
 
@@ -132,3 +138,110 @@ def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_sho
     (lost,) = [result for result in report.results if result.id == "power-on/lost"]
     assert lost.verdict is verdict
     assert lost.reason.endswith(reason)
+
+
+class Other(Simulator):
+    """Answers with the next bytes of a text instead of its codes: `each` bytes to each answer."""
+
+    def __init__(self, protocol: Protocol, text: bytes, each: int = 1) -> None:
+        super().__init__(protocol)
+        self._text, self._each, self._said = text, each, 0
+
+    def answer(self, code: int, at: int) -> None:
+        for offset in range(self._each):
+            super().answer(self._text[self._said % len(self._text)], at + offset * MS // 10)
+            self._said += 1
+
+
+def on_a_port(device: Device, protocol: Protocol) -> Runner:
+    """The run of one case on a device that need not be one of this protocol."""
+    config = RunConfig(protocol, Timers(), ALL_SEEING, virtual=False)
+    runner = Runner(Run(config), select_cases(protocol, FEW), discover=False)
+    drive(runner.execute(), CountingLink(device), lambda: False)
+    return runner
+
+
+@pytest.mark.parametrize(
+    ("text", "each"),
+    [(b"0", 1), (b"ets Jun  8 boot: 0x13\r\n", 7), (b"\xff\xfe\xf8\x80", 1), (b"\x05", 2)],
+)
+def test_what_answers_with_no_code_at_all_is_another_device(
+    protocol: Protocol, text: bytes, each: int
+) -> None:
+    runner = on_a_port(Other(protocol, text, each), protocol)
+
+    assert runner.run.results == []
+    assert runner.unusable.startswith("none of the first 40 answers is a code of the grammar")
+    assert any(f"({byte:02x} " in runner.unusable for byte in text)
+    assert runner.unusable.isprintable()
+
+
+def test_a_device_that_falls_silent_is_told_by_the_few_answers_that_came(
+    protocol: Protocol,
+) -> None:
+    class Tiring(Other):
+        def answer(self, code: int, at: int) -> None:
+            if self._said < 9:
+                super().answer(code, at)
+
+    runner = on_a_port(Tiring(protocol, b"0"), protocol)
+
+    assert runner.run.results == []
+    assert "is no code" in runner.unusable or "answers is a code" in runner.unusable
+    assert "none of the first 40" not in runner.unusable
+
+
+def test_one_code_among_the_first_answers_is_a_device_to_be_judged(protocol: Protocol) -> None:
+    runner = on_a_port(Other(protocol, b"\xff" * 39 + b"\x00"), protocol)
+
+    assert runner.unusable == ""
+    assert any(result.verdict is Verdict.FAIL for result in runner.run.results)
+
+
+def test_a_code_that_comes_after_the_first_answers_does_not_count(protocol: Protocol) -> None:
+    runner = on_a_port(Other(protocol, b"\xff" * 400 + b"\x00"), protocol)
+
+    assert "none of the first 40 answers" in runner.unusable
+
+
+def test_a_device_object_is_judged_whatever_it_answers(protocol: Protocol) -> None:
+    report = conform(Other(protocol, b"0"), grammar=protocol, options=FEW)
+
+    assert (report.exit, report.unusable) == (1, "")
+
+
+class Notes(RunListener):
+    """Keeps the sentences for the user, each with how many cases were final before it."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[int, str]] = []
+        self._done = 0
+
+    def end(self, result: object) -> None:
+        self._done += 1
+
+    def note(self, sentence: str) -> None:
+        self.told.append((self._done, sentence))
+
+
+def test_a_slow_device_is_told_with_its_time_and_an_estimate_before_the_cases(
+    protocol: Protocol,
+) -> None:
+    notes = Notes()
+    slow = Simulator(protocol, variants(protocol)["R-answer-deadline=150-ms"].fault)
+    report = conform(slow, grammar=protocol, options=FEW, listener=notes)
+
+    ((before, sentence),) = notes.told
+    assert before < len(report.results) - len(select_cases(protocol, FEW))
+    assert sentence.startswith("an answer takes 150 ms and is due after 100 ms: slow, non-strict")
+    assert "about" in sentence
+    assert {r.verdict for r in report.results if r.id.startswith("wrong-length/")} == {
+        Verdict.NON_STRICT
+    }
+
+
+def test_nothing_is_told_of_a_device_that_answers_in_time(protocol: Protocol) -> None:
+    notes = Notes()
+    conform(Simulator(protocol), grammar=protocol, options=FEW, listener=notes)
+
+    assert notes.told == []

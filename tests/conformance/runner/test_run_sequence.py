@@ -68,7 +68,7 @@ WRONGS = [
     ("30", answers_with(3), "answer", RESPONSES, "answered 03 TOO_MANY_DATA instead of 00 OK"),
     ("30", answers_with(77), "answer", RESPONSES, "a code that no device sends"),
     ("30", answers_with(), "answer", RESPONSES, "no answer came"),
-    ("30", answers_with(0, 0), "answer", RESPONSES, "2 answers came, 1 were due"),
+    ("30", answers_with(0, 0), "answer", RESPONSES, "2 answers came, 1 was due"),
     ("30", late(1100), "answer", RESPONSES, "no answer came"),
     ("30", drives_on, "state", INSTRUCTIONS, "motion is forward, expected is backward"),
     ("30", sets(motion=Motion.STOPPED), "state", INSTRUCTIONS, "moving is False"),

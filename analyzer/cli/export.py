@@ -1,0 +1,252 @@
+"""`bilprov export`: writes what a capture holds for other programs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import click
+
+from bilprov.analyzer.cli.options import (
+    Finite,
+    compiled,
+    filter_option,
+    note,
+    row_options,
+    row_style,
+)
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.output.outputs import Window
+    from bilprov.analyzer.output.row_columns import RowStyle
+    from bilprov.captures.reader import Capture
+    from bilprov.spec.protocol import Protocol
+
+STANDARD_OUTPUT = "-"
+
+
+class Format(NamedTuple):
+    """A format: how its writer is imported, and what it has a choice of.
+
+    A writer is called with a capture, a protocol, a binary stream, and by keyword `test` (a Filter
+    or None), `window`, `progress` (told the bytes of the line that were read more), and `rows` if
+    it has a choice of columns. `text` is true if a terminal can show it.
+    """
+
+    writer: Callable[[], Callable[..., None]]
+    text: bool = False
+    columns: bool = False
+    times: bool = False
+
+
+def _csv() -> Callable[..., None]:
+    from bilprov.analyzer.export.text import write_csv
+
+    return write_csv
+
+
+def _jsonl() -> Callable[..., None]:
+    from bilprov.analyzer.export.text import write_jsonl
+
+    return write_jsonl
+
+
+def _parquet() -> Callable[..., None]:
+    from bilprov.analyzer.export.parquet import write_parquet
+
+    return write_parquet
+
+
+def _pcapng() -> Callable[..., None]:
+    from bilprov.analyzer.export.pcapng import write_pcapng
+
+    return write_pcapng
+
+
+FORMATS = {
+    "csv": Format(_csv, text=True, columns=True, times=True),
+    "jsonl": Format(_jsonl, text=True),
+    "parquet": Format(_parquet, columns=True),
+    "pcapng": Format(_pcapng),
+}
+
+
+@click.command()
+@click.argument("path", metavar="[FILE.mcap]", required=False)
+@click.option(
+    "--format",
+    "style",
+    metavar="FORMAT",
+    type=click.Choice(list(FORMATS)),
+    help=f"What is written: {', '.join(FORMATS)}.",
+)
+@click.option("-o", "--output", metavar="OUT", help="Where to; - is standard output.")
+@filter_option
+@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
+@click.option("--end", type=Finite(0), help="End before this second of the capture.")
+@row_options
+@click.option("--force", is_flag=True, help="Overwrite OUT.")
+@click.option(
+    "--foxglove-layout",
+    "layout",
+    is_flag=True,
+    help="Write a layout for Foxglove instead, with panels for what a capture holds.",
+)
+@click.pass_obj
+def export(
+    grammar: str | None,
+    path: str | None,
+    style: str | None,
+    output: str | None,
+    expression: str | None,
+    start: float | None,
+    end: float | None,
+    time_style: str | None,
+    columns: str | None,
+    force: bool,
+    layout: bool,
+) -> None:
+    """Write what a capture holds for other programs.
+
+    csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
+    them; docs/times.md says what their columns are. pcapng has a packet for each frame, answer and
+    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
+    grow with the capture. OUT appears when it is whole.
+
+    Examples: bilprov export drive.mcap --format csv -o drive.csv, and bilprov export
+    --foxglove-layout -o bilprov.json
+    """
+    from bilprov.analyzer.grammar_file import load_protocol
+
+    protocol = load_protocol(grammar)
+    if layout:
+        _require_alone(path, style)
+        from bilprov.analyzer.export.foxglove_layout import foxglove_layout
+
+        with _opened(output or STANDARD_OUTPUT, None, force, text=True) as stream:
+            stream.write(foxglove_layout(protocol))
+        return
+    if path is None or style is None or output is None:
+        raise click.UsageError(
+            "say what to write where: bilprov export FILE.mcap --format "
+            f"{'|'.join(FORMATS)} -o OUT (- is standard output)"
+        )
+    form = FORMATS[style]
+    more = _choices(form, style, row_style(time_style, columns, protocol))
+    window = _window(start, end)
+    test = compiled(expression, protocol)
+    capture = _capture(path, protocol)
+    try:
+        with (
+            _opened(output, path, force, text=form.text) as stream,
+            _progress(capture) as progress,
+        ):
+            form.writer()(
+                capture,
+                protocol,
+                stream,
+                test=test.started(capture.start) if test else None,
+                window=window,
+                progress=progress,
+                **more,
+            )
+    except click.Abort:
+        to_file = output != STANDARD_OUTPUT
+        note(f"stopped: {printable(output) if to_file else 'the rest'} was not written")
+        raise
+
+
+def _require_alone(path: str | None, style: str | None) -> None:
+    if path is not None or style is not None:
+        raise click.UsageError(
+            "--foxglove-layout is made from the grammar: it takes no capture and no --format"
+        )
+
+
+def _choices(form: Format, style: str, rows: RowStyle) -> dict[str, RowStyle]:
+    """The arguments of a writer that has a choice of columns. Raises UsageError for one more."""
+    for option, asked, able in (
+        ("--columns", rows.columns, {name: row.columns for name, row in FORMATS.items()}),
+        ("--time", rows.time, {name: row.times for name, row in FORMATS.items()}),
+    ):
+        if asked and not able[style]:
+            others = " and ".join(name for name in able if able[name])
+            raise click.UsageError(f"{option} is for {others}, not for {style}")
+    return {"rows": rows} if form.columns else {}
+
+
+def _window(start: float | None, end: float | None) -> Window:
+    from bilprov.analyzer.output.outputs import Window
+
+    if start is not None and end is not None and end <= start:
+        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
+    return Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+
+
+def _capture(path: str, protocol: Protocol) -> Capture:
+    """Open a capture and tell what there is to tell about it."""
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.captures.reader import open_capture
+
+    capture = open_capture(path)
+    for sentence in said_about(capture, protocol):
+        note(sentence)
+    return capture
+
+
+@contextmanager
+def _opened(output: str, source: str | None, force: bool, *, text: bool) -> Iterator[BinaryIO]:
+    """Open the file OUT, which is there only if the block ends well; or standard output.
+
+    Raises UsageError, in one sentence, if it may not be written, and UserError if it cannot be.
+    """
+    from bilprov.analyzer.files import whole_file, why_not_writable
+
+    if output == STANDARD_OUTPUT:
+        if not text and sys.stdout.isatty():
+            raise click.UsageError("-o - is a terminal, and this is not text: name a file")
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
+        return
+    file = Path(output)
+    if file.is_file() and source and os.path.realpath(source) == os.path.realpath(file):
+        raise click.UsageError(f"-o {output} would overwrite the capture: name another file")
+    if file.is_file() and not force:
+        raise click.UsageError(f"-o {output} exists: name another file, or say --force")
+    if why_not := why_not_writable(file):
+        raise click.UsageError(f"-o {output} cannot be written: {why_not}")
+    try:
+        with whole_file(file, replace=force) as stream:
+            yield stream
+    except OSError as error:
+        why = printable(error.strerror or error)
+        raise UserError(f"{printable(output)} cannot be written: {why}") from error
+
+
+@contextmanager
+def _progress(capture: Capture) -> Iterator[Callable[[int], None]]:
+    """Show on a terminal how many bytes of the line were read, and end at Ctrl-C or SIGTERM."""
+    from bilprov.analyzer.transport.signals import Stopper
+    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+
+    size = sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
+    with ExitStack() as stack:
+        stopper = stack.enter_context(Stopper())
+        shown: Any = None
+        if sys.stderr.isatty():
+            bar = click.progressbar(length=size, file=sys.stderr, label=printable(capture.path))
+            shown = stack.enter_context(bar)
+
+        def progress(more: int) -> None:
+            if stopper.stopped:
+                raise click.Abort
+            if shown:
+                shown.update(more)
+
+        yield progress

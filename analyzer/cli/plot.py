@@ -1,0 +1,54 @@
+"""The command `plot`: a capture along its time, as one HTML page."""
+
+from __future__ import annotations
+
+import click
+
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.output_files import force_option, require_writable, write_output
+from bilprov.analyzer.cli.stats import line_bytes, progress_bar
+
+
+@click.command()
+@click.argument("file", metavar="FILE.mcap")
+@click.option(
+    "--html",
+    "page",
+    metavar="OUT.html",
+    required=True,
+    help="The page to write; - is standard output.",
+)
+@force_option
+@click.pass_obj
+def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
+    """Draw a capture along its time, as one page that loads nothing from elsewhere.
+
+    Motion, speed and steering as the instructions predict them, anomalies with their reasons, and
+    latencies stand over one axis of time, which wheel, fingers and keys zoom. A long recording is
+    reduced to steps of time, as the page then says, so that it has a few MB at most.
+
+    Example: bilprov plot drive.mcap --html drive.html
+    """
+    from bilprov.analyzer.columns.timeline import Timeline
+    from bilprov.analyzer.columns.totals import Totals
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.capture_stats import file_stats
+    from bilprov.analyzer.plot.page import plot_page
+    from bilprov.analyzer.replay.capture_session import capture_line, said_about
+    from bilprov.analyzer.replay.capture_totals import decoded_parts
+    from bilprov.analyzer.version import kit_version
+    from bilprov.captures.reader import open_capture
+
+    require_writable([("--html", page)], inputs=[file], force=force)
+    protocol = load_protocol(grammar)
+    capture = open_capture(file)
+    for sentence in said_about(capture, protocol):
+        note(sentence)
+    totals, timeline = Totals(protocol), Timeline(protocol)
+    with progress_bar([capture]) as bar:
+        task = bar.add_task("", total=line_bytes(capture))
+        for part in decoded_parts(capture, protocol, lambda size: bar.advance(task, size)):
+            totals.add(part)
+            timeline.add(part)
+    stats = file_stats(capture, totals, capture_line(capture, protocol))
+    write_output(page, plot_page(capture, protocol, timeline, stats, kit_version()).encode())

@@ -1,0 +1,118 @@
+"""Gives a command the settings of files and environment as the defaults of its options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any
+
+import click
+
+from bilprov.analyzer.settings import COMMON, PORT, Settings, SettingsError, Value
+from bilprov.captures.text import printable
+
+PORTS = {
+    "sniff": ("host", "device", "bridge"),
+    "replay": ("port",),
+    "send": ("port",),
+    "shell": ("target",),
+    "doctor": ("port", "device"),
+    "line": ("a", "b"),
+    "conform": ("target",),
+}
+"""The parameters of each command that may be a named device."""
+
+
+def spelling(param: click.Parameter) -> str:
+    """The key of an option in a settings file: its longest spelling without the dashes."""
+    return max(param.opts, key=len).lstrip("-")
+
+
+def options_of(command: click.Command) -> dict[str, click.Parameter]:
+    """The options of a command by their key; those that only print something are no settings."""
+    return {
+        spelling(param): param
+        for param in command.params
+        if isinstance(param, click.Option) and param.expose_value
+    }
+
+
+def with_settings(
+    command: click.Command, name: str, settings: Settings, arguments: Sequence[str]
+) -> tuple[click.Command, dict[str, Any]]:
+    """The command, for which a device's name stands for its port, and the defaults of its options.
+
+    The defaults are as click takes them from the context above: by command and parameter. Raises
+    SettingsError for a setting that the command does not have, and for a value that its option does
+    not take.
+    """
+    if isinstance(command, click.Group):
+        return command, {}
+    named = _devices_named(command, name, settings, arguments)
+    device: dict[str, Value] = {}
+    for values in named.values():
+        device |= {key: value for key, value in values.items() if key != PORT}
+    if named:
+        ports = {word: values[PORT].value for word, values in named.items()}
+        command = copy(command)
+        command.params = [
+            _naming_ports(param, ports) if param.name in PORTS[name] else param
+            for param in command.params
+        ]
+    defaults = _defaults(command, name, settings.values_of(name, device), set(device))
+    return command, {name: defaults}
+
+
+def _devices_named(
+    command: click.Command, name: str, settings: Settings, arguments: Sequence[str]
+) -> dict[str, dict[str, Value]]:
+    """The devices that the arguments name, by the word that does. Raises SettingsError."""
+    if name not in PORTS or not settings.devices:
+        return {}
+    context = click.Context(command, info_name=name, resilient_parsing=True)
+    values, _, _ = command.make_parser(context).parse_args(list(arguments))
+    words = {values.get(port) for port in PORTS[name]}
+    found = {word: settings.device(word) for word in words if isinstance(word, str)}
+    return {word: device for word, device in found.items() if device is not None}
+
+
+def _naming_ports(param: click.Parameter, ports: Mapping[str, Any]) -> click.Parameter:
+    """The parameter, converting a device's name to its port."""
+    kind = copy(param.type)
+    convert = kind.convert
+
+    def named(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return convert(ports.get(value, value), param, ctx)
+
+    kind.convert = named  # type: ignore[method-assign]
+    other = copy(param)
+    other.type = kind
+    return other
+
+
+def _defaults(
+    command: click.Command, name: str, values: Mapping[str, Value], device: set[str]
+) -> dict[str, Any]:
+    """The values by parameter, as click would have converted them. Raises SettingsError."""
+    options = options_of(command)
+    context = click.Context(command, info_name=name)
+    defaults: dict[str, Any] = {}
+    for key, (value, source) in values.items():
+        option = options.get(key)
+        if option is None or option.name is None:
+            if key in COMMON or key in device:  # for other commands
+                continue
+            from difflib import get_close_matches
+
+            near = get_close_matches(key, options, n=1)
+            meant = f", did you mean {near[0]}?" if near else f"; see bilprov {name} --help"
+            raise SettingsError(f"{source}: {name} has no option {printable(key)}{meant}")
+        if option.multiple and isinstance(value, str):
+            value = value.split()
+        try:
+            option.type_cast_value(context, value)
+        except click.BadParameter as error:
+            said = " ".join(error.message.split()).rstrip(".")
+            raise SettingsError(f"{source}: {key} = {printable(value)}: {said}") from error
+        defaults[option.name] = value
+    return defaults

@@ -1,0 +1,409 @@
+"""What happens in a recording along its time, for a picture: states, latencies and anomalies.
+
+Each of the three has at most so many rows, however long the recording is. Up to then they are
+exact; after that a row holds what was in one step of time, whose width doubles as often as need be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
+from bilprov.analyzer.columns.stretch import Stretch
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    is_frame,
+    serious_faults,
+    written_state,
+)
+from bilprov.captures.schemas import State
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.tables import coded, moving
+
+MOST = 1 << 14
+"""Rows of states, and of latencies, at most."""
+
+MOST_MARKS = 1000
+"""Marks of anomalies at most."""
+
+_LATEST = 1 << 62  # ns; a time beyond it can only be forged
+_FINEST = 1000  # ns of the narrowest step
+
+Table: TypeAlias = NDArray[np.int64]
+"""Rows by columns, the first of which is the time (ns)."""
+
+
+class Range(NamedTuple):
+    """A variable in some rows: its value at the end of each, the lowest and the highest inside."""
+
+    last: list[int]
+    low: list[int]
+    high: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """The predicted state: each row holds from its time `t` (ns) to the next one's.
+
+    `motion` is the place of a motion in `MOTIONS`, twice, plus 1 while the wheels turn; `seen` has
+    a bit for each such value that occurs in the row. In exact rows (`step` is 0 ns) there is one.
+    """
+
+    t: list[int]
+    motion: list[int]
+    seen: list[int]
+    speed: Range
+    steering: Range
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyRows:
+    """Answers: when they came (`t`, ns), and the lowest and highest of `count` latencies (ns)."""
+
+    t: list[int]
+    low: list[int]
+    high: list[int]
+    count: list[int]
+    step: int
+
+
+class Mark(NamedTuple):
+    """Anomalies: the first one's time (ns), how many are in its step, its kind and reason."""
+
+    t: int
+    amount: int
+    kind: str
+    reason: str
+
+
+class Timeline:
+    """Takes the parts of a recording in order, and gives `states`, `latencies` and `marks`.
+
+    `begin` and `end` are the times (ns) of the first and the last byte or anomaly; those of
+    severity info are left out.
+    """
+
+    def __init__(self, protocol: Protocol) -> None:
+        state = written_state(protocol.power_on)
+        self._last = (-1, 0, 0)  # motion, speed and steering; none is like that
+        self._power_on = (_code(state), state.speed, state.steering)
+        self._states = _Rows(_merged_states, 9)
+        self._latencies = _Rows(_merged_latencies, 4)
+        self._marks = _Marks()
+        self._end: int | None = None
+        self.begin = 0
+
+    @property
+    def end(self) -> int:
+        """The time (ns) of the last byte or anomaly."""
+        return self.begin if self._end is None else self._end
+
+    def add(self, part: Part) -> None:
+        """Take the next part."""
+        if isinstance(part, Records):
+            shown = [record for record in part.listed if is_frame(record) or serious_faults(record)]
+            self._reach(_times(t for record in shown for t in (record.t, _end(record))))
+            self._add_records(shown)
+        else:
+            self._add_stretch(part)
+
+    def states(self) -> States:
+        """The states, from `begin` on."""
+        table, step = self._states.reduced()
+        if step:
+            table = np.concatenate([table, _held_after(table[-1:], step)])
+        t, motion, seen, *ranges = (column.tolist() for column in table.T)
+        return States(t, motion, seen, Range(*ranges[:3]), Range(*ranges[3:]), step)
+
+    def latencies(self) -> LatencyRows:
+        """The latencies, in the order in which the answers came."""
+        table, step = self._latencies.reduced()
+        t, low, high, count = (column.tolist() for column in table.T)
+        return LatencyRows(t, low, high, count, step)
+
+    def marks(self) -> tuple[list[Mark], int]:
+        """The anomalies in order, and the width (ns) of the steps; 0 where each has its mark."""
+        return self._marks.reduced()
+
+    def _reach(self, times: NDArray[np.int64]) -> None:
+        """Take in bytes and anomalies at these times (ns)."""
+        if not len(times):
+            return
+        if self._end is None:
+            self.begin = int(times.min())
+            for rows in (self._states, self._latencies, self._marks):
+                rows.begin = self.begin
+            first = (self.begin, *self._power_on)
+            self._add_states(*(np.array([value], np.int64) for value in first))
+        self._end = max(self.end, int(times.max()))
+
+    def _add_states(
+        self,
+        t: NDArray[np.int64],
+        motion: NDArray[np.int64],
+        speed: NDArray[np.signedinteger],
+        steering: NDArray[np.signedinteger],
+    ) -> None:
+        """Take states in order, each with the time (ns) from which on it holds."""
+        values = (motion, speed, steering)
+        changed = np.zeros(len(t), np.bool_)
+        for column, last in zip(values, self._last, strict=True):
+            changed |= np.append(last, column[:-1]) != column
+        rows = np.flatnonzero(changed)
+        if len(rows):
+            self._last = (int(motion[-1]), int(speed[-1]), int(steering[-1]))
+            motion, speed, steering = (column.take(rows) for column in values)
+            table = np.empty((9, len(rows)), np.int64)
+            for place, column in enumerate([t.take(rows), motion, 1 << motion]):
+                table[place] = column
+            table[3:6], table[6:9] = speed, steering
+            self._states.add(table.T)
+
+    def _add_stretch(self, stretch: Stretch) -> None:
+        lines = [stretch.line(at, stretch.carried) for at in range(len(stretch.lines))]
+        lines = [line for line in lines if serious_faults(line)]
+        ends = [stretch.start, stretch.end[stretch.carried :], stretch.t]
+        self._reach(
+            np.concatenate(
+                [_times(line.t for line in lines), *(t[[0, -1]] for t in ends if len(t))]
+            )
+        )
+        motion, speed, steering, _ = stretch.states
+        code = 2 * motion.astype(np.int64) + moving(motion, speed)
+        self._add_states(stretch.end[stretch.carried :], code, speed, steering)
+        if stretch.decoding.paired:
+            self._add_latencies(stretch.t, stretch.latency)
+        self._add_marks(stretch, lines)
+
+    def _add_marks(self, stretch: Stretch, lines: list[LineRecord]) -> None:
+        host, device = _odd(host_kinds(stretch)), _odd(device_kinds(stretch))
+        t = [stretch.end[stretch.carried :][host.rows], stretch.t[device.rows]]
+        t.append(_times(line.t for line in lines))
+        amounts = [host.amounts, device.amounts, np.ones(len(lines), np.int64)]
+        bounds = [len(host.rows), len(host.rows) + len(device.rows)]
+
+        def made(rows: NDArray[np.int64]) -> list[Record]:
+            """The records of some of the rows, which increase."""
+            hosts, devices = (np.zeros(len(c), np.bool_) for c in (stretch.start, stretch.t))
+            hosts[host.rows[rows[rows < bounds[0]]]] = True
+            devices[device.rows[rows[(rows >= bounds[0]) & (rows < bounds[1])] - bounds[0]]] = True
+            found = list(stretch.chosen(hosts, devices, [False] * len(stretch.lines)))
+            found.sort(key=lambda record: isinstance(record, DeviceRecord))
+            return [*found, *(lines[at - bounds[1]] for at in rows[rows >= bounds[1]])]
+
+        self._marks.add(np.concatenate(t), np.concatenate(amounts), made)
+
+    def _add_latencies(self, t: NDArray[np.int64], latency: NDArray[np.int64]) -> None:
+        self._latencies.add(np.column_stack([t, latency, latency, np.ones(len(t), np.int64)]))
+
+    def _add_records(self, records: Sequence[Record]) -> None:
+        hosts = [record for record in records if isinstance(record, HostRecord)]
+        self._add_states(
+            _times(record.known for record in hosts),
+            _times(_code(record.state) for record in hosts),
+            _times(record.state.speed for record in hosts),
+            _times(record.state.steering for record in hosts),
+        )
+        answers = [
+            (record.t, record.latency)
+            for record in records
+            if isinstance(record, DeviceRecord) and record.latency is not None
+        ]
+        self._add_latencies(_times(t for t, _ in answers), _times(late for _, late in answers))
+        odd = [record for record in records if record.faults and serious_faults(record)]
+        faults = [serious_faults(record) for record in odd]
+        self._marks.add(
+            _times(found[0].t for found in faults),
+            _times(len(found) for found in faults),
+            lambda rows: [odd[row] for row in rows.tolist()],
+        )
+
+
+class _Rows:
+    """A table of at most `MOST` rows; when there are more, `merge` puts rows together.
+
+    It gets the table, for each row when (ns) its step of time begins, and the width of a step.
+    """
+
+    def __init__(self, merge: Callable[[Table, NDArray[np.int64], int], Table], width: int) -> None:
+        self._merge = merge
+        self._pieces = [np.zeros((0, width), np.int64)]
+        self._count = 0
+        self._step = 0
+        self.begin = 0
+
+    def add(self, table: Table) -> None:
+        """Take more rows."""
+        self._pieces.append(table)
+        self._count += len(table)
+        if self._count > 4 * MOST:
+            table, _ = self.reduced()
+            self._pieces, self._count = [table], len(table)
+
+    def reduced(self) -> tuple[Table, int]:
+        """All of the rows, and the width (ns) of the steps, 0 if the rows are exact."""
+        table = np.concatenate(self._pieces)
+        if np.any(np.diff(table[:, 0]) < 0):
+            table = table[np.argsort(table[:, 0], kind="stable")]
+        if self._step or len(table) > MOST:
+            since = table[:, 0] - self.begin
+            self._step = self._step or _FINEST
+            # A step may take two rows: one for what changes in it, one for what holds after it.
+            while 2 * _distinct(since // self._step) > MOST:
+                self._step *= 2
+            table = self._merge(table, self.begin + since // self._step * self._step, self._step)
+        return table, self._step
+
+
+_MOTION, _SEEN = 1, 2  # columns of a table of states
+_RANGES = (3, 6)  # where the columns of a range begin: last, low, high
+
+
+def _merged_states(table: Table, start: NDArray[np.int64], step: int) -> Table:
+    """The states of each step in a row, and what holds after it in another if the next is empty."""
+    first = np.flatnonzero(np.diff(start, prepend=start[0] - 1))
+    last = np.append(first[1:], len(table)) - 1
+    rows = table[last]
+    rows[:, 0] = start[first]
+    entry = table[first - 1]  # what held when the step began, unless it was set just then
+    entered = (table[first, 0] > start[first]) & (first > 0)
+    seen = np.bitwise_or.reduceat(table[:, _SEEN], first)
+    rows[:, _SEEN] = seen | np.where(entered, 1 << entry[:, _MOTION], 0)
+    for value in _RANGES:
+        low = np.minimum.reduceat(table[:, value + 1], first)
+        high = np.maximum.reduceat(table[:, value + 2], first)
+        rows[:, value + 1] = np.where(entered, np.minimum(low, entry[:, value]), low)
+        rows[:, value + 2] = np.where(entered, np.maximum(high, entry[:, value]), high)
+    changing = rows[:, _SEEN] != 1 << rows[:, _MOTION]
+    for value in _RANGES:
+        changing |= rows[:, value + 1] != rows[:, value + 2]
+    # More may come in the last step, of which all the same nothing is said beyond it.
+    after = rows[:-1][changing[:-1] & (np.diff(rows[:, 0]) != step)]
+    both = np.concatenate([rows, _held_after(after, step)])
+    return both[np.argsort(both[:, 0], kind="stable")]
+
+
+def _held_after(rows: Table, step: int) -> Table:
+    """What holds after steps with such rows, as long as nothing changes."""
+    rows = rows.copy()
+    rows[:, 0] += step
+    rows[:, _SEEN] = 1 << rows[:, _MOTION]
+    for value in _RANGES:
+        rows[:, value + 1] = rows[:, value + 2] = rows[:, value]
+    return rows
+
+
+def _merged_latencies(table: Table, start: NDArray[np.int64], step: int) -> Table:
+    """The latencies of each step in a row."""
+    first = np.flatnonzero(np.diff(start, prepend=start[0] - 1))
+    _, low, high, count = table.T
+    return np.column_stack(
+        [
+            start[first],
+            np.minimum.reduceat(low, first),
+            np.maximum.reduceat(high, first),
+            np.add.reduceat(count, first),
+        ]
+    )
+
+
+class _Marks:
+    """Marks of anomalies, at most `MOST_MARKS`; when there are more, one a step of time."""
+
+    def __init__(self) -> None:
+        self._marks: list[Mark] = []
+        self._step = 0
+        self.begin = 0
+
+    def add(
+        self,
+        t: NDArray[np.int64],
+        amounts: NDArray[np.int64],
+        made: Callable[[NDArray[np.int64]], Sequence[Record]],
+    ) -> None:
+        """Take the records with anomalies at these times (ns), and how many each of them has.
+
+        `made` gives the records of some of them, by their places, which increase.
+        """
+        if not len(t):
+            return
+        order = np.argsort(t, kind="stable")
+        starts = np.array([mark.t for mark in self._marks], np.int64)
+        if not self._step and len(self._marks) + len(t) > MOST_MARKS:
+            self._step = _FINEST
+        times = np.sort(np.append(starts, t))
+        while self._step and _distinct(self._steps(times)) > MOST_MARKS:
+            self._step *= 2
+        first = np.arange(len(t))
+        if self._step:
+            first = np.flatnonzero(np.diff(self._steps(t[order]), prepend=-1))
+        kept, sums = order[first].tolist(), np.add.reduceat(amounts[order], first).tolist()
+        counts = dict(zip(kept, sums, strict=True))
+        places = np.sort(order[first])
+        for place, record in zip(places.tolist(), made(places), strict=True):
+            faults = serious_faults(record)
+            kinds = ", ".join(fault.kind for fault in faults)
+            reasons = "; ".join(fault.reason for fault in faults)
+            self._marks.append(Mark(int(t[place]), counts[place], kinds, reasons))
+        self._marks.sort(key=lambda mark: mark.t)
+        if self._step:
+            steps = self._steps(np.array([mark.t for mark in self._marks], np.int64)).tolist()
+            together = groupby(zip(steps, self._marks, strict=True), lambda pair: pair[0])
+            self._marks = [_together([mark for _, mark in marks]) for _, marks in together]
+
+    def reduced(self) -> tuple[list[Mark], int]:
+        """The marks in order, and the width (ns) of the steps, 0 if each anomaly has its mark."""
+        return self._marks, self._step
+
+    def _steps(self, t: NDArray[np.int64]) -> NDArray[np.int64]:
+        steps: NDArray[np.int64] = np.maximum(t - self.begin, 0) // self._step
+        return steps
+
+
+def _together(marks: list[Mark]) -> Mark:
+    if len(marks) == 1:
+        return marks[0]
+    return marks[0]._replace(amount=sum(mark.amount for mark in marks))
+
+
+class _Odd(NamedTuple):
+    """Rows with anomalies, and how many each has."""
+
+    rows: NDArray[np.int64]
+    amounts: NDArray[np.int64]
+
+
+def _odd(found: Kinds) -> _Odd:
+    amounts = np.array([len(kinds) for kinds in found.kinds], np.int64)
+    rows = np.flatnonzero(found.code)
+    rows = rows[amounts.take(found.code[rows]) > 0]
+    return _Odd(rows, amounts.take(found.code[rows]))
+
+
+def _times(values: Iterable[int]) -> NDArray[np.int64]:
+    return np.array([min(max(value, -_LATEST), _LATEST) for value in values], np.int64)
+
+
+def _end(record: Record) -> int:
+    return record.end if isinstance(record, HostRecord) else record.t
+
+
+def _code(state: State) -> int:
+    """The motion of a state as `States` has it."""
+    return 2 * coded(state.motion) + state.moving
+
+
+def _distinct(ordered: NDArray[np.int64]) -> int:
+    """How many different numbers there are, which never decrease."""
+    return int(np.count_nonzero(np.diff(ordered))) + 1

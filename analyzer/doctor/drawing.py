@@ -1,0 +1,70 @@
+"""Shows findings as lines of text: how each is, what was found, and below it the command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from bilprov.analyzer.doctor.finding import Finding, Grade, usable
+from bilprov.analyzer.transport.errors import path_in
+from bilprov.analyzer.transport.machine import Machine
+from bilprov.captures.text import escape_controls
+
+INDENT = 2 + max(len(grade) for grade in Grade) + 2
+"""Columns before a sentence, and before the command below it."""
+_STYLES = {
+    Grade.FINE: "green",
+    Grade.ADVICE: "yellow",
+    Grade.UNSEEN: "dim",
+    Grade.BLOCKS: "bold red",
+}
+
+
+def title(name: str, machine: Machine | None = None) -> str:
+    """The name of a port with what the system knows of its device: a title, ids, its driver."""
+    machine = machine or Machine()
+    path = path_in(name)
+    if not path:
+        return name or "''"
+    device = machine.device(path)
+    usb = machine.usb(path)
+    driver = machine.driver(path)
+    says = [f"leads to {device}" if device != path else "", usb.title if usb else ""]
+    says += [
+        f"USB {usb.identity}" if usb else "",
+        f"serial {usb.serial}" if usb and usb.serial else "",
+    ]
+    says += [f"driver {driver}" if driver else ""]
+    known = ", ".join(part for part in says if part)
+    return f"{name}: {known}" if known else name
+
+
+def heading(text: str) -> Text:
+    """The line above the findings of a port."""
+    return Text(escape_controls(text), style="bold")
+
+
+def drawn(finding: Finding) -> RenderableType:
+    """A finding without its command, which must stay on one line to be copied."""
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(no_wrap=True, min_width=INDENT - 4)
+    grid.add_column()
+    grade = Text(finding.grade.value, style=_STYLES[finding.grade])
+    grid.add_row(grade, Text(escape_controls(finding.sentence)))
+    return Padding(grid, (0, 0, 0, 2), expand=False)
+
+
+def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
+    """The last line: whether the ports can be used."""
+    which = escape_controls(" and ".join(name or "''" for name in names))
+    if not usable(findings):
+        return Text(
+            f"{which} cannot be used as {'they are' if len(names) > 1 else 'it is'}", "bold"
+        )
+    advice = sum(finding.grade is Grade.ADVICE for finding in findings)
+    more = f"; {advice} thing{'s' if advice > 1 else ''} to mend" if advice else ""
+    return Text(f"{which} can be used{more}", "bold")

@@ -1,0 +1,372 @@
+"""Exports a capture as pcapng for Wireshark: a packet for each frame, answer and line event.
+
+The link type is RTAC serial (250): twelve bytes of time, event and modem lines before the bytes
+(https://www.tcpdump.org/linktypes/LINKTYPE_RTAC_SERIAL.html). The interfaces are the two taps. All
+bytes of the capture are in it, in order, and its events tell what decoding knows of them:
+
+- `DATA_TX_START` with bytes is one frame of the host, stamped with the time of its last byte; where
+  the frame was cut short, an empty `DATA_TX_END` stands where that was known.
+- `DATA_TX_END` with bytes is garbage: host bytes that belong to no frame.
+- `DATA_RX_START` is the device's answer to an instruction in the file, one byte; `DATA_RX_END` is a
+  byte that answers none.
+- The other events are those of the line. What has no event of its own is a `STATUS_CHANGE`.
+
+A comment on the packet says what the event does not. What can be told from the bytes (judgements,
+missing answers) is left to the dissector that `bilprov spec emit wireshark` writes.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import time
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterable, Iterator
+from enum import IntEnum
+from operator import itemgetter
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+
+from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.export.decoding import BATCH, Progress
+from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
+from bilprov.analyzer.replay.playback import batches, played
+from bilprov.analyzer.version import kit_version
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.filters.filter import Filter
+
+LINKTYPE_RTAC_SERIAL = 250
+
+
+class Event(IntEnum):
+    """The serial event types of the link type."""
+
+    STATUS_CHANGE = 0
+    DATA_TX_START = 1
+    DATA_RX_START = 2
+    DATA_TX_END = 3
+    DATA_RX_END = 4
+    CAPTURE_DATA_LOST = 5
+    CAPTURE_COMPLETE = 6
+    FRAMING_ERROR = 7
+    PARITY_ERROR = 8
+    SERIAL_BREAK = 9
+    SERIAL_OVERFLOW = 10
+
+
+_LINE_EVENTS = {
+    "gap": Event.CAPTURE_DATA_LOST,
+    "reconnected": Event.CAPTURE_DATA_LOST,
+    "close": Event.CAPTURE_COMPLETE,
+    "framing": Event.FRAMING_ERROR,
+    "parity": Event.PARITY_ERROR,
+    "break": Event.SERIAL_BREAK,
+    "overrun": Event.SERIAL_OVERFLOW,
+}
+_MODEM_LINES = {"cts": 1, "dcd": 2, "dsr": 4, "rts": 8, "dtr": 16, "ri": 32, "ring": 32}
+_TAPS = ("host", "device")  # the interfaces, in order
+
+_CUT_SHORT = "the frame before it was cut short"
+_ELSEWHERE = "the instruction that it answers is not in this file"
+
+
+class Packet(NamedTuple):
+    """A packet: its time (ns since the capture's start), interface, event, bytes and comment.
+
+    `lines` are the modem lines of the interface from then on, None where they stay as they are.
+    """
+
+    t: int
+    interface: int
+    event: Event
+    data: bytes = b""
+    comment: str = ""
+    lines: int | None = None
+
+
+def write_pcapng(
+    capture: Capture,
+    protocol: Protocol,
+    stream: BinaryIO,
+    *,
+    test: Filter | None,
+    window: Window,
+    progress: Progress,
+) -> None:
+    """Write a capture's traffic to `stream` as pcapng, in the order of time.
+
+    `test` and `window` choose as in `replay`; an instruction that passes the filter brings its
+    answer, so that a reader can pair them. `progress` is told the bytes of each batch. Raises
+    OSError if the stream cannot be written, CaptureError if the capture cannot be read.
+    """
+    stream.write(_section(capture, protocol))
+    for tap in _TAPS:
+        stream.write(_interface(capture, protocol, tap))
+    decoder = capture_decoder(capture, protocol)
+    packets = _Packets(test, window, paired=heard(capture) >= BOTH)
+    blocks = _Blocks(capture.start)
+    events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
+    for batch in batches(events, at_once=True, largest=BATCH):
+        packets.take(decoder.feed(batch))
+        stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
+        progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
+    packets.take(decoder.finish())
+    stream.write(blocks.of(packets.rest()))
+
+
+class _Packets:
+    """Chooses among decoded parts, and makes packets of them in the order of time.
+
+    A frame is decoded when it is known to be over, an answer when it is known what it answers: so
+    packets wait until nothing that is older can follow. `paired` is true if both directions were
+    heard.
+    """
+
+    def __init__(self, test: Filter | None, window: Window, *, paired: bool) -> None:
+        self._test = test
+        self._window = window
+        self._paired = paired
+        self._everything = test is None and window == Window()
+        # Chosen instructions whose answers may follow; bounded, since a device may never answer.
+        self._asked: deque[int] = deque(maxlen=_MOST_ASKED)
+        self._waiting: list[Packet] = []
+
+    def take(self, parts: Iterable[Part]) -> None:
+        """Make packets of the next decoded parts."""
+        for part in parts:
+            if isinstance(part, Records):
+                self._waiting += self._of_records(part.listed)
+            elif self._everything:
+                self._waiting += _of_stretch(part)
+            else:
+                self._waiting += self._of_records(self._chosen(part))
+
+    def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
+        """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
+        state = decoder.saved()
+        if state is None:  # frame boundaries are looked for among bytes that may be old
+            return []
+        until = min([now, *(t for t, _ in state.held)])
+        if state.frame:
+            until = min(until, state.frame_end)
+        packets = self.rest()
+        settled = bisect_right(packets, until, key=itemgetter(0))
+        self._waiting = packets[settled:]
+        return packets[:settled]
+
+    def rest(self) -> list[Packet]:
+        """Hand out all packets."""
+        packets, self._waiting = self._waiting, []
+        packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
+        return packets
+
+    def _of_records(self, records: Iterable[Record]) -> Iterator[Packet]:
+        """Yield the packets of the records that are chosen."""
+        for record in records:
+            if isinstance(record, DeviceRecord):
+                brought = self._brought(record.instruction)
+                if self._window.has(record.t) and (brought or self._passes(record)):
+                    yield _of_answer(record, stray=self._paired and not brought)
+            elif self._window.has(record.t) and self._passes(record):
+                if isinstance(record, HostRecord):
+                    if record.sequence is not None and not self._everything:
+                        self._asked.append(record.sequence)
+                    yield from _of_host(record)
+                elif isinstance(record, LineRecord):
+                    yield _of_line(record.value)
+
+    def _passes(self, record: Record) -> bool:
+        if self._test is None:
+            return True
+        line = json_line(record)
+        return line is not None and self._test(line)
+
+    def _brought(self, instruction: int | None) -> bool:
+        """Whether an answer's instruction is in the file, so that the answer is too."""
+        if instruction is None or self._everything:
+            return instruction is not None
+        asked = self._asked
+        while asked and asked[0] < instruction:  # answers come in order
+            asked.popleft()
+        return bool(asked) and asked[0] == instruction
+
+    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
+        """Yield the records of a stretch that pass, and the answers that they may bring."""
+        host, device = stretch.inside(self._window.first, self._window.after)
+        brought = device
+        if self._test is not None:
+            passing = self._test.masks(stretch)
+            host, device = host & passing[0], device & passing[1]
+        if stretch.decoding.paired:
+            carried, asked = stretch.carried, set(self._asked)
+            rows = [row for row in range(carried) if stretch.sequence + row in asked]
+            rows += (host.nonzero()[0] + carried).tolist()
+            answered = [row for row in rows if row < len(device)]
+            device[answered] |= brought[answered]
+        return stretch.chosen(host, device, [True] * len(stretch.lines))
+
+
+def _of_host(record: HostRecord) -> Iterator[Packet]:
+    if record.judgement is None:
+        yield Packet(record.end, 0, Event.DATA_TX_END, record.data, f"garbage: {record.note}")
+        return
+    yield Packet(record.end, 0, Event.DATA_TX_START, record.data)
+    if record.kind == "truncated":
+        yield Packet(record.known, 0, Event.DATA_TX_END, b"", _CUT_SHORT)
+
+
+def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:
+    data = bytes([record.byte])
+    if not stray:
+        return Packet(record.t, 1, Event.DATA_RX_START, data)
+    why = record.reason if record.instruction is None else _ELSEWHERE
+    return Packet(record.t, 1, Event.DATA_RX_END, data, why)
+
+
+def _of_line(line: Line) -> Packet:
+    interface = _TAPS.index(line.tap or "host")
+    event = _LINE_EVENTS.get(line.event, Event.STATUS_CHANGE)
+    comment = f"{line.event}: {line.detail}" if line.detail else line.event
+    lines = None
+    if line.event == "modem":
+        words = re.findall(r"[a-z]+", line.detail.lower())
+        lines = sum({_MODEM_LINES[word] for word in words if word in _MODEM_LINES})
+    return Packet(line.t, interface, event, b"", comment, lines)
+
+
+def _of_stretch(stretch: Stretch) -> Iterator[Packet]:
+    """Yield the packets of all rows; every answer is one to an instruction."""
+    frames = stretch.frame_bytes(slice(stretch.carried, None))
+    ends = stretch.end[stretch.carried :].tolist()
+    answers, times = stretch.byte.tolist(), stretch.t.tolist()
+    for side, start, stop, _ in stretch.spans:
+        if side == "host":
+            for row in range(start - stretch.carried, stop - stretch.carried):
+                yield Packet(ends[row], 0, Event.DATA_TX_START, frames[row])
+        elif side == "device":
+            for row in range(start, stop):
+                yield Packet(times[row], 1, Event.DATA_RX_START, _ONE_BYTE[answers[row]])
+        else:
+            yield _of_line(stretch.lines[start])
+
+
+_MOST_ASKED = 1 << 18
+_ONE_BYTE = [bytes([byte]) for byte in range(256)]
+
+
+# The format: https://ietf-opsawg-wg.github.io/draft-ietf-opsawg-pcap/draft-ietf-opsawg-pcapng.html
+_SECTION, _INTERFACE, _ENHANCED_PACKET = 0x0A0D0D0A, 1, 6
+_END_OF_OPTIONS, _COMMENT = 0, 1
+_USER_APPLICATION = 4  # of a section
+_NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9  # of an interface
+_NANOSECONDS = 9  # as a resolution: 10^-9 s
+_PACKET_FRONT = struct.Struct("<7I")
+_RTAC_FRONT = struct.Struct(">IIBBH")
+_LENGTH = struct.Struct("<I")
+_LATEST = (1 << 64) - 1  # ns
+_LONGEST = 4_000  # characters of a text that a foreign capture may make long
+
+
+class _Blocks:
+    """Writes packets as blocks; `start` is the wall clock (ns) at t = 0."""
+
+    def __init__(self, start: int) -> None:
+        self._start = start
+        self._lines = [0, 0]  # the modem lines of each interface, as last told
+
+    def of(self, packets: Iterable[Packet]) -> bytes:
+        """The blocks of these packets."""
+        return b"".join(map(self._block, packets))
+
+    def _block(self, packet: Packet) -> bytes:
+        t, interface, event, data, comment, lines = packet
+        if lines is not None:
+            self._lines[interface] = lines
+        # The times of a forged capture may be any.
+        wall = min(max(self._start + t, 0), _LATEST)
+        seconds, rest = divmod(wall, 1_000_000_000)
+        size = _RTAC_FRONT.size + len(data)
+        options = _options((_COMMENT, _utf8(comment))) if comment else b""
+        whole = _PACKET_FRONT.size + _padded(size) + len(options) + _LENGTH.size
+        return b"".join(
+            (
+                _PACKET_FRONT.pack(
+                    _ENHANCED_PACKET, whole, interface, wall >> 32, wall & 0xFFFFFFFF, size, size
+                ),
+                _RTAC_FRONT.pack(
+                    seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0
+                ),
+                data,
+                bytes(-size % 4),
+                options,
+                _LENGTH.pack(whole),
+            )
+        )
+
+
+def _section(capture: Capture, protocol: Protocol) -> bytes:
+    about = f"{protocol.name} {protocol.version}, grammar sha256 {protocol.sha256}"
+    ports = _ports(capture)
+    if ports:
+        about += "; " + ", ".join(f"{role} {name}" for role, name in ports.items())
+    body = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)  # byte order, version, length not told
+    options = _options(
+        (_COMMENT, about[:_LONGEST].encode()),
+        (_USER_APPLICATION, f"bilprov {kit_version()}".encode()),
+    )
+    return _any_block(_SECTION, body + options)
+
+
+def _interface(capture: Capture, protocol: Protocol, tap: str) -> bytes:
+    line = capture_line(capture, protocol)
+    port = _ports(capture).get(tap)
+    return _any_block(
+        _INTERFACE,
+        struct.pack("<HHI", LINKTYPE_RTAC_SERIAL, 0, 0)  # packets are never cut
+        + _options(
+            (_NAME, tap.encode()),
+            (_DESCRIPTION, _utf8(f"{port}, {line}" if port else str(line))),
+            (_SPEED, struct.pack("<Q", line.baud & _LATEST)),
+            (_RESOLUTION, bytes([_NANOSECONDS])),
+        ),
+    )
+
+
+def _ports(capture: Capture) -> dict[str, str]:
+    """The names of the recorded ports by their role."""
+    metadata = sorted(capture.metadata.items())
+    return {
+        printable(key.removeprefix("port_")): printable(name)
+        for key, name in metadata
+        if key.startswith("port_")
+    }
+
+
+def _any_block(kind: int, body: bytes) -> bytes:
+    whole = _LENGTH.pack(len(body) + 12)
+    return _LENGTH.pack(kind) + whole + body + whole
+
+
+def _options(*options: tuple[int, bytes]) -> bytes:
+    return b"".join(
+        struct.pack("<HH", code, len(value)) + value + bytes(-len(value) % 4)
+        for code, value in (*options, (_END_OF_OPTIONS, b""))
+    )
+
+
+def _padded(size: int) -> int:
+    return size + -size % 4
+
+
+def _utf8(text: str) -> bytes:
+    return printable(text).encode()

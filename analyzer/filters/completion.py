@@ -1,0 +1,150 @@
+"""What may come next in a filter that is being typed: names, signs, values and units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from bilprov.analyzer.filters import parts
+from bilprov.analyzer.filters.fields import Field, Kind, fields_of, find, folded
+from bilprov.analyzer.filters.syntax import Place, place_at_end
+from bilprov.spec.protocol import Protocol
+
+
+class Completion(NamedTuple):
+    """A way to go on: `text` takes the place of what stands from `start` to the cursor.
+
+    `says` tells in words what it is, empty where the text says it.
+    """
+
+    text: str
+    start: int
+    says: str = ""
+
+
+# What was begun and can be gone on with: text in quotes, a word, a number, a sign.
+_BEGUN = re.compile(
+    r"""(?P<quoted> (?P<quote>['"]) (?P<inside>[^'"]*))
+      | (?P<word> (?<![\w.]) [^\W\d][\w.]*)
+      | (?P<number> (?: (?<![\w.]) | (?<=\.\.) ) [-+]? (?: \d+(?:\.\d+)? | \.\d+))
+      | (?P<sign> [=!|&])
+    """,
+    re.VERBOSE,
+)
+_QUOTES = re.compile(r"'[^']*'|\"[^\"]*\"")
+_UNITS = {"us": "microseconds", "ms": "milliseconds", "s": "seconds"}
+_SIGNS = {
+    "in": "is one of {1, 2} or 1..2",
+    "contains": "has it inside",
+    "&": "has these bits",
+}
+
+
+def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
+    """The ways to go on with a filter at the cursor (a place from 0), the best known ones first.
+
+    There are none where the text before the cursor cannot become a filter, and where anything of a
+    kind may come, as behind `speed >`.
+    """
+    text = text[:cursor]
+    begun = _begun(text)
+    start = begun.start() if begun else len(text)
+    place = place_at_end(text[:start])
+    if begun and begun["sign"] and place_at_end(text):
+        begun, start, place = None, len(text), place_at_end(text)
+    if place is None:
+        return []
+    if begun and begun["number"]:
+        return [Completion(begun[0] + unit, start, says) for unit, says in _units(place, protocol)]
+    quote, typed = _typed(begun)
+    same = folded(typed)
+    # What joins needs a blank before it, what closes does not.
+    blank = " " if not place.wanted and text[start - 1 : start].strip() else ""
+    return [
+        Completion(f"{quote}{word}{quote}" if quote else _written(word, blank), start, says)
+        for word, says in _words(place, protocol, same, in_quotes=bool(quote))
+        if folded(word).startswith(same)
+    ]
+
+
+def _begun(text: str) -> re.Match[str] | None:
+    """What was begun at the end of a text, None if nothing was."""
+    # Blanked out, what stands in quotes has neither quotes nor words, and the same length.
+    blank = _QUOTES.sub(lambda quoted: "." * len(quoted[0]), text)
+    return next((found for found in _BEGUN.finditer(blank) if found.end() == len(text)), None)
+
+
+def _typed(begun: re.Match[str] | None) -> tuple[str, str]:
+    """The quote before what was begun, and what of it was typed."""
+    if begun is None:
+        return "", ""
+    return (begun["quote"], begun["inside"]) if begun["quoted"] else ("", begun[0])
+
+
+def _written(word: str, blank: str) -> str:
+    """A word as it is written: a value in quotes if it is not one word, the others as they are."""
+    if " " in word:
+        return f"'{word}'"
+    return word if word in (",", *_CLOSING.values()) else blank + word
+
+
+def _units(place: Place, protocol: Protocol) -> Iterator[tuple[str, str]]:
+    """The units of a number at a place, each with what it says."""
+    field = _field(place.left, protocol)
+    if place.wanted and field is not None and field.kind is Kind.SECONDS:
+        yield from _UNITS.items()
+
+
+def _words(
+    place: Place, protocol: Protocol, typed: str, *, in_quotes: bool
+) -> Iterator[tuple[str, str]]:
+    """The words that may stand at a place, each with what it says."""
+    field = _field(place.left, protocol)
+    if place.wanted and place.left is not None:
+        if field is not None:
+            yield from _values(field, place)
+    elif in_quotes:
+        return
+    elif place.wanted:
+        yield from _names(protocol, typed)
+    elif place.listed:
+        yield ",", "and another value"
+        yield _CLOSING[place.open], "no more values"
+    else:
+        if field is not None and not place.compared:
+            yield from ((sign, _SIGNS.get(sign, "")) for sign in field.signs)
+        whole = isinstance(place.left, parts.Bits | parts.Compared | parts.Joined | parts.Negated)
+        if place.compared or whole or (field is not None and field.kind is Kind.TRUTH):
+            yield "and", "both hold"
+            yield "or", "one of them holds"
+            if place.open:
+                yield _CLOSING[place.open], ""
+
+
+_CLOSING = {"(": ")", "[": "]", "{": "}"}
+
+
+def _names(protocol: Protocol, typed: str) -> Iterator[tuple[str, str]]:
+    """The names of the row. The long ones of fields are known to whoever begins them."""
+    for name, field in fields_of(protocol).items():
+        if not name.startswith("fields.") or typed.startswith("fields"):
+            yield name, field.says
+    yield "not", "the opposite holds"
+
+
+def _values(field: Field, place: Place) -> Iterator[tuple[str, str]]:
+    """The names of a field's values, each with the number that it stands for."""
+    if place.sign.endswith("in") and not place.listed:
+        if field.words:
+            yield "{", "one of several"
+        return
+    for word, value in field.words.items():
+        yield word, f"{field.name} {value}" if type(value) is int else ""
+
+
+def _field(part: parts.Part | None, protocol: Protocol) -> Field | None:
+    """The field that a part asks for, None for a value or a condition."""
+    if isinstance(part, parts.Item):
+        return Field("", Kind.NUMBER, "")
+    return find(protocol, part.text) if isinstance(part, parts.Word) else None

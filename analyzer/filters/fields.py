@@ -1,0 +1,204 @@
+"""The names that a filter knows: what kind of value each has, its limits, and the values' names."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import lru_cache
+from itertools import chain
+from typing import TypeAlias, get_args
+
+from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
+from bilprov.captures.schemas import Direction, FrameKind
+from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.protocol import FieldSpec, Protocol
+
+Value: TypeAlias = "bool | int | str"
+
+
+class Kind(StrEnum):
+    """The kinds of values, in words. Those of different kinds are never compared."""
+
+    NUMBER = "a number"
+    SECONDS = "a time in seconds"
+    CLOCK = "a time of day"
+    WORD = "a word"
+    WORDS = "a list of words"
+    TEXT = "text"
+    TRUTH = "true or false"
+    BYTES = "bytes"
+
+
+ORDERED = ("==", "!=", "<", "<=", ">", ">=")
+SIGNS: Mapping[Kind, tuple[str, ...]] = {
+    Kind.NUMBER: (*ORDERED, "in", "&"),
+    Kind.SECONDS: (*ORDERED, "in"),
+    Kind.CLOCK: ("<", "<=", ">", ">=", "in"),
+    Kind.WORD: ("==", "!=", "in", "contains"),
+    Kind.WORDS: ("contains", "==", "!="),
+    Kind.TEXT: ("contains", "==", "!=", "in"),
+    Kind.TRUTH: ("==", "!="),
+    Kind.BYTES: ("contains", "==", "!=", "in"),
+}
+"""The signs behind a name of each kind. A number with names of values has `contains` too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A name of the language.
+
+    `key` is what it is in a row (the name itself, but for fields of the grammar) and `says` what it
+    is in words. `low` and `high` are the ends of what a number can be, None where there is none.
+    `words` are the values' names with what each stands for; a word without a name is no value.
+    """
+
+    name: str
+    kind: Kind
+    says: str
+    key: str = ""
+    low: int | None = None
+    high: int | None = None
+    words: Mapping[str, Value] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", self.key or self.name)
+
+    @property
+    def signs(self) -> tuple[str, ...]:
+        """The signs that may stand behind it."""
+        named = self.kind is Kind.NUMBER and self.words
+        return (*SIGNS[self.kind], "contains") if named else SIGNS[self.kind]
+
+    def value_of(self, word: str) -> Value | None:
+        """What a value's name stands for, in any case; None if it is none."""
+        if word in self.words:
+            return self.words[word]
+        same = folded(word)
+        return next((value for name, value in self.words.items() if folded(name) == same), None)
+
+
+def folded(word: str) -> str:
+    """A name in one case and one form, by which names are compared."""
+    return unicodedata.normalize("NFKC", word).casefold()
+
+
+@lru_cache(maxsize=8)
+def fields_of(protocol: Protocol) -> Mapping[str, Field]:
+    """All names of a grammar's filters.
+
+    A field of an instruction that is named like another one is reached as `fields.NAME` only.
+    """
+    listed = chain(
+        _about_frames(protocol),
+        _about_answers(protocol),
+        _about_both(protocol),
+        _about_state(protocol),
+    )
+    own = {each.name: each for each in listed}
+    parts = {part.name: _part(protocol, part.name) for part in _parts(protocol)}
+    return {**parts, **own, **{part.key: part for part in parts.values()}}
+
+
+def find(protocol: Protocol, name: str) -> Field | None:
+    """The field of that name, in any case; None if there is none."""
+    fields = fields_of(protocol)
+    if name in fields:
+        return fields[name]
+    return _by_folded(protocol).get(folded(name))
+
+
+@lru_cache(maxsize=8)
+def _by_folded(protocol: Protocol) -> Mapping[str, Field]:
+    return {folded(name): each for name, each in reversed([*fields_of(protocol).items()])}
+
+
+def _about_frames(protocol: Protocol) -> Iterator[Field]:
+    ids = {spec.name: spec.id for spec in protocol.instructions}
+    longest = protocol.data_lengths[-1]
+    yield Field("id", Kind.NUMBER, "the ID in the header", "", 0, protocol.ids[-1], ids)
+    yield Field("len", Kind.NUMBER, "the data bytes that the header announces", "", 0, longest)
+    yield Field("data", Kind.BYTES, "the bytes behind the header; data[0] is the first")
+    yield Field("sequence", Kind.NUMBER, "the instruction's number, from 0", low=0)
+
+
+def _about_answers(protocol: Protocol) -> Iterator[Field]:
+    codes = {spec.name: spec.code for spec in protocol.responses}
+    says = "the response code that the device sent"
+    yield Field("response", Kind.NUMBER, says, "", 0, 255, codes)
+    says = "from the instruction's last byte to the answer"
+    yield Field("latency", Kind.SECONDS, says)
+    says = "the number of the instruction that it answers"
+    yield Field("answers", Kind.NUMBER, says, low=0)
+    says = "whether the answer is the expected one"
+    yield Field("agrees", Kind.TRUTH, says, words=_TRUTH)
+
+
+def _about_both(protocol: Protocol) -> Iterator[Field]:
+    codes = {spec.name: spec.code for spec in protocol.responses}
+    names = [*protocol.by_name, *codes]
+    says = "the name of the instruction, the response or the anomaly"
+    yield Field("name", Kind.WORD, says, words=_itself([*names, *_ROWS_OF_THEIR_OWN]))
+    says = "host or device"
+    yield Field("direction", Kind.WORD, says, words=_itself(get_args(Direction)))
+    says = "the kind of the row"
+    kinds = _itself([*get_args(FrameKind), "fault"])
+    yield Field("kind", Kind.WORD, says, words=kinds)
+    yield Field("hex", Kind.BYTES, "all bytes of the row; hex[0] is the first")
+    says = "the response that a conforming device gives to the instruction"
+    yield Field("judgement", Kind.NUMBER, says, "", 0, 255, codes)
+    says = "a faulty instruction or its answer, or anything else odd"
+    yield Field("faulty", Kind.TRUTH, says, words=_TRUTH)
+    yield Field("faults", Kind.WORDS, "the kinds of anomalies", words=_itself(KINDS))
+    yield Field("reason", Kind.TEXT, "why, in words")
+    yield Field("t", Kind.SECONDS, "since the start of the recording")
+    yield Field("time", Kind.CLOCK, "the time of day, or with a date before it")
+
+
+def _about_state(protocol: Protocol) -> Iterator[Field]:
+    for variable in (*VARIABLES, "moving"):
+        name, says = f"state.{variable}", f"the predicted {variable}"
+        if variable == "motion":
+            yield Field(name, Kind.WORD, says, words=_itself(Motion))
+        elif variable == "moving":
+            yield Field(name, Kind.TRUTH, "whether the wheels turn", words=_TRUTH)
+        else:
+            low, high = protocol.bounds[variable]
+            yield Field(name, Kind.NUMBER, says, "", low, high)
+
+
+def _part(protocol: Protocol, name: str) -> Field:
+    """The field of that name in any instruction that has it."""
+    parts = [part for part in _parts(protocol) if part.name == name]
+    carried = [end for part in parts for end in _carried(part)]
+    owners = dict.fromkeys(
+        spec.name for spec in protocol.instructions for part in spec.fields if part.name == name
+    )
+    says = f"of {', '.join(owners)}: {parts[0].prose}"
+    return Field(name, Kind.NUMBER, says, f"fields.{name}", min(carried), max(carried))
+
+
+def _parts(protocol: Protocol) -> Iterator[FieldSpec]:
+    return (part for spec in protocol.instructions for part in spec.fields)
+
+
+def _carried(part: FieldSpec) -> tuple[int, int]:
+    """The smallest and the largest value that a field's bytes can carry, good data or bad."""
+    rest = part.size - 1
+    # The ends of whole numbers, with a sign or without one, in either order of the bytes.
+    ends = [b"\0" * part.size, b"\xff" * part.size]
+    ends += [b"\x7f" + b"\xff" * rest, b"\x80" + b"\0" * rest]
+    ends += [b"\xff" * rest + b"\x7f", b"\0" * rest + b"\x80"]
+    values = [part.parse(end) for end in ends]
+    return min(part.low, *values), max(part.high, *values)
+
+
+def _itself(words: Iterable[str]) -> Mapping[str, Value]:
+    return {str(word): str(word) for word in words}
+
+
+_TRUTH: Mapping[str, Value] = {"true": True, "false": False}
+
+# The anomalies without bytes of their own: of their rows, `name` is the kind.
+_ROWS_OF_THEIR_OWN = ("unanswered", *LINE_SEVERITY)

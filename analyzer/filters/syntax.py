@@ -1,0 +1,334 @@
+"""Parses the text of a filter into parts that know their columns. Knows no protocol.
+
+The parser is the kit's own: to import a general one (pyparsing: 0.2 s) would take longer than any
+command takes to begin, and this one also tells what may come next at a cursor.
+
+    filter     = condition ("or" condition)*      "and" binds closer; && and || are the same
+    condition  = ("not" | "!") condition | comparison
+    comparison = operand (sign operand)*          100 < speed <= 200 is two comparisons
+    sign       = == != < <= > >= ["not"] in | ["not"] contains
+    operand    = primary ("&" primary)*           behind "in": a range or a set
+    primary    = name | name[number] | number [unit] | moment | "text" | bytes | (filter)
+    set        = operands and ranges with commas between, in {}, () or []
+    range      = primary .. primary
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NoReturn
+
+from bilprov.analyzer.filters.parts import (
+    Bits,
+    Compared,
+    FilterError,
+    Item,
+    Joined,
+    Listed,
+    Moment,
+    Negated,
+    Octets,
+    Part,
+    Range,
+    Sign,
+    Word,
+)
+from bilprov.analyzer.filters.tokens import (
+    Token,
+    instead_of,
+    number,
+    octets_at,
+    quoted,
+    token_at,
+)
+from bilprov.captures.text import printable
+
+LONGEST = 1000  # characters of a filter
+DEEPEST = 40  # brackets and nots inside each other
+
+BYTES = ("data", "hex")
+"""The names that are compared with bytes, which are written in hex without quotes: `11 ff`."""
+
+_COMPARING = ("==", "!=", "<=", ">=", "<", ">")
+_KEYWORDS = ("and", "or", "not", "in", "contains")
+_CLOSING = {"(": ")", "[": "]", "{": "}"}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a text ends, and what may come next there.
+
+    Where an operand is `wanted`, it is the first of a condition, or stands behind `left` and
+    `sign`. Otherwise `left` is complete: a sign may follow (unless it is `compared`), or what joins
+    conditions. Inside a set (`listed`) a comma or its end may. `open` is the bracket to be closed.
+    """
+
+    wanted: bool
+    left: Part | None = None
+    sign: str = ""
+    compared: bool = False
+    listed: bool = False
+    open: str = ""
+
+
+def parse(text: str) -> Part:
+    """Parse a filter. Raises FilterError."""
+    if len(text) > LONGEST:
+        sentence = f"the filter has {len(text)} characters, allowed are {LONGEST}"
+        raise FilterError(sentence, LONGEST, len(text))
+    if not text.strip():
+        raise FilterError("the filter is empty; write a condition like faulty or latency > 20ms")
+    return _Parser(text).whole()
+
+
+def place_at_end(text: str) -> Place | None:
+    """What may come next behind a text; None if it cannot be the beginning of a filter."""
+    parser = _Parser(text[: LONGEST + 1])
+    with suppress(FilterError):
+        parser.whole()
+    return parser.place
+
+
+class _Parser:
+    """Reads one text from left to right; `place` is where it ended, once the end was reached."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._at = 0
+        self._depth = 0
+        self._open: list[Token] = []
+        self.place: Place | None = None
+
+    def whole(self) -> Part:
+        """The whole text as one filter. Raises FilterError."""
+        part = self._joined(every=False)
+        rest = self._peek()
+        if rest.kind:
+            self._refuse_rest(rest, part)
+        return part
+
+    def _peek(self) -> Token:
+        return token_at(self._text, self._at)
+
+    def _take(self) -> Token:
+        token = self._peek()
+        self._at = token.end
+        return token
+
+    def _taken(self, *words: str) -> Token | None:
+        """The next token, taken if it is one of these signs or words (in any case)."""
+        token = self._peek()
+        if token.kind in ("sign", "word") and token.text.lower() in words:
+            self._at = token.end
+            return token
+        return None
+
+    def _reach(
+        self,
+        wanted: bool,
+        left: Part | None = None,
+        sign: str = "",
+        *,
+        compared: bool = False,
+        listed: bool = False,
+    ) -> None:
+        """Note the place if the text ends here; the innermost part is the first to say it."""
+        if self.place is None and not self._peek().kind:
+            bracket = self._open[-1].text if self._open else ""
+            self.place = Place(wanted, left, sign, compared, listed, bracket)
+
+    # Conditions
+
+    def _joined(self, *, every: bool) -> Part:
+        words = ("and", "&&") if every else ("or", "||")
+        parts = [self._condition() if every else self._joined(every=True)]
+        while self._taken(*words):
+            parts.append(self._condition() if every else self._joined(every=True))
+        if len(parts) == 1:
+            return parts[0]
+        return Joined(parts[0].start, parts[-1].end, every, tuple(parts))
+
+    def _condition(self) -> Part:
+        negation = self._taken("not", "!")
+        if negation is None:
+            return self._comparison()
+        self._deeper(negation)
+        part = self._condition()
+        self._depth -= 1
+        return Negated(negation.start, part.end, part)
+
+    def _deeper(self, token: Token) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise FilterError("the filter is nested too deeply", token.start, token.end)
+
+    def _comparison(self) -> Part:
+        self._reach(True)
+        first = left = self._operand("")
+        steps: list[tuple[Sign, Part]] = []
+        while True:
+            self._reach(False, left, compared=bool(steps))
+            sign = self._sign()
+            if sign is None:
+                break
+            self._reach(True, left, sign.text)
+            right = self._operand(sign.text, left)
+            steps.append((sign, right))
+            left = right
+        return Compared(first.start, left.end, first, tuple(steps)) if steps else first
+
+    def _sign(self) -> Sign | None:
+        before = self._at
+        negation = self._taken("not", "!")
+        token = self._taken(*([] if negation else _COMPARING), "in", "contains")
+        if token is None:
+            self._at = before
+            return None
+        words = token.text.lower()
+        if negation:
+            return Sign(negation.start, token.end, f"not {words}")
+        return Sign(token.start, token.end, words)
+
+    # Operands
+
+    def _operand(self, sign: str, left: Part | None = None) -> Part:
+        """An operand, behind `left` and `sign` if there are any."""
+        token = self._peek()
+        among = sign.endswith("in")
+        if token.text in ("{", "[") or (among and token.text == "("):
+            return self._elements(self._take(), sign, left, [])
+        if _is_bytes(left) and _may_be_bytes(token) and not among:
+            return self._octets(token)
+        part = self._primary(sign, left)
+        while self._taken("&"):
+            self._reach(True, part, "&")
+            right = self._primary("&", part)
+            part = Bits(part.start, right.end, part, right)
+        return self._ranged(part, sign, left) if among else part
+
+    def _ranged(self, low: Part, sign: str, left: Part | None) -> Part:
+        """The range that begins with `low`, if `..` follows, or else `low` itself."""
+        if self._taken("..") is None:
+            return low
+        self._reach(True, left, sign)
+        high = self._primary(sign, left)
+        return Range(low.start, high.end, low, high)
+
+    def _elements(self, opening: Token, sign: str, left: Part | None, parts: list[Part]) -> Part:
+        """The set of some parts and those that follow, up to the end of its bracket."""
+        if not parts:
+            self._open.append(opening)
+            if self._closes():
+                raise FilterError("a set holds one or more values", opening.start, self._peek().end)
+        while not parts or (self._taken(",") and not self._closes()):
+            self._reach(True, left, sign, listed=True)
+            token = self._peek()
+            if _is_bytes(left) and _may_be_bytes(token):
+                parts.append(self._octets(token))
+            else:
+                parts.append(self._ranged(self._primary(sign, left), sign, left))
+            self._reach(False, left, sign, listed=True)
+        token = self._peek()
+        if token.kind and token.text not in _CLOSING.values():
+            sentence = f"a comma is missing before {printable(token.text)!r}"
+            raise FilterError(sentence, token.start, token.end)
+        return Listed(opening.start, self._close().end, tuple(parts))
+
+    def _closes(self) -> bool:
+        return self._peek().text == _CLOSING[self._open[-1].text]
+
+    def _close(self) -> Token:
+        """Take what closes the bracket that was opened last. Raises FilterError."""
+        opening, token = self._open[-1], self._peek()
+        if self._closes():
+            self._open.pop()
+            return self._take()
+        if token.text in _CLOSING.values():
+            sentence = f"{token.text!r} does not close the {opening.text!r} before it"
+            raise FilterError(sentence, token.start, token.end)
+        if token.kind:
+            self._refuse_rest(token, None)
+        raise FilterError(f"this {opening.text!r} is never closed", opening.start, opening.end)
+
+    def _primary(self, sign: str, left: Part | None) -> Part:
+        token = self._peek()
+        self._at = token.end
+        if token.kind == "word" and token.text.lower() not in _KEYWORDS:
+            return self._named(token)
+        if token.kind == "number":
+            return number(token)
+        if token.kind == "moment":
+            return Moment(token.start, token.end, token.text)
+        if token.kind == "text":
+            return quoted(token)
+        if token.text == "(":
+            return self._bracketed(token, sign, left)
+        if token.kind:
+            sentence = f"{printable(token.text)!r} cannot stand here: {_wanted(sign)} is wanted"
+            raise FilterError(sentence, token.start, token.end)
+        end = len(self._text.rstrip())
+        raise FilterError(f"something is missing at the end: {_wanted(sign)}", end, end + 1)
+
+    def _bracketed(self, opening: Token, sign: str, left: Part | None) -> Part:
+        """What stands in parentheses: a condition, an operand, or a set of several values."""
+        self._deeper(opening)
+        self._open.append(opening)
+        part = self._joined(every=False)
+        if self._peek().text in (",", ".."):
+            part = self._elements(opening, sign, left, [self._ranged(part, sign, left)])
+        else:
+            self._close()
+        self._depth -= 1
+        return part
+
+    def _named(self, token: Token) -> Part:
+        """A name, or one byte of it."""
+        word = Word(token.start, token.end, token.text)
+        if not (_is_bytes(word) and self._peek().text == "["):
+            return word
+        self._take()
+        index = self._take()
+        if index.kind != "number" or self._peek().text != "]":
+            sentence = f"{word.text}[...] takes one number: {word.text}[0] is its first byte"
+            raise FilterError(sentence, index.start, index.end)
+        return Item(word.start, self._take().end, word, number(index))
+
+    def _octets(self, token: Token) -> Octets:
+        octets = octets_at(self._text, token)
+        self._at = octets.end
+        return octets
+
+    def _refuse_rest(self, token: Token, part: Part | None) -> NoReturn:
+        """Say what is wrong with a token behind a part that is complete. Raises FilterError."""
+        piece = printable(token.text)
+        if token.text in _CLOSING.values():
+            why = f"{piece!r} closes nothing that is open"
+        elif instead_of(token.text):
+            why = f"{piece!r} {instead_of(token.text)}"
+        elif token.text == "&":
+            why = "'&' takes the bits of numbers, did you mean and?"
+        elif token.text == "..":
+            why = "a range stands behind in, like t in 1s..2s"
+        elif isinstance(part, Compared | Joined | Negated):
+            unit = token.kind == "word" and self._text[: token.start].rstrip()[-1:].isdigit()
+            no_unit = ", which is no unit (us, ms, s)" if unit else ""
+            why = f"'and' or 'or' is missing before {piece!r}{no_unit}"
+        else:
+            why = f"a sign like == or in, or else and, or, is missing before {piece!r}"
+        raise FilterError(why, token.start, token.end)
+
+
+def _is_bytes(part: Part | None) -> bool:
+    return isinstance(part, Word) and part.text.lower() in BYTES
+
+
+def _may_be_bytes(token: Token) -> bool:
+    return token.kind in ("number", "word", "moment") and token.text.lower() not in _KEYWORDS
+
+
+def _wanted(sign: str) -> str:
+    """What must stand behind a sign, in words."""
+    if not sign:
+        return "a condition like faulty or latency > 20ms"
+    return "a set like {1, 2} or a range like 1..2" if sign.endswith("in") else "a value or a name"

@@ -1,0 +1,258 @@
+"""Reads the values in a filter: what a number, a word, a moment or bytes stand for beside a name.
+
+A value that the name can never have is a mistake, and so is a unit that does not fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NoReturn
+
+from bilprov.analyzer.filters import moments, parts
+from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
+from bilprov.analyzer.filters.parts import FilterError, Part
+from bilprov.analyzer.filters.tokens import octets_of
+from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
+
+UNITS: Mapping[str, int] = {"us": -6, "ms": -3, "s": 0, "µs": -6, "μs": -6}  # both letters mu
+"""The units of time, each as the power of ten that it is of a second."""
+
+_MOST_LISTED = 12  # values that a sentence lists
+_LARGEST = 1e30
+
+
+def value(protocol: Protocol, part: Part, field: Field) -> float | str | bytes:
+    """What a part stands for beside a field: a whole number is an int, seconds are in s.
+
+    Raises FilterError for a value of another kind, and for a word that names none of its values.
+    """
+    if names_value(part, field):
+        return word(protocol, part, field)
+    match part:
+        case parts.Number() if field.kind in (Kind.NUMBER, Kind.SECONDS):
+            return _measured(part, field)
+        case parts.Octets(data=data) if field.kind is Kind.BYTES:
+            return data
+        case parts.Quoted(text=text) if field.kind is Kind.BYTES:
+            data_in_quotes = octets_of(text)
+            if data_in_quotes is not None:
+                return data_in_quotes
+            refuse_part(part, f"is no hex; {field.name} is bytes, written like 11 ff")
+        case parts.Quoted(text=text) | parts.Word(text=text) if field.kind is Kind.TEXT:
+            return text
+    if field.words:
+        return word(protocol, part, field)
+    return refuse_kind(protocol, part, field)
+
+
+def names_value(part: Part, field: Field) -> bool:
+    """Whether a part is a word, in quotes or not, that names a value of the field."""
+    return isinstance(part, parts.Word | parts.Quoted) and field.value_of(part.text) is not None
+
+
+def word(protocol: Protocol, part: Part, field: Field) -> Value:
+    """The value of a field that a word names. Raises FilterError if it names none."""
+    if not isinstance(part, parts.Word | parts.Quoted):
+        return refuse_kind(protocol, part, field)
+    named = field.value_of(part.text)
+    if named is not None:
+        return named
+    meant = close(part.text, field.words)
+    others = owners(protocol, part.text)
+    if others and not meant:
+        known = " and ".join(others[:2])
+        refuse_part(part, f"is a value of {known} and none of {field.name}, so they never meet")
+    hint = f"did you mean {meant}?" if meant else f"there are {listed(field)}"
+    return refuse_part(part, f"is no value of {field.name} in this grammar: {hint}")
+
+
+def instant(part: Part) -> moments.Instant:
+    """The moment that a part stands for. Raises FilterError."""
+    if isinstance(part, parts.Moment | parts.Quoted):
+        found = moments.instant(part.text)
+        if found is not None:
+            return found
+    if isinstance(part, parts.Number):
+        refuse_part(part, "is no time of day like 14:03:20; seconds since the start are t")
+    return refuse_part(part, "is no time: write 14:03:20 or 2026-11-22 14:03:20")
+
+
+def require_possible(field: Field, sign: str, number: float, part: Part) -> None:
+    """Refuse a number with which a comparison can never hold. Raises FilterError."""
+    low = -math.inf if field.low is None else field.low
+    high = math.inf if field.high is None else field.high
+    possible = {
+        "<": number > low,
+        "<=": number >= low,
+        ">": number < high,
+        ">=": number <= high,
+    }
+    if not possible.get(sign, low <= number <= high):
+        reach = f"{field.low} or more" if field.high is None else f"{field.low} to {field.high}"
+        compared = f"{field.name} {sign} {shown(part)}"
+        refuse(part, f"{field.name} is {reach}, so {compared} never holds")
+
+
+def owners(protocol: Protocol, text: str) -> list[str]:
+    """The names of which a word is a value, `name` first."""
+    fields = sorted(fields_of(protocol).values(), key=lambda field: field.name != "name")
+    return [field.name for field in fields if field.value_of(text) is not None]
+
+
+def only_a_value(protocol: Protocol, part: Part) -> bool:
+    """Whether a word is spelled like a value, and like a name of the row in another case only."""
+    if not isinstance(part, parts.Word) or part.text in fields_of(protocol):
+        return False
+    return any(part.text in field.words for field in fields_of(protocol).values())
+
+
+def whole_number(part: parts.Number) -> int | None:
+    """The number that a part is, None if it has a unit or is not whole. Raises FilterError."""
+    found = _number(part)
+    return found if isinstance(found, int) and not part.unit else None
+
+
+def _measured(part: parts.Number, field: Field) -> float:
+    """The value of a number beside a field, in its unit. Raises FilterError."""
+    plain = _number(part)
+    if not part.unit:
+        return plain
+    unit = parts.Word(part.end - len(part.unit), part.end, part.unit)
+    if field.kind is Kind.NUMBER:
+        refuse_part(unit, f"does not fit: {field.name} has no unit, so write {part.text}")
+    power = UNITS.get(part.unit)
+    if power is None:
+        refuse_part(unit, "is no unit of time; there are us, ms and s")
+    mantissa, _, exponent = part.text.lower().replace("_", "").partition("e")
+    if isinstance(plain, int):
+        mantissa, exponent = str(plain), ""
+    # Read as one number: the nearest to it, as a row's time is the nearest to its nanoseconds.
+    return float(f"{mantissa}e{int(exponent or 0) + power}")
+
+
+def _number(part: parts.Number) -> float:
+    """A number without its unit; a whole one is an int. Raises FilterError."""
+    text = part.text.lower().replace("_", "")
+    digits = text.lstrip("+-")
+    number: float
+    try:
+        if digits[:2] in ("0x", "0b"):
+            number = int(text, 0)
+        elif digits.isdecimal():
+            number = int(text)
+        else:
+            number = float(text)
+    except ValueError:
+        refuse_part(part, "is no number")
+    if abs(number) > _LARGEST:
+        refuse_part(part, "is too large")
+    return int(number) if float(number).is_integer() and not isinstance(number, int) else number
+
+
+# Sentences
+
+
+def refuse(part: Part | parts.Sign, sentence: str) -> NoReturn:
+    """Raise FilterError with a sentence about a part."""
+    raise FilterError(sentence, part.start, part.end)
+
+
+def refuse_part(part: Part, rest: str) -> NoReturn:
+    """Raise FilterError with a sentence that begins with the part itself."""
+    refuse(part, f"{shown(part)!r} {rest}" if shown(part) else f"this {rest}")
+
+
+def refuse_kind(protocol: Protocol, part: Part, field: Field) -> NoReturn:
+    """Refuse a value of another kind than the field's. Raises FilterError."""
+    if isinstance(part, parts.Word):
+        refuse_unknown(protocol, part)
+    if isinstance(part, parts.Range | parts.Listed):
+        refuse(part, "a set or a range stands behind in, like id in {1, 2} or t in 1s..2s")
+    what = _WHAT[type(part)]
+    refuse_part(part, f"is {what}, and {field.name} is {kind_of(field)}: write {example(field)}")
+
+
+def refuse_unknown(protocol: Protocol, part: parts.Word) -> NoReturn:
+    """Refuse a word that is no name, and no value that fits. Raises FilterError."""
+    known = find(protocol, part.text)
+    if known is not None:
+        refuse_part(part, f"is {kind_of(known)}, which does not fit here")
+    if folded(part.text) in UNITS:
+        refuse_part(part, "is a unit, which stands behind a number, like 20ms")
+    fields = fields_of(protocol)
+    known_of = owners(protocol, part.text)
+    if known_of:
+        refuse_part(part, f"is a value of {known_of[0]}, which does not fit here")
+    near = close(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
+    names = dict.fromkeys(name if "." not in name else f"{name.split('.')[0]}.*" for name in fields)
+    hint = f"did you mean {near}?" if near else f"there are {', '.join(names)}"
+    refuse_part(part, f"is no name here: {hint}")
+
+
+def kind_of(field: Field) -> str:
+    """What kind of value a field has, in words."""
+    if field.kind is Kind.WORD:
+        return f"a word like {next(iter(field.words))}"
+    named = field.kind is Kind.NUMBER and field.words
+    return f"{field.kind} or a name like {next(iter(field.words))}" if named else str(field.kind)
+
+
+def example(field: Field) -> str:
+    """A condition with a field."""
+    name = field.name
+    if field.kind is Kind.WORDS:
+        return f"{name} contains {next(iter(field.words))!r}"
+    if field.words:
+        return f"{name} == {next(iter(field.words))}"
+    return {
+        Kind.SECONDS: f"{name} > 20ms",
+        Kind.CLOCK: f"{name} > 14:03:20",
+        Kind.TEXT: f"{name} contains 'late'",
+        Kind.BYTES: f"{name} contains 11 ff",
+    }.get(field.kind, f"{name} > {field.low or 0}")
+
+
+def listed(field: Field) -> str:
+    """The names of a field's values, as many as fit into a sentence."""
+    words = list(field.words)
+    more = f" and {len(words) - _MOST_LISTED} more" if len(words) > _MOST_LISTED else ""
+    return ", ".join(words[:_MOST_LISTED]) + more
+
+
+def close(text: str, names: Iterable[str]) -> str:
+    """The name that is meant by a word with a slip in it, or empty."""
+    from difflib import get_close_matches
+
+    by_folded: dict[str, str] = {}
+    for name in names:
+        by_folded.setdefault(folded(name), name)
+    near = get_close_matches(folded(text), by_folded, n=1)
+    return by_folded[near[0]] if near else ""
+
+
+def shown(part: Part) -> str:
+    """A part as it was written, or empty for what is longer than a value."""
+    match part:
+        case parts.Word(text=text) | parts.Moment(text=text) | parts.Quoted(text=text):
+            return printable(text)
+        case parts.Number(text=text, unit=unit):
+            return printable(text + unit)
+        case parts.Octets(data=data):
+            return data.hex(" ")
+        case parts.Item(of=of, index=index):
+            return f"{of.text}[{index.text}]"
+        case parts.Bits(left=left, right=right):
+            return f"{shown(left)} & {shown(right)}"
+    return ""
+
+
+_WHAT: Mapping[type, str] = {
+    parts.Number: "a number",
+    parts.Quoted: "text",
+    parts.Moment: "a time of day",
+    parts.Octets: "bytes",
+    parts.Item: "a byte of the row",
+    parts.Bits: "bits of the row",
+}

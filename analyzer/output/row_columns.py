@@ -1,0 +1,355 @@
+"""The columns of a row of traffic, and the ways to write its time; lines, CSV and lists use them.
+
+A row is a JSON line (`json_lines`), and most columns are one of its keys. `columns_of` has those of
+a grammar: the ones of COLUMNS, and one for each field of its instructions, under the field's name
+and as `fields.NAME`; where a field is called like a column, only the latter reaches it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from functools import lru_cache
+from typing import TYPE_CHECKING, TypeAlias
+
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.records import Record, severity_of
+from bilprov.analyzer.output.text_lines import painted, state_words
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.columns.stretch import Stretch
+
+Value: TypeAlias = "str | int | float | bool | None"
+"""What a column has in a row; None where the row lacks it."""
+
+SECOND = 1_000_000_000  # ns
+
+
+class TimeStyle(StrEnum):
+    """How the column `time` is written.
+
+    `relative` is seconds since the recording's start, `delta` seconds since the row shown before;
+    `absolute` is date and time of day where the reader is, `utc` the same in UTC.
+    """
+
+    RELATIVE = "relative"
+    DELTA = "delta"
+    ABSOLUTE = "absolute"
+    UTC = "utc"
+
+
+_TIME_WIDTHS = {TimeStyle.ABSOLUTE: 26, TimeStyle.UTC: 27}
+
+
+@dataclass(slots=True)
+class Times:
+    """Writes the times of rows in one style, to the microsecond, in the order they are shown.
+
+    `start_wall` is the wall clock (ns since 1970) at the recording's start.
+    """
+
+    style: TimeStyle = TimeStyle.RELATIVE
+    start_wall: int = 0
+    _previous: int | None = None
+
+    @property
+    def width(self) -> int:
+        """How many characters a time takes; only seconds over 99,999 take more."""
+        return _TIME_WIDTHS.get(self.style, 12)
+
+    def shown(self, t: int) -> str:
+        """The text of the next row's time `t` (ns since the start)."""
+        previous, self._previous = self._previous, t
+        return self.text(t, previous)
+
+    def padded(self, t: int) -> str:
+        """The same as wide as all others, for a list."""
+        return f"{self.shown(t):>{self.width}}"
+
+    def text(self, t: int, previous: int | None = None) -> str:
+        """The text of a time (ns since the start); `previous` is that of the row before, if any."""
+        if self.style is TimeStyle.RELATIVE:
+            return f"{t / 1e9:.6f}"
+        if self.style is TimeStyle.DELTA:
+            return f"{(0 if previous is None else t - previous) / 1e9:.6f}"
+        second, rest = divmod(self.start_wall + t, SECOND)
+        clock = _clock(second, self.style is TimeStyle.UTC)
+        return f"{clock}.{rest // 1000:06d}{'Z' if self.style is TimeStyle.UTC else ''}"
+
+
+@lru_cache(maxsize=64)
+def _clock(second: int, utc: bool) -> str:
+    """Date and time of a second since 1970, as ISO 8601 has it (here with a blank between)."""
+    if utc:
+        return datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    return datetime.fromtimestamp(second).strftime("%Y-%m-%d %H:%M:%S")  # noqa: DTZ006
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its name, what it says, and how a list shows it.
+
+    `value` gets it from a row and `text` makes it readable for people. `width` is how many
+    characters usual values take; numbers stand to the `right`.
+    """
+
+    name: str
+    heading: str
+    width: int
+    says: str
+    value: Callable[[JsonLine], Value]
+    text: Callable[[Value], str] = lambda value: _plain(value)
+    right: bool = False
+
+
+def nanoseconds(seconds: float) -> int:
+    """A row's time or latency as the whole number that it was made from."""
+    return round(seconds * 1e9)
+
+
+def _plain(value: Value) -> str:
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else printable(value)
+
+
+def _seconds(value: Value) -> str:
+    return "" if value is None else f"{value:.6f}"
+
+
+def _milliseconds(value: Value) -> str:
+    return f"{value * 1e3:.3f} ms" if isinstance(value, float) else ""
+
+
+def _latency_ns(line: JsonLine) -> int | None:
+    return None if line.latency is None else nanoseconds(line.latency)
+
+
+def _header(line: JsonLine) -> int | None:
+    """The header byte of a row with an instruction, whole or truncated."""
+    return int(line.hex[:2], 16) if line.kind in ("instruction", "truncated") else None
+
+
+def _described(line: JsonLine) -> str | None:
+    return " ".join(f"{name}={value}" for name, value in line.fields.items()) or None
+
+
+def _time(line: JsonLine) -> Value:
+    return f"{line.t:.6f}"  # `cells` writes it in the chosen style
+
+
+COLUMNS: Mapping[str, Column] = {
+    column.name: column
+    for column in (
+        Column("time", "time", 12, "the time in the style of --time", _time, right=True),
+        Column("t", "t", 12, "seconds since the start", lambda r: r.t, _seconds, right=True),
+        Column("t_ns", "t ns", 15, "the same in ns", lambda r: nanoseconds(r.t), right=True),
+        Column("direction", "from", 6, "host or device", lambda r: r.direction),
+        Column("kind", "kind", 11, "instruction, response, ...", lambda r: r.kind),
+        Column("hex", "hex", 11, "the bytes", lambda r: r.hex),
+        Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
+        Column(
+            "data",
+            "data",
+            8,
+            "an instruction's bytes behind its header",
+            lambda r: None if _header(r) is None else r.hex[3:],
+        ),
+        Column("name", "name", 13, "of the instruction or response", lambda r: r.name),
+        Column("fields", "fields", 14, "the instruction's fields and values", _described),
+        Column("judgement", "judgement", 13, "the expected response", lambda r: r.judgement),
+        Column(
+            "response",
+            "response",
+            13,
+            "the response's name",
+            lambda r: r.name if r.kind == "response" else None,
+        ),
+        Column(
+            "latency",
+            "latency",
+            12,
+            "seconds from the instruction to its answer",
+            lambda r: r.latency,
+            _milliseconds,
+            right=True,
+        ),
+        Column("latency_ns", "latency ns", 10, "the same in ns", _latency_ns, right=True),
+        Column(
+            "state",
+            "state",
+            26,
+            "the predicted state in words",
+            lambda r: state_words(r.state),
+        ),
+        Column("state.motion", "motion", 12, "predicted", lambda r: r.state.motion),
+        Column("state.speed", "speed", 5, "predicted", lambda r: r.state.speed, right=True),
+        Column(
+            "state.steering", "steering", 8, "predicted", lambda r: r.state.steering, right=True
+        ),
+        Column("state.led", "led", 3, "predicted", lambda r: r.state.led, right=True),
+        Column("state.moving", "moving", 6, "predicted", lambda r: r.state.moving),
+        Column(
+            "sequence", "number", 8, "the instruction's, from 0", lambda r: r.sequence, right=True
+        ),
+        Column(
+            "answers",
+            "answers",
+            8,
+            "the number of the instruction that is answered",
+            lambda r: r.answers,
+            right=True,
+        ),
+        Column("agrees", "agrees", 6, "whether the answer is as expected", lambda r: r.agrees),
+        Column("faults", "faults", 20, "the kinds of faults", lambda r: "; ".join(r.faults)),
+        Column("reason", "reason", 40, "why, in words", lambda r: r.reason),
+    )
+}
+"""The columns of every grammar but `id`, `len` and the fields."""
+
+TIME = COLUMNS["time"]
+
+
+def columns_of(protocol: Protocol) -> dict[str, Column]:
+    """All columns of a grammar by the names under which they can be asked for."""
+    headers = protocol.headers
+
+    def part(place: int) -> Callable[[JsonLine], Value]:
+        def value(line: JsonLine) -> Value:
+            header = _header(line)
+            return None if header is None else headers[header][place]
+
+        return value
+
+    about_header = (
+        Column("id", "id", 3, "the instruction's ID", part(0), right=True),
+        Column("len", "len", 3, "the data bytes that its header announces", part(1), right=True),
+    )
+    fields = {f"fields.{column.name}": column for column in _fields(protocol)}
+    return {
+        **{column.name: column for column in fields.values()},
+        **COLUMNS,
+        **{column.name: column for column in about_header},
+        **{name: replace(column, name=name) for name, column in fields.items()},
+    }
+
+
+def _fields(protocol: Protocol) -> list[Column]:
+    """A column for each field of the instructions; fields of one name share one."""
+    names = dict.fromkeys(part.name for spec in protocol.instructions for part in spec.fields)
+
+    def field(name: str) -> Column:
+        return Column(
+            name,
+            name,
+            max(5, len(name)),
+            "a field of instructions",
+            lambda line: line.fields.get(name),
+            right=True,
+        )
+
+    return [field(name) for name in names]
+
+
+class ColumnError(UserError, ValueError):
+    """A column was asked for that is none. The message is one sentence."""
+
+
+def chosen_columns(names: str, protocol: Protocol) -> tuple[Column, ...]:
+    """The columns that `--columns` asks for: names with commas between, in any case.
+
+    Raises ColumnError for a name that is no column, and where one is asked for twice.
+    """
+    known = columns_of(protocol)
+    by_lower = {name.lower(): column for name, column in reversed(known.items())}
+    chosen: dict[str, Column] = {}
+    for name in (word.strip() for word in names.split(",")):
+        column = known.get(name) or by_lower.get(name.lower())
+        if column is None:
+            raise ColumnError(_no_column(name, known))
+        if column.name in chosen:
+            raise ColumnError(f"the column {column.name} is asked for twice")
+        chosen[column.name] = column
+    return tuple(chosen.values())
+
+
+def _no_column(name: str, known: Mapping[str, Column]) -> str:
+    from difflib import get_close_matches
+
+    close = get_close_matches(name.lower(), known, n=1)
+    hint = f", did you mean {close[0]}?" if close else f"; there are {', '.join(known)}"
+    return f"there is no column {printable(name)!r}{hint}"
+
+
+@dataclass(frozen=True, slots=True)
+class RowStyle:
+    """What was asked for of each row: `--time` and `--columns`; None for what was not."""
+
+    time: TimeStyle | None = None
+    columns: tuple[Column, ...] | None = None
+
+    def times(self, start_wall: int) -> Times:
+        """The times of a recording that began at this time (ns since 1970)."""
+        return Times(self.time or TimeStyle.RELATIVE, start_wall)
+
+
+AS_USUAL = RowStyle()
+"""Nothing was asked for."""
+
+
+def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:
+    """The texts of a row for people, one for each column; safe for a terminal, not padded.
+
+    A column `time` makes the row the one before the next, as the style `delta` needs it.
+    """
+    return [
+        times.shown(nanoseconds(line.t)) if column is TIME else column.text(column.value(line))
+        for column in columns
+    ]
+
+
+def row_values(line: JsonLine, columns: Sequence[Column], times: Times) -> list[Value]:
+    """The values of a row for programs, one for each column; the time as `cells` has it."""
+    return [
+        times.shown(nanoseconds(line.t)) if column is TIME else column.value(line)
+        for column in columns
+    ]
+
+
+class ColumnLines:
+    """Renders records as lines of chosen columns; what has no row has no line.
+
+    `colour` paints the rows with anomalies by their severity, which only a terminal should get.
+    """
+
+    def __init__(self, columns: Sequence[Column], times: Times, *, colour: bool) -> None:
+        self._columns = columns
+        self._times = times
+        self._colour = colour
+        self._widths = [times.width if column is TIME else column.width for column in columns]
+
+    def records(self, records: Iterable[Record]) -> str:
+        """The lines of the records, each with its newline."""
+        return "".join(
+            self._line(record, line) for record in records if (line := json_line(record))
+        )
+
+    def stretch(self, stretch: Stretch) -> str:
+        """The lines of all records of a stretch."""
+        return self.records(stretch.records())
+
+    def _line(self, record: Record, line: JsonLine) -> str:
+        padded = (
+            cell.rjust(width) if column.right else cell.ljust(width)
+            for cell, width, column in zip(
+                cells(line, self._columns, self._times), self._widths, self._columns, strict=True
+            )
+        )
+        text = "  ".join(padded).rstrip()
+        severity = severity_of(record)
+        return f"{painted(text, severity) if self._colour and severity else text}\n"

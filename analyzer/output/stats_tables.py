@@ -1,0 +1,171 @@
+"""Shows the statistics of captures as tables with sparklines and a histogram, 80 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency, RateCounts, Stats
+from bilprov.analyzer.output.charts import Charts, means
+from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.captures.text import printable, quantity
+
+_SPARK = 36  # columns of a sparkline
+_BAR = 36  # columns of the longest bar
+_FEWEST = 4  # counts by time that are worth a sparkline
+
+
+def drawn(stats: Stats, charts: Charts) -> Iterator[RenderableType]:
+    """Yield the parts to print; text from the files is escaped."""
+    if stats.filter is not None:
+        yield Text(f"Only what passes {printable(stats.filter)} is counted.")
+        yield Text()
+    for number, file in enumerate(stats.files):
+        if number:
+            yield Text()
+        yield from _part(printable(file.path), file.counts, file, charts)
+    if len(stats.files) > 1:
+        yield Text()
+        yield from _part(f"{len(stats.files)} captures together", stats.total, None, charts)
+
+
+def _part(
+    title: str, counts: Counts, file: FileStats | None, charts: Charts
+) -> Iterator[RenderableType]:
+    yield heading(title)
+    yield facts(_about(counts, file))
+    if file and file.rates and len(file.rates.frames) >= _FEWEST:
+        yield from _rates(counts, file.rates, charts)
+    yield from _instructions(counts)
+    yield from _responses(counts)
+    yield from _anomalies(counts)
+    yield from _histogram(counts, charts)
+
+
+def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
+    share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
+    yield "duration", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
+    yield "host", f"{quantity(counts.host_bytes, 'byte')}, {_frames(counts)}"
+    yield "device", quantity(counts.device_bytes, "byte")
+    if counts.load:
+        line = f"{file.line}, " if file else ""
+        load = f"host {_share(counts.load.host)}, device {_share(counts.load.device)}"
+        yield "line", f"{line}load: {load}"
+    if counts.frames:
+        rate = f"{counts.frames / counts.duration:,.0f} a second, " if counts.duration else ""
+        yield "frames", f"{rate}{counts.peak:,} in the busiest second"
+    if counts.agreeing or counts.disagreeing:
+        yield "answers", f"{counts.agreeing:,} as expected, {counts.disagreeing:,} not"
+    if counts.latency:
+        median, p95, p99, longest = _percentiles(counts.latency)
+        least = _ms(counts.latency.min)
+        said = f"min {least} ms, median {median}, 95 % {p95}, 99 % {p99}, max {longest}"
+        yield "latency", said
+
+
+def _frames(counts: Counts) -> str:
+    said = quantity(counts.frames, "frame")
+    if counts.truncated:
+        said += f", {counts.truncated:,} of them truncated"
+    if counts.garbage:
+        said += f", {counts.garbage:,} pieces of garbage"
+    return said
+
+
+def _rates(counts: Counts, rates: RateCounts, charts: Charts) -> Iterator[RenderableType]:
+    """How much there was a second, from the first second to the last."""
+    rows = [
+        _rate("frames", rates.frames, rates.step, counts.duration, charts),
+        _rate("anomalies", rates.faults, rates.step, counts.duration, charts),
+        _rate("host bytes", rates.host_bytes, rates.step, counts.duration, charts),
+        _rate("device bytes", rates.device_bytes, rates.step, counts.duration, charts),
+    ]
+    yield Text()
+    yield table(
+        ("a second", "from begin to end", "mean", "peak"),
+        [row for row in rows if row[-1] != "0"],
+        right="mean peak",
+    )
+
+
+def _rate(
+    name: str, counts: Sequence[int], step: float, duration: float, charts: Charts
+) -> tuple[str, ...]:
+    mean = sum(counts) / duration if duration else 0
+    columns = means(counts, _SPARK)
+    return name, charts.spark(columns, _SPARK), _number(mean), _number(max(counts) / step)
+
+
+def _instructions(counts: Counts) -> Iterator[RenderableType]:
+    rows = []
+    for name, found in counts.by_instruction.items():
+        if found.frames:
+            answers, odd = sum(found.responses.values()), sum(found.anomalies.values())
+            latency = _percentiles(found.latency) if found.latency else ("",) * 4
+            rows.append((printable(name), *map(_count, (found.frames, answers, odd)), *latency))
+    columns = ("instruction", "frames", "answers", "odd", "median/ms", "p95", "p99", "max")
+    yield from _table(columns, rows)
+
+
+def _responses(counts: Counts) -> Iterator[RenderableType]:
+    names = dict.fromkeys([*counts.expected, *counts.responses])
+    pairs = {name: (counts.expected.get(name, 0), counts.responses.get(name, 0)) for name in names}
+    rows = [(printable(name), *map(_count, pair)) for name, pair in pairs.items() if any(pair)]
+    yield from _table(("response", "expected", "given"), rows)
+
+
+def _anomalies(counts: Counts) -> Iterator[RenderableType]:
+    sides = counts.by_direction
+    rows = [
+        (printable(kind), _count(count), *(_count(by.get(kind, 0)) for by in sides.values()))
+        for kind, count in counts.anomalies.items()
+    ]
+    yield from _table(("anomaly", "count", *sides), rows)
+
+
+def _histogram(counts: Counts, charts: Charts) -> Iterator[RenderableType]:
+    bins = counts.latency_bins
+    most = max((bin.count for bin in bins), default=0)
+    if not most:
+        return
+    width = bins[0].below - bins[0].least
+    decimals = next(n for n in range(7) if round(width * 1000, n) == round(width * 1000, 7))
+    rows = []
+    for bin in bins:
+        least, below = (f"{edge * 1000:.{decimals}f}" for edge in (bin.least, bin.below))
+        bar = charts.bar(bin.count / most, _BAR)
+        rows.append((least, below, f"{bin.count:,}", bar))
+    yield Text()
+    yield table(("from/ms", "to/ms", "answers", "latency"), rows, right="from/ms to/ms answers")
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[RenderableType]:
+    """A table of a name and numbers, after an empty line; nothing where there are no rows."""
+    if rows:
+        yield Text()
+        yield table(columns, rows, right=" ".join(columns[1:]))
+
+
+def _percentiles(latency: Latency) -> tuple[str, str, str, str]:
+    median, p95, p99 = _ms(latency.median), _ms(latency.p95), _ms(latency.p99)
+    return median, p95, p99, _ms(latency.max)
+
+
+def _ms(seconds: float) -> str:
+    """Seconds in ms, in at most six characters for any latency of less than 17 minutes."""
+    ms = seconds * 1000
+    return f"{ms:.3f}" if abs(ms) < 10 else f"{ms:.2f}" if abs(ms) < 100 else f"{ms:.1f}"
+
+
+def _share(load: float) -> str:
+    return f"{load * 100:,.0f} %" if load >= 0.1 else f"{load * 100:.2g} %"
+
+
+def _count(count: int) -> str:
+    return f"{count:,}" if count else ""
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 or value == round(value) else f"{value:.2f}"

@@ -1,0 +1,299 @@
+"""The page of `bilprov plot`: the picture over time, latencies, and a list of the anomalies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from bilprov.analyzer.columns.timeline import Mark, Range, Timeline
+from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
+from bilprov.analyzer.html.page import html_page
+from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency
+from bilprov.captures.reader import Capture
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.tables import MOTIONS
+
+_ASSETS = Path(__file__).parent / "assets"
+SECOND = 1e9  # ns
+
+_KEYS = (
+    "Wheel, pinch or + and - zoom; drag or Shift with the arrows moves; the arrows move the line "
+    "at which values are read; n and N go to the next and the previous anomaly; 0 shows all again."
+)
+
+
+def plot_page(
+    capture: Capture, protocol: Protocol, timeline: Timeline, stats: FileStats, kit: str
+) -> str:
+    """The page about one capture: its timeline, and the numbers of the same recording.
+
+    `kit` is the version of the code that makes it.
+    """
+    style = (_ASSETS / "plot.css").read_text(encoding="utf-8")
+    script = (_ASSETS / "plot.js").read_text(encoding="utf-8")
+    marks, step = timeline.marks()
+    name = capture.path.name
+    body = joined(
+        [
+            tag(
+                "header",
+                tag("p", "bilprov", tag("span", " plot"), class_="brand"),
+                tag("h1", tag("span", name, class_="device")),
+            ),
+            tag(
+                "main",
+                _facts(capture, protocol, stats, kit),
+                _picture(timeline),
+                _latencies(stats.counts),
+                _anomalies(marks, step, stats.counts),
+            ),
+            json_block("data", plot_data(protocol, timeline)),
+        ]
+    )
+    return html_page(f"{name} · bilprov plot", body, style=style, script=script)
+
+
+def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
+    """What the page's script draws. Times are in ns; those of a list each from the one before."""
+    states, latencies, (marks, _) = timeline.states(), timeline.latencies(), timeline.marks()
+    exact = not states.step
+    return {
+        "begin": timeline.begin,
+        "end": timeline.end,
+        "motions": [motion.value.replace("_", " ") for motion in MOTIONS],
+        "bounds": {name: protocol.bounds[name] for name in ("speed", "steering")},
+        "states": {
+            "t": _deltas(states.t),
+            "motion": states.motion,
+            "seen": None if exact else states.seen,
+            "speed": _range(states.speed, exact=exact),
+            "steering": _range(states.steering, exact=exact),
+        },
+        "latencies": {
+            "t": _deltas(latencies.t),
+            "low": latencies.low,
+            "high": latencies.high if latencies.step else None,
+            "count": latencies.count if latencies.step else None,
+        },
+        "marks": {"t": _deltas([mark.t for mark in marks]), "n": [mark.amount for mark in marks]},
+        "steps": [states.step, latencies.step],
+    }
+
+
+def _deltas(times: list[int]) -> list[int]:
+    return [*times[:1], *(after - before for before, after in pairwise(times))]
+
+
+def _range(values: Range, *, exact: bool) -> dict[str, list[int] | None]:
+    return {
+        "last": values.last,
+        "low": None if exact else values.low,
+        "high": None if exact else values.high,
+    }
+
+
+def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> Safe:
+    counts = stats.counts
+    told: dict[str, object] = {"recorded": _moment(capture.start)}
+    told["duration"] = _span(counts.duration)
+    moving = f" ({counts.moving / counts.duration:.0%})" if counts.duration else ""
+    told["moving"] = _span(counts.moving) + moving
+    cut = f", {counts.truncated:,} of them truncated" if counts.truncated else ""
+    told["frames"] = f"{counts.frames:,}{cut}"
+    told["answers"] = f"{counts.agreeing:,} as expected, {counts.disagreeing:,} not"
+    told["anomalies"] = f"{sum(counts.anomalies.values()):,}"
+    load = counts.load
+    used = f", host uses {load.host:.1%} of it, device {load.device:.1%}" if load else ""
+    told["line"] = f"{stats.line}{used}"
+    sha = tag("code", protocol.sha256[:12], title=protocol.sha256)
+    told["grammar"] = tag("span", f"{protocol.name} {protocol.version} ", sha)
+    told["bilprov"] = kit
+    facts = [tag("div", tag("dt", name), tag("dd", value)) for name, value in told.items()]
+    notes = [f"Part of the file is damaged and left out: {why}" for why in stats.damage]
+    if stats.unfinished:
+        notes.insert(0, "The recording was never finished: all that is whole is shown.")
+    return tag(
+        "section",
+        tag("dl", *facts, class_="grid"),
+        *(tag("p", note, class_="note") for note in notes),
+        id="facts",
+        aria_label="Recording",
+    )
+
+
+def _moment(start: int) -> str:
+    try:
+        return datetime.fromtimestamp(start // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):
+        return "at no time that there is"  # only a forged file has it
+
+
+def _picture(timeline: Timeline) -> Safe:
+    buttons = {
+        "in": "Zoom in",
+        "out": "Zoom out",
+        "all": "Show all",
+        "previous": "Previous anomaly",
+        "next": "Next anomaly",
+    }
+    tools = (
+        tag("button", said, type="button", class_="chip", data_do=do)
+        for do, said in buttons.items()
+    )
+    names = {name: name for name in ("time", "motion", "speed", "steering")}
+    names |= {"latency": "last latency", "anomaly": "anomaly"}
+    values = (
+        tag("div", tag("dt", said), tag("dd", "", data_of=name), class_=f"of-{name}")
+        for name, said in names.items()
+    )
+    return tag(
+        "section",
+        tag("h2", "Over time"),
+        tag("noscript", tag("p", "The picture needs JavaScript; the tables below do not.")),
+        tag("div", *tools, id="tools", role="group", aria_label="The picture", hidden=True),
+        tag("dl", *values, id="readout", role="status", hidden=True),
+        tag(
+            "canvas",
+            id="plot",
+            tabindex=0,
+            role="application",
+            aria_label="Motion, speed, steering, anomalies and latency over time",
+            aria_describedby="keys",
+        ),
+        tag("canvas", id="map", aria_hidden="true"),
+        tag("p", _KEYS, id="keys", class_="dim"),
+        tag("p", _reduced(timeline), id="reduced", class_="dim"),
+        id="time",
+    )
+
+
+def _reduced(timeline: Timeline) -> str:
+    """What of the recording is not in the page."""
+    said = [
+        f"{name} are reduced to the lowest and the highest in each {_span(step / SECOND)}"
+        for name, step in (
+            ("states", timeline.states().step),
+            ("latencies", timeline.latencies().step),
+        )
+        if step
+    ]
+    _, step = timeline.marks()
+    if step:
+        said.append(f"of the anomalies the first in each {_span(step / SECOND)} is described")
+    if not said:
+        return "Every change of the state, every latency and every anomaly is in this page."
+    return (
+        f"The recording is long: {'; '.join(said)}. To zoom in further shows no more; bilprov "
+        "replay --start shows every frame."
+    )
+
+
+def _latencies(counts: Counts) -> Safe:
+    if not counts.latency:
+        empty = tag("p", "No answer was paired with its instruction.", class_="dim")
+        return tag("section", tag("h2", "Latency"), empty, id="latency")
+    most = max(one.count for one in counts.latency_bins)
+    bins = [
+        tag(
+            "tr",
+            tag("th", f"{_span(one.least)} to {_span(one.below)}", scope="row"),
+            tag("td", f"{one.count:,}", class_="number"),
+            tag("td", bar(100, [("0", f"{one.count / most * 100:.2f}", "done")])),
+        )
+        for one in counts.latency_bins
+    ]
+    each = [("all", counts.latency)]
+    each += [
+        (name, found.latency) for name, found in counts.by_instruction.items() if found.latency
+    ]
+    heads = ("instruction", "answers", "min", "median", "95 %", "99 %", "max")
+    return tag(
+        "section",
+        tag("h2", "Latency"),
+        tag("p", "From the last byte of an instruction to its answer.", class_="dim"),
+        tag(
+            "div",
+            tag(
+                "table",
+                tag("caption", "Histogram", class_="unseen"),
+                tag("thead", _row("th", ("latency", "answers", ""), scope="col")),
+                tag("tbody", *bins),
+                class_="histogram",
+            ),
+            tag(
+                "div",
+                tag(
+                    "table",
+                    tag("caption", "Latency of each instruction", class_="unseen"),
+                    tag("thead", _row("th", heads, scope="col")),
+                    tag("tbody", *(_latency(name, spread) for name, spread in each)),
+                    class_="each",
+                ),
+                class_="scroll",
+                tabindex=0,
+                role="region",
+                aria_label="Latency of each instruction",
+            ),
+            class_="two",
+        ),
+        id="latency",
+    )
+
+
+def _row(cell: str, texts: tuple[str, ...], **attributes: object) -> Safe:
+    return tag("tr", *(tag(cell, text, **attributes) for text in texts))
+
+
+def _latency(name: str, spread: Latency) -> Safe:
+    times = (spread.min, spread.median, spread.p95, spread.p99, spread.max)
+    cells = [f"{spread.count:,}", *map(_span, times)]
+    return tag(
+        "tr", tag("th", name, scope="row"), *(tag("td", cell, class_="number") for cell in cells)
+    )
+
+
+def _anomalies(marks: list[Mark], step: int, counts: Counts) -> Safe:
+    kinds = ", ".join(f"{kind}: {count:,}" for kind, count in counts.anomalies.items())
+    first = f" Listed is the first in each {_span(step / SECOND)}." if step else ""
+    said = tag("p", f"{kinds}." if kinds else "There is none.", first)
+    if not marks:
+        return tag("section", tag("h2", "Anomalies"), said, id="anomalies")
+    rows = (
+        tag(
+            "tr",
+            tag("td", tag("a", f"{mark.t / SECOND:.6f} s", href=f"#t={mark.t}"), class_="number"),
+            tag("td", mark.kind),
+            tag("td", mark.reason, *_more(mark)),
+        )
+        for mark in marks
+    )
+    table = tag(
+        "table",
+        tag("caption", "Anomalies in the order of their times", class_="unseen"),
+        tag("thead", _row("th", ("time", "kind", "reason"), scope="col")),
+        tag("tbody", *rows),
+    )
+    return tag(
+        "section",
+        tag("h2", "Anomalies"),
+        said,
+        tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Anomalies"),
+        id="anomalies",
+    )
+
+
+def _more(mark: Mark) -> Iterator[Safe]:
+    """How many more there are at a mark."""
+    if mark.amount > 1:
+        yield tag("span", f" and {mark.amount - 1:,} more", class_="dim")
+
+
+def _span(seconds: float) -> str:
+    """A duration in the unit that fits it, with up to four digits."""
+    for factor, unit in ((1, "s"), (1e3, "ms")):
+        if abs(seconds) * factor >= 1:
+            return f"{seconds * factor:.4g} {unit}" if seconds < 1e4 else f"{seconds:,.0f} s"
+    return f"{seconds * 1e6:.4g} µs" if seconds else "0 s"

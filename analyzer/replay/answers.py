@@ -1,0 +1,103 @@
+"""What is wrong with a device's answers: missing, not allowed, unasked; and expected answers.
+
+What is not allowed is what the decoder calls an error: a code that the grammar does not have, or
+one that no listed reading of the document allows to this instruction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    HostRecord,
+    Record,
+    Severity,
+    severity_of,
+)
+from bilprov.analyzer.replay.comparison import ReplayRun, answer_words
+from bilprov.captures.text import quantity
+from bilprov.spec.protocol import Protocol
+
+FLOOD = 64
+"""Bytes that answer no instruction, from which on a device counts as flooding the line."""
+
+FLOOD_WORDS = f"the device floods the line: {FLOOD} bytes came that answer no instruction"
+UNANSWERED_STOPS = "the device did not answer the stops at the end: it may still be moving"
+
+
+@dataclass(slots=True)
+class AnswerCheck:
+    """Counts what is wrong with the answers of a run, in memory that does not grow.
+
+    `sent` counts instructions, `answered` those that were answered. `wrong` counts the answers that
+    are not allowed, of which `first_wrong` tells the first; `unasked` counts the bytes that answer
+    no instruction, except where that is uncertain (a banner before the first instruction).
+    """
+
+    sent: int = 0
+    answered: int = 0
+    wrong: int = 0
+    first_wrong: str = ""
+    unasked: int = 0
+    _unpaired: int = 0
+
+    def record(self, record: Record) -> None:
+        """Add a record of the run."""
+        if isinstance(record, HostRecord):
+            self.sent += record.sequence is not None
+        elif isinstance(record, DeviceRecord) and record.instruction is not None:
+            self.answered += 1
+            if severity_of(record) is Severity.ERROR:
+                self.wrong += 1
+                self.first_wrong = self.first_wrong or record.reason
+        elif isinstance(record, DeviceRecord):
+            self._unpaired += 1
+            self.unasked += all(fault.severity is not Severity.INFO for fault in record.faults)
+
+    @property
+    def flooded(self) -> bool:
+        """Whether so many bytes came that answer no instruction that no answer can be trusted."""
+        return self._unpaired >= FLOOD
+
+    @property
+    def unasked_words(self) -> str:
+        """Tells of the unasked bytes in a sentence; "" if none came."""
+        count = self.unasked
+        return f"{quantity(count, 'byte')} came without an instruction" if count else ""
+
+    @property
+    def wrong_words(self) -> str:
+        """Tells of the answers that are not allowed in a sentence; "" if all are."""
+        if self.wrong > 1:
+            return f"{quantity(self.wrong, 'answer')} are not allowed, first: {self.first_wrong}"
+        return f"an answer is not allowed: {self.first_wrong}" if self.wrong else ""
+
+    @property
+    def missing_words(self) -> str:
+        """Tells of unanswered instructions in a sentence, once the last answer was waited for."""
+        missing = self.sent - self.answered
+        if missing <= 0:
+            return ""
+        return f"no answer came to {missing} of {quantity(self.sent, 'instruction')}"
+
+
+def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]) -> str:
+    """Tell where the answers of a run first differ from the expected codes; "" if nowhere.
+
+    None is expected where no answer should come.
+    """
+    frames = list(run.frames.items())
+    for place, ((sequence, frame), code) in enumerate(zip(frames, expected, strict=False), start=1):
+        record = run.answers.get(sequence)
+        came = record.byte if record else None
+        if came != code:
+            return (
+                f"instruction {place} of {len(expected)}, {frame.words} ({frame.hex}): expected "
+                f"{answer_words(protocol, code)}, came {answer_words(protocol, came)}"
+            )
+    if len(frames) != len(expected):
+        sent = quantity(len(frames), "instruction")
+        return f"{quantity(len(expected), 'answer')} expected, but {sent} sent"
+    return ""

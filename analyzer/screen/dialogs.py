@@ -1,0 +1,165 @@
+"""The dialogs over the screen: help, the choice of columns, names of files, the last question."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import ClassVar
+
+from rich.table import Table
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Vertical, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Input, OptionList, SelectionList, Static
+from textual.widgets.option_list import Option
+from textual.widgets.selection_list import Selection
+
+
+class Dialog(ModalScreen[str | None]):
+    """A question over the screen; its result is None where it is left by Esc."""
+
+    DEFAULT_CSS = """
+    Dialog { align: center middle; }
+    Dialog > Vertical, Dialog > VerticalScroll {
+        border: round ansi_blue; background: ansi_default;
+        width: 64; max-width: 100%; height: auto; max-height: 100%; padding: 0 1;
+    }
+    Dialog.plain > Vertical, Dialog.plain > VerticalScroll { border: ascii ansi_blue; }
+    Dialog Input, Dialog OptionList, Dialog SelectionList {
+        border: none; height: auto; padding: 0; background: ansi_default;
+    }
+    Dialog Input { height: 1; }
+    Dialog SelectionList { height: auto; max-height: 20; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", show=False)]
+
+    def action_leave(self) -> None:
+        """Leave without an answer."""
+        self.dismiss(None)
+
+
+class Help(Dialog):
+    """The keys and what they do."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("q,question_mark", "leave", show=False)]
+
+    def __init__(self, keys: Mapping[str, str], about: str) -> None:
+        super().__init__()
+        self._keys = keys
+        self._about = about
+
+    def compose(self) -> ComposeResult:
+        """A table of keys, which scrolls on a small screen."""
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True, style="bold")
+        table.add_column()
+        for key, words in self._keys.items():
+            table.add_row(key, Text(words))
+        with VerticalScroll() as box:
+            box.can_focus = True
+            yield Static(table)
+            yield Static(Text(f"\n{self._about}", "dim"))
+
+
+class AskName(Dialog):
+    """Asks for the name of a file; `refusal` says why a name will not do, "" if it will."""
+
+    def __init__(self, question: str, name: str, refusal: Callable[[str], str]) -> None:
+        super().__init__()
+        self._question = question
+        self._name = name
+        self._refusal = refusal
+
+    def compose(self) -> ComposeResult:
+        """The question, the line to type in, and what is wrong with it."""
+        with Vertical():
+            yield Static(Text(self._question))
+            yield Input(self._name, compact=True, id="name")
+            yield Static(Text("Enter saves, Esc goes back", "dim"), id="wrong")
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Give the name, if it will do."""
+        name = event.value.strip()
+        wrong = self._refusal(name) if name else "a name is needed"
+        if wrong:
+            self.query_one("#wrong", Static).update(Text(wrong, "red"))
+        else:
+            self.dismiss(name)
+
+
+class Choice(Dialog):
+    """Asks to choose one of some answers, by arrows, mouse or the first letter."""
+
+    def __init__(self, question: str, answers: Mapping[str, str]) -> None:
+        super().__init__()
+        self._question = question
+        self._answers = answers
+
+    def compose(self) -> ComposeResult:
+        """The question and the answers."""
+        with Vertical():
+            yield Static(Text(self._question))
+            options = (
+                Option(Text.assemble((key, "bold"), f"  {words}"), id=key)
+                for key, words in self._answers.items()
+            )
+            yield OptionList(*options)
+
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
+        """Give the answer."""
+        self.dismiss(event.option_id)
+
+    def key_y(self) -> None:
+        """Answer yes, where that is an answer."""
+        self._answer("y")
+
+    def key_n(self) -> None:
+        """Answer no, where that is an answer."""
+        self._answer("n")
+
+    def _answer(self, key: str) -> None:
+        if key in self._answers:
+            self.dismiss(key)
+
+
+class ColumnChoice(ModalScreen[list[str] | None]):
+    """Asks which columns are shown; the result is their names, None where nothing is changed."""
+
+    DEFAULT_CSS = """
+    ColumnChoice { align: center middle; }
+    ColumnChoice SelectionList {
+        width: 64; max-width: 100%; height: auto; max-height: 100%;
+        border: round ansi_blue; background: ansi_default;
+    }
+    ColumnChoice.plain SelectionList { border: ascii ansi_blue; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape", "leave", show=False),
+        Binding("enter", "take", show=False, priority=True),
+        Binding("c", "take", show=False),
+    ]
+
+    def __init__(self, columns: Mapping[str, str], chosen: Iterable[str]) -> None:
+        super().__init__()
+        self._columns = columns
+        self._chosen = set(chosen)
+
+    def compose(self) -> ComposeResult:
+        """The columns, each with what it says."""
+        selections = (
+            Selection(Text(f"{name:<15}{says}", no_wrap=True), name, name in self._chosen)
+            for name, says in self._columns.items()
+        )
+        listed = SelectionList[str](*selections)
+        listed.border_title = "columns: Space chooses, Enter shows them"
+        yield listed
+
+    def action_take(self) -> None:
+        """Give the names of the chosen columns, in the order of the list."""
+        selected = set(self.query_one(SelectionList).selected)
+        self.dismiss([name for name in self._columns if name in selected])
+
+    def action_leave(self) -> None:
+        """Leave without a change."""
+        self.dismiss(None)

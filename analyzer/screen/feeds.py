@@ -1,0 +1,193 @@
+"""Where the rows of the screen come from: a thread that reads a file, a line, or a replay."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Any, Generic, TypeVar
+
+from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.output.outputs import Shown
+from bilprov.analyzer.output.statistics import Rates, Statistics
+from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.playback import batches
+from bilprov.analyzer.replay.recorder import Recorder
+from bilprov.analyzer.replay.spool import Spool
+from bilprov.analyzer.screen.recording import Recording
+from bilprov.captures.reader import Capture
+from bilprov.spec.protocol import Protocol
+
+DRAW_EVERY = 0.1  # s
+MOST_MEMORY = 300 << 20  # bytes of packed rows; a live session keeps no more
+_SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Python: 5 ms)
+
+
+Result = TypeVar("Result")
+
+
+class Feed(Generic[Result]):
+    """Work in a thread of its own that adds to a recording, until it ends or is told to.
+
+    `work` is called with the feed; `stop` makes it end early. When it ends the screen closes,
+    unless it `stays`. `live` is true where rows come in their own time. What the screen shows of
+    it: `progress` is the share that is read (0 to 1), `rates` those of a live line,
+    `captured` what was recorded, `said` why it ended, and `notice` something else that the user
+    should know. `keeps` is true where the recording can be saved when the screen is left, and
+    `let_go` where its oldest rows had to go.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        work: Callable[[Feed[Result]], Result],
+        *,
+        stop: Callable[[], object] = lambda: None,
+        live: bool = False,
+        stays: bool = False,
+    ) -> None:
+        self.recording = recording
+        self.live = live
+        self.stays = stays
+        self.keeps = False
+        self.progress: float | None = None
+        self.rates: Rates | None = None
+        self.captured = ""
+        self.said = ""
+        self.notice = ""
+        self.let_go = False
+        self.stopped = Event()
+        self._work = work
+        self._stop = stop
+        self._result: Result
+        self._error: BaseException | None = None
+        self._thread = Thread(target=self._run, name="feed", daemon=True)
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more comes."""
+        return self._thread.ident is not None and not self._thread.is_alive()
+
+    @property
+    def closes(self) -> bool:
+        """Whether the screen has nothing more to wait for."""
+        return self.ended and (not self.stays or self._error is not None)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Make it end; returns at once."""
+        self.stopped.set()
+        self._stop()
+
+    def join(self) -> Result:
+        """Wait for the end, and return what the work returned. Raises what the work raised."""
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+    def _run(self) -> None:
+        try:
+            self._result = self._work(self)
+        except BaseException as error:
+            self._error = error
+
+
+def capture_feed(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Feed[None]:
+    """The rows of a capture, read from its beginning to its end as fast as it goes.
+
+    `timeout` is as in `capture_timeout`.
+    """
+
+    def read(feed: Feed[None]) -> None:
+        decoder = capture_decoder(capture, protocol, timeout)
+        length = max(1, capture.contents.last - capture.start)
+        feed.progress = 0.0
+        for batch in batches(capture.events(), at_once=True):
+            if feed.stopped.is_set():
+                return
+            for part in decoder.feed(batch):
+                feed.recording.add(part)
+            feed.progress = min(1.0, batch[-1].t / length)
+            time.sleep(0)  # whoever waits for the interpreter gets it now
+        for part in decoder.finish():
+            feed.recording.add(part)
+        feed.progress = None
+
+    return Feed(Recording(protocol), read, stays=True)
+
+
+class ScreenOutput:
+    """Adds decoded parts to the recording of a feed, and takes the rates ten times a second.
+
+    Rows are let go that are older than what a spool still has, and where the recording takes more
+    than `most` bytes of memory.
+    """
+
+    def __init__(
+        self,
+        feed: Feed[Any],
+        statistics: Statistics,
+        recorder: Recorder | Spool | None = None,
+        most: int = MOST_MEMORY,
+    ) -> None:
+        self._feed = feed
+        self._statistics = statistics
+        self._recorder = recorder
+        self._most = most
+        self._next = 0.0
+
+    def show(self, part: Part) -> None:
+        """Add a part."""
+        self._feed.recording.add(part)
+
+    def tick(self, now: int) -> None:
+        """Take the rates at `now` (ns since the start), if it is time."""
+        if time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + DRAW_EVERY
+        feed = self._feed
+        feed.rates = self._statistics.rates(now)
+        gone, recorder = feed.recording.first, self._recorder
+        if isinstance(recorder, Spool):
+            feed.notice, feed.keeps = recorder.failure, not recorder.failure
+            feed.recording.let_go_older(recorder.oldest)
+        elif recorder:
+            feed.captured = f"{recorder.path.name} {recorder.bytes:,} B"
+        while feed.recording.nbytes > self._most and feed.recording.let_go_oldest():
+            pass
+        if feed.recording.first > gone:
+            feed.let_go = True
+
+
+class AllShown(Shown):
+    """Shows every row in the window, also those that a filter hides: the screen hides them itself.
+
+    The frames that pass the filter are counted as by any `Shown`.
+    """
+
+    def show(self, part: Part) -> Part:
+        """Show a part, and return what was shown of it."""
+        if self.left is not None:
+            deque(self._passing(part), maxlen=0)
+        if not self.window.covers(part):
+            part = Records([record for record in part.records() if self.window.has(record.t)])
+        self.output.show(part)
+        return part
+
+
+@contextmanager
+def reader_first() -> Iterator[None]:
+    """Let threads take turns quickly in the block, so that the reader of a line never waits."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)

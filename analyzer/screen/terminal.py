@@ -1,0 +1,87 @@
+"""Shows the screen on the terminal that standard output is, whatever its encoding."""
+
+from __future__ import annotations
+
+import os
+import sys
+import termios
+from contextlib import suppress
+from typing import Any
+
+from textual.drivers.linux_driver import LinuxDriver
+
+from bilprov.analyzer.screen.browser import Browser, Told
+from bilprov.analyzer.screen.feeds import Feed, reader_first
+from bilprov.analyzer.screen.signs import signs_for
+from bilprov.analyzer.transport.signals import Stopper
+
+
+class TerminalDriver(LinuxDriver):
+    """Draws on standard output, where results belong; Textual itself draws on standard error.
+
+    When the screen closes, keys that were typed and not used are thrown away: none of them reaches
+    the shell.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        assert sys.__stdout__ is not None
+        self._file: Any = _Terminal(sys.__stdout__.fileno(), sys.__stdout__.encoding)
+
+    def _get_terminal_size(self) -> tuple[int, int]:
+        """The terminal's own size; Textual believes COLUMNS and LINES, which do not change."""
+        try:
+            columns, lines = os.get_terminal_size(self._file.fileno())
+        except OSError:
+            return super()._get_terminal_size()
+        return columns, lines
+
+    def stop_application_mode(self) -> None:
+        """Give the terminal back as it was."""
+        super().stop_application_mode()
+        with suppress(termios.error):
+            termios.tcflush(self.fileno, termios.TCIFLUSH)
+
+
+class _Terminal:
+    """Where text is drawn. What its encoding lacks is a question mark.
+
+    Once the terminal is gone, nothing is drawn: the session ends in order all the same.
+    """
+
+    def __init__(self, descriptor: int, encoding: str) -> None:
+        self._descriptor = descriptor
+        self._encoding = encoding
+
+    def write(self, text: str) -> None:
+        """Write text at once."""
+        data = memoryview(text.encode(self._encoding, "replace"))
+        with suppress(OSError):
+            while data:
+                data = data[os.write(self._descriptor, data) :]
+
+    def flush(self) -> None:
+        """Nothing is held."""
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._descriptor
+
+
+def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
+    """Show a feed on the terminal until the screen is left, or until the stopper stops it.
+
+    Returns the name of the file to keep the recording in, None for none. The feed has been told to
+    end then.
+    """
+    assert sys.__stdout__ is not None
+    signs = signs_for(sys.__stdout__.encoding)
+    browser = Browser(feed, told, signs, lambda: stopper.stopped, TerminalDriver)
+    with reader_first():
+        try:
+            kept = browser.run()
+        finally:
+            feed.stop()
+    if browser.return_code and not stopper.stopped:
+        raise RuntimeError("the screen has failed")
+    return kept

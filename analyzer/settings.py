@@ -1,0 +1,232 @@
+"""Settings from files and the environment: read, checked, and kept with the place they are from.
+
+There are three places, later ones before earlier ones: the user's file, the file of the working
+folder, which may come with somebody else's project, and the environment. A command's own options
+come before all of them. Docs: docs/settings.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
+
+PROJECT_FILE = "bilprov.toml"
+PREFIX = "BILPROV_"  # of the environment's variables
+DEVICE = "device"  # the table of the named devices
+PORT = "port"  # a device's key that its name stands for
+SIM = "sim"  # a target that is no port
+
+LINE = ("baud", "parity", "stopbits", "truncation-timeout")
+COMMON = ("grammar", *LINE, "probe", "time", "columns", "yes")
+"""The keys at the top of a file: they are for every command that has such an option."""
+DEVICE_KEYS = (PORT, *LINE, "probe", "power", "yes")
+"""The keys of a named device."""
+
+# What a project's file may not set: it would run a program, allow a motion, or overwrite a file.
+_ANSWERS = ("power", "grammar", "yes", "force")
+_PORTS = (PORT, "probe", "to", "bridge")  # the only paths that may lead out of the working folder
+_RUNS = ("exec:",)
+_WRITES = ("spy:", "alt:")  # pyserial's URLs that write a file or load a class
+_MOST = 1 << 20  # bytes of a file
+
+
+class SettingsError(UserError):
+    """A settings file cannot be used; the message is one sentence with its path."""
+
+
+class Value(NamedTuple):
+    """A setting's value, and where it is set: `FILE [table]` or the environment's variable."""
+
+    value: Any
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """The settings of one place.
+
+    `common` holds those for every command, `commands` those of one command, `devices` the named
+    devices: their values by key, like `truncation-timeout`.
+    """
+
+    common: Mapping[str, Value]
+    commands: Mapping[str, Mapping[str, Value]]
+    devices: Mapping[str, Mapping[str, Value]]
+
+    def values_of(self, command: str) -> dict[str, Value]:
+        """The values for a command; those of its own table come before the common ones."""
+        return {**self.common, **self.commands.get(command, {})}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The layers, each of which comes before those in front of it; the last is the environment."""
+
+    layers: tuple[Layer, ...]
+
+    def values_of(
+        self, command: str, device: Mapping[str, Value] | None = None
+    ) -> dict[str, Value]:
+        """The values for a command by key, with those of a device, which come before the files'."""
+        *files, environment = self.layers
+        merged: dict[str, Value] = {}
+        for values in (*(layer.values_of(command) for layer in files), device or {}):
+            merged |= values
+        return merged | environment.values_of(command)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is set anywhere."""
+        return not any(one.common or one.commands or one.devices for one in self.layers)
+
+    @property
+    def devices(self) -> dict[str, dict[str, Value]]:
+        """The named devices."""
+        found: dict[str, dict[str, Value]] = {}
+        for layer in self.layers:
+            for name, values in layer.devices.items():
+                found[name] = {**found.get(name, {}), **values}
+        return found
+
+    def device(self, word: object) -> dict[str, Value] | None:
+        """The device of that name, None if the word is a path, a URL, sim, or no device's name.
+
+        Raises SettingsError for a device without a port.
+        """
+        if not isinstance(word, str) or not is_name(word) or Path(word).exists():
+            return None
+        found = self.devices.get(word)
+        if found is not None and PORT not in found:
+            source = next(iter(found.values())).source if found else f"[{DEVICE}.{word}]"
+            raise SettingsError(f"{source} names no port: add {PORT} = PATH or URL")
+        return found
+
+
+def is_name(word: str) -> bool:
+    """Whether a word may name a device: letters, digits, - and _, and not a target's own word."""
+    return word != SIM and word.replace("-", "").replace("_", "").isalnum()
+
+
+def _leads_out(text: str) -> bool:
+    """Whether a text is a path that is not below the working folder."""
+    return text.startswith(("/", "~")) or ".." in Path(text).parts
+
+
+def user_file(environ: Mapping[str, str]) -> Path:
+    """The user's file."""
+    home = environ.get("XDG_CONFIG_HOME") or Path(environ.get("HOME", "/")) / ".config"
+    return Path(home, "bilprov", "config.toml")
+
+
+def read_settings(
+    commands: Mapping[str, object], environ: Mapping[str, str] = os.environ
+) -> Settings:
+    """Read all settings; `commands` are the names of the commands. Raises SettingsError."""
+    files = ((user_file(environ), False), (Path(PROJECT_FILE), True))
+    layers = [_file(file, commands, foreign=foreign) for file, foreign in files]
+    return Settings((*layers, _environment(commands, environ)))
+
+
+def _file(file: Path, commands: Mapping[str, object], *, foreign: bool) -> Layer:
+    """The layer of a file, an empty one if there is none; `foreign` if it may be another's."""
+    try:
+        if not file.exists():
+            return Layer({}, {}, {})
+        import tomllib
+
+        from bilprov.analyzer.files import read_bounded
+
+        tables = tomllib.loads(read_bounded(file, _MOST).decode())
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else printable(error)
+        raise SettingsError(f"the settings {printable(file)} cannot be read: {why}") from error
+    return _Reader(file, commands, foreign).layer(tables)
+
+
+class _Reader:
+    """Checks the tables of one file, and gives them as a layer. Raises SettingsError."""
+
+    def __init__(self, file: Path, commands: Mapping[str, object], foreign: bool) -> None:
+        self._file = printable(file)
+        self._commands = commands
+        self._foreign = foreign
+
+    def layer(self, tables: Mapping[str, Any]) -> Layer:
+        """The layer of a file's tables."""
+        common = {key: value for key, value in tables.items() if not isinstance(value, dict)}
+        self._require(common, COMMON, "", "a setting of all commands")
+        commands, devices = {}, {}
+        for name, table in tables.items():
+            if name == DEVICE and isinstance(table, dict):
+                devices = dict(self._devices(table))
+            elif isinstance(table, dict):
+                self._require([name], [*self._commands, DEVICE], "", "a command")
+                commands[name] = self._values(table, f"[{name}]")
+        return Layer(self._values(common, ""), commands, devices)
+
+    def _devices(self, table: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Value]]]:
+        for name, values in table.items():
+            where = f"[{DEVICE}.{printable(name)}]"
+            if not is_name(name):
+                what = "letters, digits, - and _, and not sim"
+                raise SettingsError(f"{self._file} {where}: a device's name is {what}")
+            if not isinstance(values, dict):
+                raise SettingsError(f"{self._file} {where}: it must be a table with a port")
+            self._require(values, DEVICE_KEYS, where, "a setting of a device")
+            yield name, self._values(values, where)
+
+    def _values(self, table: Mapping[str, Any], where: str) -> dict[str, Value]:
+        source = self._at(where)
+        found = {}
+        for key, value in table.items():
+            if isinstance(value, dict):
+                raise SettingsError(f"{source}: {printable(key)} is a table, allowed is a value")
+            if self._foreign:
+                self._refuse_dangerous(key, value, source)
+            found[key.replace("_", "-")] = Value(value, source)
+        return found
+
+    def _refuse_dangerous(self, key: str, value: object, source: str) -> None:
+        texts = [str(part) for part in (value if isinstance(value, list) else [value])]
+        refused = key in _ANSWERS or any(text.lower().startswith(_RUNS + _WRITES) for text in texts)
+        if refused or (key not in _PORTS and any(map(_leads_out, texts))):
+            raise SettingsError(
+                f"{source}: {key} = {printable(value)} may run code, answer for you or write "
+                "outside this folder, which a project's file may not: set it in your own "
+                "config.toml, or as an option"
+            )
+
+    def _require(self, keys: Any, known: Any, where: str, what: str) -> None:
+        """Raise SettingsError for the first key that is not known."""
+        for key in keys:
+            if key.replace("_", "-") not in known:
+                from difflib import get_close_matches
+
+                near = get_close_matches(key, known, n=1)
+                meant = f", did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+                raise SettingsError(f"{self._at(where)}: {printable(key)} is not {what}{meant}")
+
+    def _at(self, where: str) -> str:
+        return f"{self._file} {where}".rstrip()
+
+
+def _environment(commands: Mapping[str, object], environ: Mapping[str, str]) -> Layer:
+    """The layer of the environment: BILPROV_BAUD for all commands, BILPROV_SNIFF_TIME for one."""
+    common: dict[str, Value] = {}
+    own: dict[str, dict[str, Value]] = {}
+    for name, value in environ.items():
+        if not name.startswith(PREFIX):
+            continue
+        key = name.removeprefix(PREFIX).lower().replace("_", "-")
+        command, _, rest = key.partition("-")
+        if key in COMMON:
+            common[key] = Value(value, name)
+        elif command in commands and rest:
+            own.setdefault(command, {})[rest] = Value(value, name)
+    return Layer(common, own, {})

@@ -1,0 +1,335 @@
+"""What this machine tells of its serial ports and who holds them; opens no port, changes nothing.
+
+Read from /sys, /proc, /dev and /run/udev, without being root. Where a system has no such files
+(macOS, Windows) nothing is known, and nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import grp
+import os
+import pwd
+import stat
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from bilprov.captures.text import printable
+
+_COMMAND_CHARACTERS = 40  # of a command line, which is enough to recognise a program
+_PTYS = "/dev/pts/"
+# Programs that take serial ports for something else, by the name of their process.
+MODEM_MANAGER, BRLTTY = "ModemManager", "brltty"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Process:
+    """A process: its id, its name, and the beginning of its command line."""
+
+    pid: int
+    name: str
+    command: str
+
+    def __str__(self) -> str:
+        return f"{self.command} (pid {self.pid})"
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Who has a port open: `holders`, and the `server` at the other end of a pty.
+
+    `own` if this process is one. `unseen` processes belong to other users, so that their open files
+    cannot be seen: one of them may be a holder too.
+    """
+
+    holders: tuple[Process, ...] = ()
+    server: Process | None = None
+    unseen: int = 0
+    own: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """A USB device: its folder in /sys, its vendor and product id in hex, its serial number."""
+
+    folder: Path
+    vendor: str
+    product: str
+    serial: str
+    title: str
+
+    @property
+    def identity(self) -> str:
+        """Vendor and product as `lsusb` writes them, like `0403:6001`."""
+        return f"{self.vendor}:{self.product}"
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """To whom a device belongs, and whether it lets that group read and write."""
+
+    user: str
+    group: str
+    group_may: bool
+
+
+class Machine:
+    """The files of a Linux machine below `root`, which is the machine's own unless a test says so.
+
+    Ports are given by name: a path, also one that is a symbolic link such as those in
+    /dev/serial/by-id. Nothing here raises: what is not there, or may not be read, is empty.
+    """
+
+    def __init__(self, root: str | Path = "/") -> None:
+        self._root = Path(root)
+
+    def file(self, path: str) -> Path:
+        """The file that has this absolute path on the machine."""
+        return self._root / path.lstrip("/")
+
+    def device(self, name: str) -> str:
+        """The path of the device that a name leads to: links resolved, as /proc shows it."""
+        here, root = str(self.file(str(Path(name).absolute())).resolve()), str(self._root.resolve())
+        return here.removeprefix(root) if here.startswith(f"{root}/") else here
+
+    def title(self, name: str) -> str:
+        """The name that the kernel gives the device, like `ttyUSB0`."""
+        return Path(self.device(name)).name
+
+    def is_pty(self, name: str) -> bool:
+        """Whether the name leads to a pseudo terminal."""
+        return self.device(name).startswith(_PTYS)
+
+    def is_terminal(self, name: str) -> bool:
+        """Whether the device is a serial port or another terminal; true where nothing is known."""
+        known = self.file("/sys/class/tty")
+        return self.is_pty(name) or not known.is_dir() or (known / self.title(name)).exists()
+
+    # Who holds a port
+
+    def held(self, *names: str) -> dict[str, Held]:
+        """Who has each of the ports open, and which processes cannot be looked into."""
+        devices = {self.device(name) for name in names}
+        indexes = {path.removeprefix(_PTYS): path for path in devices if path.startswith(_PTYS)}
+        holders: dict[str, set[int]] = {path: set() for path in devices}
+        servers: dict[str, int] = {}
+        unseen: set[int] = set()
+        for pid in self._processes():
+            try:
+                opened = list(self.file(f"/proc/{pid}/fd").iterdir())
+            except PermissionError:
+                if self._read(f"/proc/{pid}/cmdline"):  # a thread of the kernel has none
+                    unseen.add(pid)
+                continue
+            except OSError:  # it has just ended
+                continue
+            for entry in opened:
+                path = _target(entry)
+                if path in holders:
+                    holders[path].add(pid)
+                elif indexes and path.endswith("/ptmx"):
+                    said = self._read(f"/proc/{pid}/fdinfo/{entry.name}")
+                    index = _value(said, "tty-index:")
+                    if index in indexes:
+                        servers[indexes[index]] = pid
+        own, found = os.getpid(), {}
+        for path in devices:
+            pids = holders[path] | self._lockers(path)
+            found[path] = Held(
+                tuple(self.process(pid) for pid in sorted(pids - {own, servers.get(path)})),
+                self.process(servers[path]) if path in servers else None,
+                len(unseen - pids),
+                own in pids,
+            )
+        return {name: found[self.device(name)] for name in names}
+
+    def running(self, name: str) -> bool:
+        """Whether a process of that name runs."""
+        return any(self._read(f"/proc/{pid}/comm") == name for pid in self._processes())
+
+    def process(self, pid: int) -> Process:
+        """What anybody may see of a process."""
+        name = printable(self._read(f"/proc/{pid}/comm"))
+        words = [word for word in self._read(f"/proc/{pid}/cmdline").split("\0") if word]
+        # Of a program in Python its name is what counts, not where that is.
+        if words and Path(words[0]).name.startswith("python"):
+            words[1:2] = [Path(word).name for word in words[1:2]]
+        line = " ".join([Path(words[0]).name, *words[1:]]) if words else name
+        if len(line) > _COMMAND_CHARACTERS:
+            line = line[: _COMMAND_CHARACTERS - 1] + "…"
+        return Process(pid, name, printable(line) or "a process without a name")
+
+    def is_own(self, pid: int) -> bool:
+        """Whether a process is this user's, who may then end it."""
+        try:
+            return os.geteuid() in (0, self.file(f"/proc/{pid}").stat().st_uid)
+        except OSError:
+            return False
+
+    def lock_file(self, name: str) -> tuple[str, int] | None:
+        """The lock file that terminal programs leave for a port, and the process it names."""
+        for folder in ("/run/lock", "/var/lock", "/var/spool/lock"):
+            path = f"{folder}/LCK..{self.title(name)}"
+            words = self._read(path).split()
+            if words and words[0].isascii() and words[0].isdigit():
+                return path, int(words[0])
+        return None
+
+    def is_running(self, pid: int) -> bool:
+        """Whether a process of that id runs."""
+        return self.file(f"/proc/{pid}").exists()
+
+    def is_console(self, name: str) -> bool:
+        """Whether the kernel writes its messages to the port."""
+        used = self._read("/sys/class/tty/console/active").split()
+        return self.title(name) in used
+
+    # Permission
+
+    def owner(self, name: str) -> Owner | None:
+        """To whom the device belongs; None if there is no device."""
+        try:
+            found = self.file(self.device(name)).stat()
+        except OSError:
+            return None
+        rights = stat.S_IRGRP | stat.S_IWGRP
+        return Owner(_user(found.st_uid), _group(found.st_gid), found.st_mode & rights == rights)
+
+    def is_member(self, group: str) -> bool:
+        """Whether this user is listed in a group; a session that began before is not in it yet."""
+        members = _value(self._read("/etc/group"), f"{group}:").rpartition(":")[2]
+        return _user(os.geteuid()) in members.split(",")
+
+    def may_open(self, name: str) -> bool:
+        """Whether this process may read and write the device."""
+        effective = os.access in os.supports_effective_ids
+        rights = os.R_OK | os.W_OK
+        return os.access(self.file(self.device(name)), rights, effective_ids=effective)
+
+    # The adapter
+
+    def usb(self, name: str) -> UsbDevice | None:
+        """The USB device that the port belongs to; None for any other port."""
+        folder = self._folder(name)
+        return next((made for up in [folder, *folder.parents] if (made := _usb(up))), None)
+
+    def driver(self, name: str) -> str:
+        """The name of the port's driver, "" if there is none."""
+        folder = self._folder(name)
+        while _target(folder / "subsystem").endswith("/serial-base"):
+            folder = folder.parent  # newer kernels put two folders of their own in between
+        return Path(_target(folder / "driver")).name
+
+    def latency_timer(self, name: str) -> int | None:
+        """For how many ms the adapter holds bytes back; None for one that has no such timer."""
+        said = _text(self._folder(name) / "latency_timer")
+        return int(said) if said.isascii() and said.isdigit() else None
+
+    def no_hardware(self, name: str) -> bool:
+        """Whether the port is a name that the driver keeps ready for a chip that is not there."""
+        return self._read(f"/sys/class/tty/{self.title(name)}/type") == "0"
+
+    def by_id(self, name: str) -> str:
+        """The name in /dev/serial/by-id, which stays when adapters are plugged in anew, or ""."""
+        device = self.device(name)
+        with suppress(OSError):
+            for entry in sorted(self.file("/dev/serial/by-id").iterdir()):
+                path = f"/dev/serial/by-id/{entry.name}"
+                if self.device(path) == device:
+                    return path
+        return ""
+
+    def properties(self, name: str) -> Mapping[str, str]:
+        """What udev's rules say of the port and its USB device, by name of the property."""
+        usb = self.usb(name)
+        number = self._read(f"/sys/class/tty/{self.title(name)}/dev")
+        return (self._udev(_text(usb.folder / "dev")) if usb else {}) | self._udev(number)
+
+    def taken_for_braille(self) -> list[UsbDevice]:
+        """USB devices that brltty has taken for a Braille display, while it runs."""
+        found = []
+        with suppress(OSError):
+            for folder in sorted(self.file("/sys/bus/usb/devices").iterdir()):
+                usb = _usb(folder)
+                if usb and for_braille(self._udev(_text(folder / "dev"))):
+                    found.append(usb)
+        return found if found and self.running(BRLTTY) else []
+
+    def _folder(self, name: str) -> Path:
+        """The folder of the port's device in /sys; one that is not there for other ports."""
+        return self.file(f"/sys/class/tty/{self.title(name)}/device").resolve()
+
+    def _udev(self, number: str) -> dict[str, str]:
+        """What udev's database has of a character device, by its `MAJOR:MINOR`."""
+        lines = self._read(f"/run/udev/data/c{number}").splitlines() if number else []
+        pairs = (line[2:].partition("=") for line in lines if line.startswith("E:"))
+        return {key: value for key, _, value in pairs}
+
+    def _processes(self) -> Iterator[int]:
+        with suppress(OSError):
+            for entry in self.file("/proc").iterdir():
+                if entry.name.isascii() and entry.name.isdigit():
+                    yield int(entry.name)
+
+    def _lockers(self, path: str) -> set[int]:
+        """The processes that hold a lock (flock) on a device; anybody may see those."""
+        try:
+            found = self.file(path).stat()
+        except OSError:
+            return set()
+        where = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
+        locks = (line.split() for line in self._read("/proc/locks").splitlines())
+        held = (lock[4] for lock in locks if len(lock) > 5 and lock[5] == where)
+        # 0 and -1 stand for a process that this one cannot see, as from inside a container.
+        return {int(pid) for pid in held if pid.isdigit() and pid != "0"}
+
+    def _read(self, path: str) -> str:
+        return _text(self.file(path))
+
+
+def for_braille(properties: Mapping[str, str]) -> bool:
+    """Whether udev's rules hand a device with these properties to brltty."""
+    return any(key.startswith("BRLTTY_") for key in properties)
+
+
+def _usb(folder: Path) -> UsbDevice | None:
+    vendor = _text(folder / "idVendor")
+    if not vendor:
+        return None
+    says = (printable(_text(folder / name)) for name in ("idProduct", "serial", "product"))
+    return UsbDevice(folder, printable(vendor), *says)
+
+
+def _text(path: Path) -> str:
+    """The text of a small file without the blanks around it; "" if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except (OSError, ValueError):  # ValueError: a name with a NUL
+        return ""
+
+
+def _target(link: Path) -> str:
+    try:
+        return str(link.readlink())
+    except OSError:
+        return ""
+
+
+def _value(text: str, label: str) -> str:
+    lines: Iterable[str] = text.splitlines()
+    return next((line.removeprefix(label).strip() for line in lines if line.startswith(label)), "")
+
+
+def _user(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)

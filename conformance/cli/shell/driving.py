@@ -1,0 +1,232 @@
+"""Does what is typed, line by line, on one robot: sends, shows the answers, looks, stops."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.typed_input import PAUSE, bytes_or_pause, fields_in_words
+from bilprov.analyzer.columns.decoder import Records
+from bilprov.analyzer.decode.records import DeviceRecord, Record
+from bilprov.analyzer.output.console import facts, heading, show
+from bilprov.analyzer.output.outputs import StreamOutput, write_out
+from bilprov.analyzer.output.text_lines import state_words
+from bilprov.analyzer.replay.answers import FLOOD, FLOOD_WORDS, AnswerCheck
+from bilprov.analyzer.replay.target import Target
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.closing import Closing
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.probes import Probe, ProbeError
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
+
+SEPARATOR = ";"
+COMMENT = "#"
+
+_STEP = 0.5  # s of waiting at most: a signal that came just before it began is noticed then
+_FACETS = ("motion", "speed", "steering", "led", "left", "right")
+
+
+class Driving(Closing):
+    """One robot at an open port, driven by lines of text; it is stopped on every way out.
+
+    `timeout` (ns) is the longest pause inside a frame. `probe` sees the robot, None if nothing
+    does. A robot that has driven `max_drive` s without a new instruction is stopped; 0 is no limit.
+
+    `target` is the robot, `check` counts what is wrong with its answers, `look` is what the probe
+    saw since the last instruction, and `over` is true once the user has asked to leave. `words` are
+    the words that can be typed besides instructions, and what they are for.
+    """
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        port: Port,
+        timeout: int,
+        stopper: Stopper,
+        output: StreamOutput,
+        probe: Probe | None,
+        max_drive: float,
+    ) -> None:
+        self.target = Target(protocol, port, timeout, stopper, self._heard)
+        self.check = AnswerCheck()
+        self.look: Look | None = None
+        self.over = False
+        self.words: dict[str, tuple[Callable[[], object], str]] = {
+            "help": (self._help, "shows this"),
+            "state": (self._tell_state, "shows what the instructions so far predict"),
+            "look": (self._tell_look, "shows what the probe sees"),
+            "stop": (partial(self._send, bytes([protocol.pad_byte])), "stops the robot"),
+            "home": (self._home, "stops it, and begins a new frame if one was cut short"),
+            "quit": (self._quit, "stops it and leaves, as Ctrl-D does"),
+        }
+        self._protocol = protocol
+        self._stopper = stopper
+        self._output = output
+        self._probe = probe
+        self._max_drive = max_drive
+        self._instructed = 0.0  # when the last instruction was sent (s)
+        self._unasked = 0  # bytes that answer no instruction, since the line began
+        self._abandoned = False  # the rest of the line
+
+    def begin(self) -> None:
+        """Home the robot and look at it. Raises LinkError and ProbeError."""
+        self.target.begin()
+        self._look_if_cheap()
+
+    def do(self, line: str) -> bool:
+        """Do what a line says, one item after the other; return whether all of it was done.
+
+        Pasted text may hold several lines. One with a mistake is not begun. A signal, the limit of
+        driving, and a device that floods abandon the rest. Raises ValueError for a mistake, in one
+        sentence; LinkError and ProbeError.
+        """
+        parts = [part.partition(COMMENT)[0] for part in line.splitlines()]
+        items = [item.strip() for item in SEPARATOR.join(parts).split(SEPARATOR)]
+        actions = [self._action(item) for item in items if item]
+        self._unasked, self._abandoned = 0, False
+        for action in actions:
+            action()
+            if self._broken_off:
+                break
+        else:
+            self._look_if_cheap()
+        return not (self._abandoned or self._stopper.stopped)
+
+    def attend(self, seconds: float = 0.0, also: Sequence[int] = ()) -> list[int]:
+        """Read what the robot sends, waiting at most `seconds` for it or for a descriptor.
+
+        Returns those of the descriptors `also` that are readable. Stops a robot that has driven too
+        long or that floods the line. Raises LinkError.
+        """
+        limited = self._max_drive > 0 and self.target.state.motion != Motion.STOPPED
+        until = self._instructed + self._max_drive
+        if limited:
+            seconds = min(seconds, until - time.monotonic())
+        flooded = self._unasked >= FLOOD
+        ready = self.target.pump(seconds, also)
+        if self._unasked >= FLOOD and not flooded:
+            self.halt(FLOOD_WORDS)
+        elif limited and time.monotonic() >= until:
+            self.halt(f"it has driven for {self._max_drive:g} s without a new instruction")
+        return ready
+
+    def halt(self, why: str) -> None:
+        """Stop the robot now, say why, and abandon the rest of the line.
+
+        Raises LinkError and ProbeError.
+        """
+        self._abandoned = True
+        self._home()
+        answered = self.target.answered_stops
+        note(f"{'stopped' if answered else 'the robot does not answer the stops'}: {why}")
+        self._look_if_cheap()
+
+    def close(self) -> None:
+        """Stop the robot and close its port; further calls do nothing."""
+        self.target.close()
+
+    @property
+    def seen(self) -> str:
+        """What the probe saw since the last instruction, in words; "" if nothing."""
+        if self.look is None:
+            return ""
+        return {True: "seen moving", False: "seen stopped", None: "not seen"}[self.look.moving]
+
+    @property
+    def _broken_off(self) -> bool:
+        return self._abandoned or self.over or self._stopper.stopped
+
+    def _heard(self, record: Record) -> None:
+        self.check.record(record)
+        if isinstance(record, DeviceRecord) and record.instruction is None:
+            self._unasked += 1
+            if self._unasked > FLOOD:
+                return
+        self._output.show(Records([record]))
+
+    def _action(self, item: str) -> Callable[[], object]:
+        """What an item of a line stands for. Raises ValueError if it stands for nothing."""
+        word = item.lower()
+        instructions = {spec.name.lower() for spec in self._protocol.instructions}
+        if word in self.words and word not in instructions:
+            return self.words[word][0]
+        what = bytes_or_pause(self._protocol, item, self.words)
+        if isinstance(what, float):
+            return partial(self._pause, what)
+        return partial(self._send, what)
+
+    def _send(self, data: bytes) -> None:
+        self.target.send(data)
+        self._instructed, self.look = time.monotonic(), None
+        self.target.settle()
+        self.attend()
+
+    def _pause(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while not self._broken_off and (left := until - time.monotonic()) > 0:
+            self.attend(min(left, _STEP))
+
+    def _home(self) -> None:
+        self.look = None
+        self.target.home()
+
+    def _quit(self) -> None:
+        self.over = True
+
+    def _tell_state(self) -> None:
+        moving = "moving" if self.target.state.moving else "not moving"
+        write_out(f"predicted: {state_words(self.target.state)}, {moving}\n")
+
+    def _tell_look(self) -> None:
+        if self._probe is None:
+            write_out("nothing sees the robot: begin with --probe\n")
+            return
+        self._look(self._probe)
+        facets = [
+            f"{name} {value}"
+            for name in _FACETS
+            if (value := getattr(self.look, name, None)) is not None
+        ]
+        write_out(f"{self.seen or 'not looked'}{': ' if facets else ''}{' '.join(facets)}\n")
+
+    def _look_if_cheap(self) -> None:
+        if self._probe is not None and not self._probe.costly:
+            self._look(self._probe)
+
+    def _look(self, probe: Probe) -> None:
+        """Ask the probe, reading the port meanwhile. Raises ProbeError and LinkError."""
+        self.look = None
+        until = time.monotonic() + probe.patience
+        probe.ask()
+        while self.look is None:
+            waits = probe.fileno()
+            left = until - time.monotonic()
+            if waits is not None and waits not in self.attend(min(left, _STEP), [waits]):
+                if self._stopper.stopped and probe.costly:  # a command, or a person: do not wait
+                    probe.close()
+                    return
+                if left <= 0:
+                    raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
+                continue
+            self.look = probe.take(time.monotonic_ns())
+
+    def _help(self) -> None:
+        specs = self._protocol.instructions
+        show(
+            heading("Instructions, in any case"),
+            facts((f"{spec.name} {fields_in_words(spec)}".strip(), spec.prose) for spec in specs),
+            heading("Also"),
+            facts(
+                [
+                    ("81 05", "bytes in hex, right or wrong"),
+                    (f"{PAUSE}500", "waits, in milliseconds; Ctrl-C stops the robot"),
+                    (SEPARATOR, "stands between several on a line"),
+                    (COMMENT, "begins a comment"),
+                    *((word, what) for word, (_, what) in self.words.items()),
+                ]
+            ),
+        )

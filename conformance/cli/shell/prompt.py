@@ -1,0 +1,146 @@
+"""The prompt on a terminal: completion, history, the state; unasked bytes come out above it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from prompt_toolkit import PromptSession
+from prompt_toolkit.application import get_app
+from prompt_toolkit.completion import CompleteEvent, Completer, Completion
+from prompt_toolkit.document import Document
+from prompt_toolkit.formatted_text import StyleAndTextTuples
+from prompt_toolkit.history import FileHistory, History, InMemoryHistory
+from prompt_toolkit.patch_stdout import patch_stdout
+
+from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.output.text_lines import state_words
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.cli.shell.completion import candidates
+from bilprov.conformance.cli.shell.driving import Driving
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
+
+_TURN = 0.05  # s between two looks at the port
+_MENU = 5  # lines
+
+
+class Prompt:
+    """Asks for lines on a terminal, and has them done, until the user or a signal ends it."""
+
+    def __init__(self, protocol: Protocol, driving: Driving, stopper: Stopper) -> None:
+        self._driving = driving
+        self._stopper = stopper
+        self._session: PromptSession[str] = PromptSession(
+            self._message,
+            completer=_Completer(protocol, driving),
+            complete_while_typing=False,
+            history=_history(),
+            reserve_space_for_menu=_MENU,
+        )
+
+    def run(self) -> None:
+        """Do what is typed. Raises LinkError and ProbeError."""
+        while not (self._driving.over or self._stopper.stopped):
+            line = self._line()
+            if line is None:
+                return
+            try:
+                self._driving.do(line)
+            except ValueError as error:
+                note(f"{error}; see help")
+            if self._stopper.withdraw(signal.SIGINT):
+                self._driving.halt("Ctrl-C")
+
+    def _line(self) -> str | None:
+        """Ask for a line; None at the end of the input."""
+        try:
+            # The signals stay with the Stopper. An exception must not wait for a key, as
+            # prompt_toolkit would have it: the robot may be moving.
+            with patch_stdout(raw=True):
+                return self._session.prompt(
+                    pre_run=self._begin_attending, set_exception_handler=False, handle_sigint=False
+                )
+        except KeyboardInterrupt:
+            return self._interrupted()
+        except EOFError:
+            # Ctrl-C that came as a signal: just before the prompt, or from another program.
+            return self._interrupted() if self._stopper.withdraw(signal.SIGINT) else None
+
+    def _interrupted(self) -> str | None:
+        """Ctrl-C at the prompt stops the robot; where nothing drives or is typed, it leaves."""
+        if self._driving.target.state.motion != Motion.STOPPED:
+            self._driving.halt("Ctrl-C")
+            return ""
+        return "" if self._session.default_buffer.text else None
+
+    def _begin_attending(self) -> None:
+        get_app().create_background_task(self._attend())
+
+    async def _attend(self) -> None:
+        """Attend to the robot while the user types, and end the prompt where that is needed."""
+        app = get_app()
+        ended: BaseException
+        try:
+            while not self._stopper.stopped:
+                before = self._driving.target.state
+                self._driving.attend()
+                if self._driving.target.state != before:
+                    app.invalidate()
+                await asyncio.sleep(_TURN)
+            ended = EOFError()
+        except Exception as error:
+            ended = error
+        if not app.is_done:
+            app.exit(exception=ended)
+
+    def _message(self) -> StyleAndTextTuples:
+        state, seen = self._driving.target.state, self._driving.seen
+        colour = "ansigreen" if state.motion == Motion.STOPPED else "ansiyellow bold"
+        return [
+            (colour, state_words(state)),
+            ("ansicyan", f", {seen}" if seen else ""),
+            ("", "> "),
+        ]
+
+
+class _Completer(Completer):
+    def __init__(self, protocol: Protocol, driving: Driving) -> None:
+        self._protocol = protocol
+        self._words = {word: meaning for word, (_, meaning) in driving.words.items()}
+
+    def get_completions(
+        self, document: Document, complete_event: CompleteEvent
+    ) -> Iterable[Completion]:
+        for one in candidates(self._protocol, self._words, document.text_before_cursor):
+            yield Completion(one.text, -one.replaced, display_meta=one.meaning)
+
+
+class _FileHistory(FileHistory):
+    """A history in a file that may be absent, unreadable, or not writable: then it is shorter."""
+
+    def load_history_strings(self) -> Iterable[str]:
+        try:
+            return list(super().load_history_strings())
+        except OSError:
+            return []
+
+    def store_string(self, string: str) -> None:
+        with suppress(OSError):
+            Path(os.fsdecode(self.filename)).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            super().store_string(string)
+
+
+def _history() -> History:
+    """The lines typed before, in the user's state folder (XDG); kept in memory if there is none."""
+    folder = Path(os.environ.get("XDG_STATE_HOME", ""))
+    if not folder.is_absolute():
+        try:
+            folder = Path.home() / ".local" / "state"
+        except RuntimeError:
+            return InMemoryHistory()
+    return _FileHistory(folder / "bilprov" / "shell_history")

@@ -1,0 +1,451 @@
+"""The screen does what its keys and the mouse ask, from 40 x 10 to 200 x 60 and below."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Input, SelectionList
+
+from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.screen.arrangement import arranged
+from bilprov.analyzer.screen.browser import KEYS, Browser
+from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.signs import PLAIN
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS, Event
+from tests.support.screens import browser, operated, text_of
+from tests.support.traffic import told
+
+SIZES = [(40, 10), (60, 15), (80, 24), (100, 30), (132, 43), (200, 60)]
+
+
+def drive(count: int = 60) -> list[Event]:
+    """A drive in which every tenth frame is cut short by one byte, and answered so."""
+    events: list[Event] = [Line(0, "open", "", "a \x1b[31mport")]
+    for at in range(count):
+        frame, answer = (b"\x80", b"\x04") if at % 10 == 9 else (bytes([0x11, at]), b"\0")
+        t = at * 10 * MS
+        events += [Chunk(t, "host", frame), Chunk(t + MS, "device", answer)]
+    return events
+
+
+def decoded(protocol: Protocol, events: list[Event]) -> list[Part]:
+    return told(StreamDecoder(protocol), events, [len(events)])
+
+
+@pytest.fixture
+def screen(protocol: Protocol) -> Browser:
+    return browser(protocol, decoded(protocol, drive()))
+
+
+def words_of(screen: Browser) -> str:
+    record = screen.frames.record
+    assert isinstance(record, HostRecord | DeviceRecord)
+    return record.words
+
+
+def test_keys_move_through_the_rows(screen: Browser) -> None:
+    rows = []
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        room = screen.frames.room
+        for key in ("down", "j", "up", "k", "pagedown", "pageup", "end", "G", "home", "g"):
+            await pilot.press(key)
+            rows.append(screen.frames.row)
+        assert rows[4] == room - 1
+
+    operated(screen, steps)
+    assert rows[:4] == [1, 2, 1, 0]
+    assert rows[5:] == [0, 120, 120, 0, 0]
+
+
+def test_n_goes_from_fault_to_fault_and_back(screen: Browser) -> None:
+    rows = []
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        for key in "nnNnN":
+            await pilot.press(key)
+            rows.append((screen.frames.row, words_of(screen)))
+        await pilot.press("N")
+        assert "no fault comes before" in text_of(screen)[-1]
+
+    operated(screen, steps)
+    assert [row for row, _ in rows] == [19, 39, 19, 39, 19]
+    assert rows[0][1].startswith("LED")
+
+
+async def type_filter(pilot: Pilot[Any], text: str) -> None:
+    await pilot.press("slash", *text)
+
+
+def test_a_filter_shows_what_passes_and_export_writes_it(
+    screen: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press(*"jjjj")
+        row = screen.frames.row
+        await type_filter(pilot, "speed < 9")
+        await pilot.press("enter")
+        assert (screen.frames.count, screen.frames.row) == (9, 5)
+        assert row == 4
+        assert "filter: speed < 9" in text_of(screen)[-1]
+        await pilot.press("x")
+        screen.screen.query_one(Input).value = "out.csv"
+        await pilot.press("enter")
+        while screen._export:
+            await pilot.pause(0.01)
+            screen.tick()
+        assert "9 rows written to out.csv" in text_of(screen)[-1]
+        await pilot.press("slash", *["backspace"] * 9, "enter")
+        assert screen.frames.count == 121
+
+    operated(screen, steps)
+    lines = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 10
+    assert lines[1].startswith("0.0,host,instruction,11 00,Speed,")
+
+
+def test_jsonl_is_exported_with_its_keys_and_no_file_is_overwritten(
+    screen: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.csv").write_text("precious")
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("x")
+        for name, words in (("there.csv", "never overwritten"), ("a.txt", ".csv or .jsonl")):
+            screen.screen.query_one(Input).value = name
+            await pilot.press("enter")
+            assert any(words in line for line in text_of(screen))
+        screen.screen.query_one(Input).value = "out.jsonl"
+        await pilot.press("enter")
+        while screen._export:
+            await pilot.pause(0.01)
+            screen.tick()
+
+    operated(screen, steps)
+    assert (tmp_path / "there.csv").read_text() == "precious"
+    assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
+
+
+def test_a_wrong_filter_says_so_under_it_and_escape_leaves_all_rows(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await type_filter(pilot, "speeed < 9")
+        await pilot.press("enter")
+        await pilot.pause()
+        shown = text_of(screen)
+        assert "filter / speeed < 9" in shown[-2]
+        assert "column" in shown[-1]
+        await pilot.press("escape")
+        assert screen.frames.has_focus
+        assert screen.frames.count == 121
+
+    operated(screen, steps)
+
+
+def test_tab_completes_names_and_values(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await type_filter(pilot, "late")
+        await pilot.pause()
+        assert "latency" in text_of(screen)[-1]
+        await pilot.press("tab")
+        assert screen.prompt.query_one(Input).value == "latency"
+        await pilot.press(*" > 1 and name == rotater", "tab")
+        assert screen.prompt.query_one(Input).value.endswith("RotateRight")
+
+    operated(screen, steps)
+
+
+def test_typed_letters_are_no_commands_while_a_filter_is_typed(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await type_filter(pilot, "q")
+        assert screen.prompt.query_one(Input).value == "q"
+
+    assert operated(screen, steps) is None
+    assert screen.return_value is None
+
+
+def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), live=True)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert screen.frames.row == 120  # a live view follows
+        await pilot.press("space")
+        for part in decoded(protocol, drive(10)):
+            screen.feed.recording.add(part)
+        screen.show_rows()
+        await pilot.pause()
+        assert "paused, 21 waiting" in text_of(screen)[0]
+        assert (screen.frames.count, screen.frames.row) == (121, 120)
+        await pilot.press("space")
+        assert (screen.frames.count, screen.frames.row) == (142, 141)
+
+    operated(screen, steps)
+
+
+def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), live=True)
+
+    def more() -> None:
+        for part in decoded(protocol, drive(1)):
+            screen.feed.recording.add(part)
+        screen.show_rows()
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("up")
+        more()
+        assert screen.frames.row == 119
+        await pilot.press("f")
+        assert screen.frames.row == 123
+        more()
+        assert screen.frames.row == 126
+        await pilot.press("f")
+        more()
+        assert screen.frames.row == 126
+
+    operated(screen, steps)
+
+
+def test_m_marks_rows_and_the_apostrophe_goes_round_them(screen: Browser) -> None:
+    rows = []
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("j", "m", "j", "j", "m")
+        assert sum("◆" in line for line in text_of(screen)) == 2
+        for _ in range(3):
+            await pilot.press("apostrophe")
+            rows.append(screen.frames.row)
+        await pilot.press("m", "apostrophe")
+        rows.append(screen.frames.row)
+
+    operated(screen, steps)
+    assert rows == [1, 3, 1, 3]
+
+
+def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
+    shown = []
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("end")
+        for _ in range(5):
+            shown.append(text_of(screen)[screen.frames.region.bottom - 1].split()[1])
+            await pilot.press("t")
+            await pilot.pause()
+
+    operated(screen, steps)
+    assert shown[0] == shown[4] == "0.591000"
+    assert shown[1] == "0.001000"
+    assert shown[3].endswith("T00:00:00.591000Z")
+
+
+def test_c_chooses_columns(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("c")
+        listed = screen.screen.query_one(SelectionList)
+        listed.deselect_all()
+        listed.select("time")
+        listed.select("state.speed")
+        await pilot.press("enter")
+        assert screen.frames.columns is not None
+        assert [column.name for column in screen.frames.columns] == ["time", "state.speed"]
+        assert text_of(screen)[2].split()[:2] == ["time", "speed"]
+
+    operated(screen, steps)
+
+
+def test_the_tree_and_the_bytes_show_the_chosen_field(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("j", "enter")
+        assert screen.fields.has_focus
+        await pilot.press(*"jjj")
+        group = screen.fields.group
+        assert group is not None
+        assert group.name == "speed"
+        await pilot.press("g", "enter")
+        assert not any("0001 ...." in line for line in text_of(screen))
+        await pilot.press("enter", "escape")
+        assert screen.frames.has_focus
+        await pilot.click("#hex", offset=(9, 1))
+        assert screen.fields.group is not None
+        assert screen.fields.group.name == "speed"
+
+    operated(screen, steps)
+
+
+def test_tab_goes_round_the_panes_and_enter_from_a_fault_to_its_frame(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("tab")
+        assert screen.fields.has_focus
+        await pilot.press("tab")
+        assert screen.faults.has_focus
+        await pilot.press("home", "down", "enter")
+        assert screen.frames.has_focus
+        assert screen.frames.row == 39
+
+    operated(screen, steps)
+
+
+def test_the_mouse_chooses_rows_and_fields_and_scrolls(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.click("#frames", offset=(10, 5))
+        assert screen.frames.row == 3
+        await pilot.click("#tree", offset=(10, 3))
+        assert screen.fields.group is not None
+        await pilot._post_mouse_events([_wheel_down()], "#frames", offset=(5, 5))
+        assert screen.frames.top == 3
+        width = screen.frames.size.width
+        bottom = (width - 1, screen.frames.size.height)
+        await pilot.mouse_down("#frames", offset=bottom)
+        await pilot.mouse_up("#frames", offset=bottom)
+        assert screen.frames.row == 120
+
+    operated(screen, steps)
+
+
+def _wheel_down() -> Any:
+    from textual import events
+
+    return events.MouseScrollDown
+
+
+def test_the_help_lists_every_key(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("question_mark")
+        await pilot.pause()
+        shown = "\n".join(text_of(screen))
+        assert all(key in shown for key in KEYS)
+        await pilot.press("q")
+        assert screen.frames.has_focus
+
+    operated(screen, steps)
+
+
+@pytest.mark.parametrize("key", ["q", "ctrl+c", "ctrl+q"])
+def test_the_screen_is_left_by(screen: Browser, key: str) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press(key)
+
+    operated(screen, steps)
+    assert screen.return_code == 0
+
+
+def test_a_session_that_would_be_lost_is_offered_for_saving(protocol: Protocol) -> None:
+    def offered() -> Browser:
+        screen = browser(protocol, decoded(protocol, drive()), live=True)
+        screen.feed.keeps = True
+        return screen
+
+    async def save(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("q", "escape")
+        assert screen.frames.has_focus
+        await pilot.press("q", "y")
+        screen.screen.query_one(Input).value = "kept.mcap"
+        await pilot.press("enter")
+
+    async def throw_away(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("q", "n")
+
+    assert operated(offered(), save) == "kept.mcap"
+    assert operated(offered(), throw_away) is None
+
+
+def test_a_long_filter_can_be_stopped(screen: Browser, protocol: Protocol) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        with screen.feed.recording.lock:  # so that the filter gets nowhere
+            screen._filter("faulty", compile_filter("faulty", protocol))
+            await pilot.pause()
+            assert "Esc stops it" in text_of(screen)[-1]
+            await pilot.press("escape")
+        assert screen._filtering is None or screen._filtering.cancelled.is_set()
+        while screen._filtering:
+            await pilot.pause(0.01)
+            screen.tick()
+        assert screen.frames.count == 121
+
+    operated(screen, steps)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (39, 9), (20, 5), (10, 2), (1, 1)])
+def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
+    screen = browser(protocol, decoded(protocol, drive()))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("n", "enter", "escape", "slash", "escape")
+        panes = [
+            widget.region
+            for name in ("head", "frames", "tree", "hex", "faults", "car", "figures", "status")
+            if (widget := screen.query_one(f"#{name}")).display
+        ]
+        if size not in SIZES:
+            return  # too small to be of use; it only must not fail
+        for at, region in enumerate(panes):
+            assert screen.screen.region.contains_region(region)
+            assert not any(region.overlaps(other) for other in panes[at + 1 :])
+        assert screen.frames.room >= 2
+        assert any("LED" in line for line in text_of(screen))
+        assert {len(line) for line in text_of(screen)} == {size[0]}
+
+    operated(screen, steps, size)
+
+
+def test_panes_go_in_order_and_the_frames_last() -> None:
+    def gone(width: int, height: int) -> list[str]:
+        panes = arranged(width, height)._asdict()
+        return [name for name in ("car", "figures", "faults", "tree", "hex") if not panes[name]]
+
+    everything = ["car", "figures", "faults", "tree", "hex"]
+    for width in range(10, 201, 5):
+        for height in range(1, 61):
+            missing = gone(width, height)
+            assert missing == everything[: len(missing)] or width < 76
+            panes = arranged(width, height)
+            below = max(panes.tree, panes.hex) if panes.beside else panes.tree + panes.hex
+            assert height < 10 or height - 2 - below - panes.faults >= 4
+    assert gone(200, 60) == gone(80, 24) == []
+
+
+def test_bytes_from_a_port_are_escaped_and_never_markup(protocol: Protocol) -> None:
+    events = [Line(0, "break", "host", "[red]x[/red] \x1b]0;title\x07 [@click=app.exit]y[/]")]
+    screen = browser(protocol, decoded(protocol, events))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        shown = "\n".join(text_of(screen))
+        assert "[red]x[/red]" in shown
+        assert "\x1b" not in shown
+        assert "\x07" not in shown
+
+    operated(screen, steps)
+
+
+def test_plain_signs_are_ascii(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), signs=PLAIN)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("n", "m", "enter")
+        assert "\n".join(text_of(screen)).isascii()
+        await pilot.press("escape", "q")
+
+    operated(screen, steps)
+
+
+def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol) -> None:
+    screen = browser(protocol, [])
+
+    def fail(feed: Feed[None]) -> None:
+        raise OSError("gone")
+
+    screen.feed._work = fail
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        pass
+
+    with pytest.raises(OSError, match="gone"):
+        operated(screen, steps)

@@ -1,0 +1,185 @@
+"""A packed recording has the rows, the anomalies and the filtered rows of its records."""
+
+from __future__ import annotations
+
+from threading import Event as Flag
+from threading import RLock
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.records import serious_faults
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.screen import recording as recordings
+from bilprov.analyzer.screen import row_set
+from bilprov.analyzer.screen.packed import PackedRecords, PackedStretch, packed
+from bilprov.analyzer.screen.recording import Recording, View
+from bilprov.analyzer.screen.row_set import RowSet
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.protocol import Protocol
+from tests.support.expressions import expressions
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+
+pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+
+def parts_of(
+    protocol: Protocol, acts: list[Act], batches: list[int], chosen: dict[str, Any]
+) -> list[Any]:
+    return told(StreamDecoder(protocol, **chosen), played(protocol, acts), batches)
+
+
+def recorded(protocol: Protocol, parts: list[Any]) -> Recording:
+    recording = Recording(protocol)
+    for part in parts:
+        recording.add(part)
+    return recording
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 4096]))
+def test_rows_are_the_records_in_order(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    chosen: dict[str, Any],
+    together: int,
+) -> None:
+    parts = parts_of(each_protocol, acts, batches, chosen)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recordings, "TOGETHER", together)
+        recording = recorded(each_protocol, parts)
+
+    records = records_of(parts)
+    assert recording.rows == len(records)
+    assert recording.records(range(len(records))) == records
+    assert recording.records(range(1, len(records), 3)) == records[1::3]
+    faulty = [row for row, record in enumerate(records) if serious_faults(record)]
+    assert recording.faults.slice(0, len(records)) == faulty
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(data=st.data(), acts=ACTS, batches=BATCHES, chosen=SETTINGS)
+def test_a_view_has_the_rows_whose_lines_pass(
+    each_protocol: Protocol,
+    data: st.DataObject,
+    acts: list[Act],
+    batches: list[int],
+    chosen: dict[str, Any],
+) -> None:
+    test = compile_filter(data.draw(expressions(each_protocol)), each_protocol)
+    parts = parts_of(each_protocol, acts, batches, chosen)
+    recording = Recording(each_protocol)
+    view = View(recording, test)
+    for part in parts:  # it grows while it is looked at
+        recording.add(part)
+        if data.draw(st.booleans()):
+            view.catch_up()
+    view.catch_up()
+
+    lines = [json_line(record) for record in records_of(parts)]
+    rows = [row for row, line in enumerate(lines) if line is not None and test(line)]
+    assert view.rows(0, len(lines)) == rows
+    assert (view.count, view.behind) == (len(rows), 0)
+    faulty = [row for row in rows if row in set(recording.faults.slice(0, len(lines)))]
+    at = data.draw(st.integers(0, len(lines)))
+    assert view.next_fault(at) == min((row for row in faulty if row > at), default=None)
+    assert view.fault_before(at) == max((row for row in faulty if row < at), default=None)
+    assert view.position(at) == sum(row < at for row in rows)
+
+
+def conversation(protocol: Protocol, count: int) -> list[Any]:
+    events = []
+    for at in range(count):
+        frame = bytes([0x11, at & 255]) if at % 10 else b"\x11"
+        events += [Chunk(at * 2000, "host", frame), Chunk(at * 2000 + 900, "device", b"\0")]
+    return told(StreamDecoder(protocol), events, [512])
+
+
+def test_a_frame_with_its_answer_takes_few_bytes(protocol: Protocol) -> None:
+    events = [
+        event
+        for at in range(20_000)
+        for event in (
+            Chunk(at * 1_000_000, "host", b"\x11\x05"),
+            Chunk(at * 1_000_000 + 900_000, "device", b"\0"),
+        )
+    ]
+    decoded = told(StreamDecoder(protocol), events, [len(events)])
+    wholes = [packed(stretch) for stretch in decoded]
+    one_by_one = packed(Records(records_of(decoded)))
+
+    assert all(isinstance(whole, PackedStretch) for whole in wholes)
+    assert sum(whole.nbytes for whole in wholes if isinstance(whole, PackedStretch)) < 600_000
+    assert isinstance(one_by_one, PackedRecords)
+    assert one_by_one.nbytes < 600_000
+
+
+def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
+    recording = recorded(protocol, conversation(protocol, 3000))
+    view = View(recording, compile_filter("direction == 'device'", protocol))
+    view.catch_up()
+    rows = view.rows(0, view.count)
+    last = recording.records([recording.rows - 1])
+    (some,) = recording.records([2500])
+    took = recording.nbytes
+
+    recording.let_go_older(some.t)
+
+    assert 0 < recording.first <= 2500
+    assert 0 < recording.nbytes < took
+    assert recording.records([recording.first - 1]) == []
+    assert recording.records([recording.rows - 1]) == last
+    assert view.first == sum(row < recording.first for row in rows)
+    assert View(recording).first == recording.first
+    late = View(recording, view.test)
+    late.catch_up()
+    assert late.rows(late.first, late.count) == view.rows(view.first, view.count)
+    assert view.fault_before(recording.first) is None
+
+
+def test_filtering_can_be_cancelled(protocol: Protocol) -> None:
+    recording = recorded(protocol, conversation(protocol, 3000))
+    view = View(recording, compile_filter("faulty", protocol))
+    cancelled = Flag()
+    cancelled.set()
+
+    view.catch_up(cancelled)
+
+    assert view.behind == recording.rows
+
+
+@settings(max_examples=60)
+@given(
+    masks=st.lists(st.lists(st.booleans() | st.just(False), max_size=40), max_size=8),
+    others=st.lists(st.booleans(), max_size=200),
+    row=st.integers(0, 330),
+)
+def test_a_row_set_counts_and_finds_as_a_list_does(
+    masks: list[list[bool]], others: list[bool], row: int
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(row_set, "PAGE", 16)
+        lock = RLock()
+        found, other = RowSet(lock), RowSet(lock)
+        for mask in masks:
+            found.append(np.array(mask, np.bool_))
+        other.append(np.array(others, np.bool_))
+        flat = [bit for mask in masks for bit in mask]
+        members = [at for at, bit in enumerate(flat) if bit]
+        both = [at for at in members if at < len(others) and others[at]]
+
+        assert (found.rows, found.members) == (len(flat), len(members))
+        assert found.before(row) == sum(at < row for at in members)
+        assert found.slice(row % 7, row % 50) == members[row % 7 : row % 50]
+        assert found.next(row) == min((at for at in members if at >= row), default=None)
+        assert found.last(row) == max((at for at in members if at < row), default=None)
+        assert found.next(row, other) == min((at for at in both if at >= row), default=None)
+        assert found.last(row, other) == max((at for at in both if at < row), default=None)

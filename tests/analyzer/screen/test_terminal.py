@@ -1,0 +1,235 @@
+"""The screen in a real terminal (tmux): what it shows at each size, and how it is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
+from tests.support.commands import process
+from tests.support.screens import PATIENCE, Tmux, terminal
+
+pytestmark = pytest.mark.waits
+
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
+SIZES = [(40, 10), (60, 15), (80, 24), (100, 30), (132, 43), (200, 60)]
+ECHO = "typed-in-the-shell"
+
+
+def left(tmux: Tmux, code: int = 0) -> list[str]:
+    """Wait for the command's end, and type into the shell: no key has reached it before."""
+    tmux.wait(f"ended {code}")
+    tmux.press(ECHO, "Enter")
+    give_up = time.monotonic() + PATIENCE
+    shown = tmux.lines()
+    while sum(ECHO in line for line in shown) < 2:  # the terminal's echo, and cat's
+        assert time.monotonic() < give_up, shown
+        time.sleep(0.05)
+        shown = tmux.lines()
+    at = next(at for at, line in enumerate(shown) if f"ended {code}" in line)
+    assert [line for line in shown[at + 1 :] if line] == [ECHO, ECHO]
+    return shown[:at]
+
+
+def test_browse_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_path: Path) -> None:
+    titles = ["frames", "bytes", "fields", "faults", "line", "predicted"]
+    with terminal(tmp_path, SIZES[0], "browse", str(SAMPLE)) as tmux:
+        tmux.wait("of 84")
+        tmux.press("n", "n")
+        for size, count in zip(SIZES, [2, 3, 6, 6, 6, 6], strict=True):
+            tmux.resize(size)
+            shown = tmux.settled(f"─{titles[count - 1]}─")
+            assert any("unused 15" in line for line in shown)
+            assert len(shown) == size[1]
+            assert max(map(len, shown)) <= size[0]
+            there = [name for name in titles if any(f"─{name}─" in line for line in shown)]
+            assert there == titles[:count]
+            assert shown[0].startswith("bilprov examples.mcap")
+            assert shown[0].endswith("32 of 84")
+            assert shown[-1].endswith("q quit")
+        tmux.press("q", "j", "j", "Enter", "x")
+        left(tmux)
+
+
+@contextmanager
+def tapped() -> Iterator[tuple[PtyPair, PtyPair]]:
+    with open_pty() as host, open_pty() as device:
+        yield host, device
+
+
+def talk(host: PtyPair, device: PtyPair, tmux: Tmux, words: str) -> list[str]:
+    """Say a frame now and then until the screen shows the words."""
+    give_up = time.monotonic() + PATIENCE
+    while True:
+        shown = tmux.lines()
+        if any(words in line for line in shown):
+            return shown
+        assert time.monotonic() < give_up, "\n".join(shown)
+        os.write(host.master, b"\x11\x50")
+        os.write(device.master, b"\0")
+        time.sleep(0.05)
+
+
+def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        tapped() as (host, device),
+        terminal(tmp_path, SIZES[0], "sniff", host.name, device.name, "-w", str(path)) as tmux,
+    ):
+        tmux.wait("q quit")
+        for size in SIZES:
+            tmux.resize(size)
+            talk(host, device, tmux, "Speed speed=80")
+            shown = tmux.settled("following")
+            assert max(map(len, shown)) <= size[0]
+            assert any("Speed speed=80" in line for line in shown)
+            assert shown[-1].endswith("q quit")
+        tmux.press("q", "q", "j")
+        assert any("instructions" in line for line in left(tmux))
+    assert not open_capture(path).unfinished
+
+
+def test_a_session_without_a_file_is_saved_if_asked(tmp_path: Path) -> None:
+    with (
+        tapped() as (host, device),
+        terminal(tmp_path, (80, 24), "sniff", host.name, device.name) as tmux,
+    ):
+        tmux.wait("q quit")
+        talk(host, device, tmux, "Speed speed=80")
+        tmux.press("q")
+        tmux.wait("Save the capture")
+        tmux.press("y")
+        tmux.wait("Save the capture as")
+        tmux.press("kept.mcap")  # in place of the name that is proposed
+        tmux.wait("kept.mcap")
+        tmux.press("Enter")
+        assert any("kept.mcap" in line for line in left(tmux))
+    capture = open_capture(tmp_path / "kept.mcap")
+    assert not capture.unfinished
+    host_bytes = b"".join(
+        event.data for event in capture if isinstance(event, Chunk) and event.direction == "host"
+    )
+    assert host_bytes
+    assert host_bytes == b"\x11\x50" * (len(host_bytes) // 2)
+
+
+def pid_of(words: str) -> int:
+    """The process whose command line has these words."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            line = (folder / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"bilprov" in line and words.encode() in line:
+            return int(folder.name)
+    raise AssertionError(words)
+
+
+@pytest.mark.parametrize("how", ["C-c", signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
+    tmp_path: Path, how: str | signal.Signals
+) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        tapped() as (host, device),
+        terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux,
+    ):
+        tmux.wait("q quit")
+        talk(host, device, tmux, "Speed speed=80")
+        if isinstance(how, str):
+            tmux.press(how)
+        else:
+            os.kill(pid_of(str(path)), how)
+        left(tmux)
+    assert not open_capture(path).unfinished
+
+
+def test_a_terminal_that_goes_away_leaves_a_finished_capture(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with tapped() as (host, device):
+        with terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux:
+            tmux.wait("q quit")
+            talk(host, device, tmux, "Speed speed=80")
+        give_up = time.monotonic() + PATIENCE
+        while open_capture(path).unfinished:  # the server is killed by now, its terminals hang up
+            assert time.monotonic() < give_up
+            time.sleep(0.1)
+
+
+def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        open_pty() as device,
+        open_pty() as host,
+        terminal(tmp_path, (100, 30), "sniff", host.name, device.name, "-w", str(path)) as tmux,
+    ):
+        tmux.wait("q quit")
+        talk(host, device, tmux, "Speed speed=80")
+        host.close()
+        tmux.wait(host.name)
+        tmux.wait("unplugged")
+        tmux.press("q")
+        assert any("kept in" in line for line in left(tmux, code=2))
+    assert not open_capture(path).unfinished
+
+
+def test_a_replay_is_paced_on_the_screen_and_stays(tmp_path: Path) -> None:
+    with terminal(tmp_path, (80, 24), "replay", str(SAMPLE)) as tmux:
+        tmux.wait("84 of 84")
+        tmux.press("q")
+        left(tmux)
+
+
+def test_plain_means_lines_on_a_terminal(tmp_path: Path) -> None:
+    with terminal(tmp_path, (100, 50), "replay", "--plain", "--rate", "0", str(SAMPLE)) as tmux:
+        assert any("→ 20" in line for line in left(tmux))
+
+
+def test_without_colours_and_without_utf_8_it_is_readable(tmp_path: Path) -> None:
+    with terminal(
+        tmp_path,
+        (80, 24),
+        *("browse", str(SAMPLE)),
+        NO_COLOR="1",
+        PYTHONIOENCODING="ascii",
+    ) as tmux:
+        tmux.wait("of 84")
+        tmux.press("n")
+        tmux.wait("!>")
+        coloured = "\n".join(tmux.lines("-e"))
+        assert coloured.isascii()
+        assert "\x1b[7m" in coloured  # the chosen row
+        assert not any(f"\x1b[{code}m" in coloured for code in range(30, 38))
+        tmux.press("q")
+        left(tmux)
+
+
+def test_browse_needs_a_terminal() -> None:
+    result = process("browse", str(SAMPLE))
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert b"needs a terminal" in result.stderr
+
+
+def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mcap"
+    with CaptureWriter(path, start_wall=0, metadata={}, version="1"):
+        pass
+    with terminal(tmp_path, (80, 24), "browse", str(path)) as tmux:
+        tmux.wait("holds no traffic")
+        tmux.press("n", "End", "Enter", "m", "'", "t", "/")
+        tmux.wait("filter /")
+        tmux.press("faulty", "Enter")
+        tmux.wait("filter: faulty")
+        tmux.press("q")
+        left(tmux)

@@ -1,0 +1,139 @@
+"""CSV: the rows and values of the JSON lines, harmless where they are opened."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
+from bilprov.analyzer.decode.json_lines import encode, json_line
+from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain, usual_columns
+from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
+from bilprov.captures.schemas import Line
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import decoded
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, told
+
+pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+
+WALL = 1_790_000_000_987_654_321
+
+
+def read_back(cell: str, sort: type) -> Any:
+    """What a cell says, if it is of this sort and not empty."""
+    if cell == "":
+        return None
+    return plain(cell) if sort is str else json.loads(cell)
+
+
+def flat(record: Record) -> dict[str, Any] | None:
+    """The JSON line of a record, with one key for each column of CSV."""
+    line = json_line(record)
+    if line is None:
+        return None
+    row = json.loads(encode(line))
+    for name in ("fields", "state"):
+        row |= {f"{name}.{key}": value for key, value in row.pop(name).items()}
+    row["faults"] = "; ".join(row["faults"])
+    return {key: None if value == "" else value for key, value in row.items()}
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(ACTS, BATCHES, SETTINGS)
+def test_rows_have_the_values_of_the_json_lines(
+    each_protocol: Protocol, acts: list[Act], batches: list[int], chosen: dict[str, Any]
+) -> None:
+    form = CsvText(usual_columns(each_protocol), Times())
+    text, expected = form.header, []
+    for part in told(StreamDecoder(each_protocol, **chosen), played(each_protocol, acts), batches):
+        expected += [row for record in part.records() if (row := flat(record)) is not None]
+        text += form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
+
+    rows = list(csv.DictReader(io.StringIO(text, newline="")))
+    assert len(rows) == len(expected)
+    for row, line in zip(rows, expected, strict=True):
+        told_row = {key: read_back(row[key], type(value)) for key, value in line.items()}
+        assert told_row == line
+        assert all(row[key] == "" for key in set(row) - set(line))
+
+
+@pytest.mark.slow
+@settings(max_examples=40)
+@given(ACTS, BATCHES, SETTINGS, st.sampled_from(TimeStyle))
+def test_each_column_of_a_part_is_that_of_its_records_one_by_one(
+    each_protocol: Protocol,
+    acts: list[Act],
+    batches: list[int],
+    chosen: dict[str, Any],
+    style: TimeStyle,
+) -> None:
+    columns = list(columns_of(each_protocol).values())
+    in_bulk, one_by_one = (CsvText(columns, Times(style, WALL)) for _ in range(2))
+
+    for part in told(StreamDecoder(each_protocol, **chosen), played(each_protocol, acts), batches):
+        expected = one_by_one.records(part.records())
+        if isinstance(part, Records):
+            assert in_bulk.records(part.listed) == expected
+        else:
+            assert in_bulk.stretch(part) == expected
+
+
+@given(st.text())
+def test_any_text_is_harmless_in_a_cell_and_comes_back(text: str) -> None:
+    cell = neutral(text)
+
+    assert plain(cell) == text
+    assert not cell.startswith(("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠"))
+    assert all(ord(sign) >= 32 for sign in cell)
+    (read, _), *_ = csv.reader(io.StringIO(csv_cell(text) + ",\r\n", newline=""))
+    assert read == cell
+
+
+@pytest.mark.parametrize(
+    ("value", "cell"),
+    [
+        ("=1+1", "'=1+1"),
+        ("@x", "'@x"),
+        ("-1", "'-1"),
+        ("'x", "''x"),
+        ("\t=1", "\\t=1"),
+        ("\r\n", "\\r\\n"),
+        ("\x1b[2J\u202e", "\\x1b[2J\\u202e"),
+        ("C:\\x1b", "C:\\\\x1b"),
+        ('say "a", b', '"say ""a"", b"'),
+        (-64, "-64"),
+        (-0.001, "-0.001"),
+        (True, "true"),
+        (None, ""),
+        ("", ""),
+    ],
+)
+def test_what_is_no_number_never_begins_a_formula(value: Any, cell: str) -> None:
+    assert csv_cell(value) == cell
+
+
+def test_hostile_words_of_a_capture_are_one_row(protocol: Protocol) -> None:
+    event = Line(0, "break", "host", '=HYPERLINK("http://x")\r\n,\x1b[2J')
+    columns = [columns_of(protocol)["reason"]]
+
+    text = CsvText(columns, Times()).records(decoded(Session(protocol), [event]))
+
+    assert text == '"\'=HYPERLINK(""http://x"")\\\\x0d\\\\x0a,\\\\x1b[2J"\r\n'
+
+
+def test_a_table_of_no_rows_has_its_header(protocol: Protocol) -> None:
+    form = CsvText(usual_columns(protocol, time=True), Times())
+
+    assert form.header.split(",")[:3] == ["time", "t", "direction"]
+    assert form.header.endswith(",faults\r\n")
+    assert form.records([]) == ""

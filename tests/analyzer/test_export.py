@@ -1,0 +1,478 @@
+"""`bilprov export`: the rows that replay shows in each format, whole files or none, flat memory."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+
+from bilprov.analyzer.cli.export import FORMATS
+from bilprov.analyzer.decode.json_lines import encode, json_line
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.export.foxglove_layout import foxglove_layout
+from bilprov.analyzer.export.text import write_csv, write_jsonl
+from bilprov.analyzer.output.csv_text import plain
+from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.captures import topics
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import Done, command, process
+from tests.support.decoding import Event, conversation, decoded
+from tests.support.traffic import ACTS, SETTINGS, Act, played
+from tests.support.wires import PATIENCE, running
+
+pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
+START = 1_790_000_000_123_456_789
+TALK = [(b"\x11\x7f", b"\0"), (b"\x20", b"\0"), (b"\x81\x05", b"\0"), (b"\x90", b"\1")]
+
+
+def written(
+    path: Path, events: Iterable[Event], chosen: dict[str, Any] | None = None, start: int = START
+) -> Path:
+    """A capture of events, with the settings of a Session."""
+    chosen = chosen or {}
+    timeout = chosen.get("timeout") or 50 * MS
+    metadata = {
+        "attached": "yes" if chosen.get("attached") else "no",
+        "heard": " ".join(sorted(chosen.get("heard", ("host", "device")))),
+        "skew_ms": str(chosen.get("skew", 0) / MS),
+        "truncation_timeout_ms": str(timeout / MS),
+    }
+    with CaptureWriter(path, start_wall=start, metadata=metadata, version="0") as writer:
+        for event in events:
+            if isinstance(event, Chunk):
+                writer.chunk(event)
+            else:
+                writer.write(event, event.t)
+    return path
+
+
+def exported(path: Path, style: str, *more: str) -> bytes:
+    done = command("export", str(path), "--format", style, "-o", "-", *more)
+    assert (done.returncode, done.stderr) == (0, b"")
+    return done.stdout
+
+
+def written_by(writer: Callable[..., None], capture: Capture, protocol: Protocol) -> bytes:
+    stream = io.BytesIO()
+    writer(capture, protocol, stream, test=None, window=Window(), progress=lambda size: None)
+    return stream.getvalue()
+
+
+def parquet_rows(data: bytes) -> list[dict[str, Any]]:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pip install 'bilprov[parquet]'")
+    table = parquet.read_table(io.BytesIO(data))
+    if "time" in table.column_names:  # Python has no nanoseconds
+        place = table.column_names.index("time")
+        assert str(table.schema.field(place).type) == "timestamp[ns, tz=UTC]"
+        table = table.set_column(place, "time", table["time"].cast("int64"))
+    rows: list[dict[str, Any]] = table.to_pylist()
+    return rows
+
+
+def flat(line: dict[str, Any]) -> dict[str, Any]:
+    """The values of a JSON line that are not null or empty, under the names of a table."""
+    row = dict(line)
+    for name in ("fields", "state"):
+        row |= {f"{name}.{key}": value for key, value in row.pop(name).items()}
+    return {key: value for key, value in row.items() if value not in (None, "", [])}
+
+
+def csv_rows(data: bytes) -> list[dict[str, Any]]:
+    """The rows of a CSV file as `flat` has them."""
+    texts = {"direction", "kind", "hex", "name", "judgement", "reason", "state.motion"}
+
+    def value(name: str, cell: str) -> Any:
+        if name == "faults":
+            return plain(cell).split("; ")
+        return plain(cell) if name in texts else json.loads(cell)
+
+    reader = csv.DictReader(io.StringIO(data.decode(), newline=""))
+    return [{name: value(name, cell) for name, cell in row.items() if cell} for row in reader]
+
+
+@pytest.mark.slow
+@settings(max_examples=25)
+@given(ACTS, SETTINGS)
+def test_each_format_has_the_records_of_a_session_one_by_one(
+    each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
+) -> None:
+    pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
+    from bilprov.analyzer.export.parquet import write_parquet
+
+    with tempfile.TemporaryDirectory() as folder:
+        events = played(each_protocol, [act for act in acts if act.pause >= 0])
+        path = written(Path(folder) / "a.mcap", events, chosen)
+        capture = open_capture(path)
+        session: Session = capture_session(capture, each_protocol)
+        records = decoded(session, capture.events())
+        texts = [encode(line) for record in records if (line := json_line(record))]
+        lines = [json.loads(text) for text in texts]
+
+        said = written_by(write_jsonl, capture, each_protocol)
+        table = csv_rows(written_by(write_csv, capture, each_protocol))
+        rows = parquet_rows(written_by(write_parquet, capture, each_protocol))
+
+    assert said == b"".join(text + b"\n" for text in texts)
+    assert table == [flat(line) for line in lines]
+    times = [record.t for record in records if json_line(record)]
+    for row, t, line in zip(rows, times, lines, strict=True):
+        assert (row.pop("t_ns"), row.pop("time")) == (t, START + t)
+        assert row.pop("bytes") == bytes.fromhex(line["hex"])
+        latency = row.pop("latency_ns")
+        assert (None if latency is None else latency / 1e9) == line["latency"]
+        assert {key: value for key, value in row.items() if value not in (None, "", [])} == flat(
+            line
+        )
+    for direction in ("host", "device"):
+        raw = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == direction)
+        for kept in (lines, table, rows):
+            mine = (row.get("hex", "") for row in kept if row.get("direction") == direction)
+            assert bytes.fromhex(" ".join(mine)) == raw
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        [],
+        ["--start", "0.5", "--end", "2"],
+        ["--filter", "direction == 'device'"],
+        ["--start", "1", "--filter", "faulty or agrees"],
+    ],
+    ids=" ".join,
+)
+def test_jsonl_is_what_replay_prints(more: list[str]) -> None:
+    shown = command("replay", str(SAMPLE), "--rate", "0", "--format", "jsonl", *more)
+
+    assert exported(SAMPLE, "jsonl", *more) == shown.stdout
+    assert len(csv_rows(exported(SAMPLE, "csv", *more))) == shown.stdout.count(b"\n") > 1
+    assert len(parquet_rows(exported(SAMPLE, "parquet", *more))) == shown.stdout.count(b"\n")
+
+
+def test_csv_is_what_replay_prints() -> None:
+    more = ["--columns", "time,t,direction,rgb,latency,reason", "--time", "delta"]
+    shown = command("replay", str(SAMPLE), "--rate", "0", "--format", "csv", *more)
+
+    assert exported(SAMPLE, "csv", *more) == shown.stdout
+
+
+def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.mcap", conversation(TALK))
+    asked = "t,T_ns,time,name,bytes,latency,latency_ns,speed,state.moving,faults"
+    first, answer, *_ = parquet_rows(exported(path, "parquet", "--columns", asked))
+
+    assert list(first) == [name.lower() for name in asked.split(",")]
+    assert (first["t"], first["t_ns"], first["bytes"]) == (0.02, 20 * MS, b"\x11\x7f")
+    assert first["time"] == START + 20 * MS
+    assert (first["speed"], first["state.moving"], first["faults"]) == (127, False, [])
+    assert (answer["latency"], answer["latency_ns"]) == (0.001, MS)
+
+
+def test_a_field_of_another_grammar_is_a_column(tmp_path: Path, horn_text: str) -> None:
+    path = written(tmp_path / "a.mcap", conversation([(b"\x91\x03", b"\0")]))
+    (tmp_path / "horn.py").write_text(horn_text)
+    more = ("export", str(path), "-o", "-", "--format")
+    for style, rows in (("csv", csv_rows), ("parquet", parquet_rows)):
+        done = command("--grammar", str(tmp_path / "horn.py"), *more, style)
+        assert done.returncode == 0
+        assert rows(done.stdout)[0]["fields.sound"] == 3
+
+
+def test_numbers_that_64_bits_cannot_hold_are_decimals(grammar_text: str) -> None:
+    pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
+    from bilprov.analyzer.export.parquet import write_parquet
+    from bilprov.spec.protocol import load
+
+    text = grammar_text.replace("BitStruct, Byte,", "BitStruct, Byte, BytesInteger,")
+    text = text.replace(
+        '"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(BytesInteger(15), 0, 2**120 - 1)'
+    )
+    protocol = load(text, "long.py")
+    with tempfile.TemporaryDirectory() as folder:
+        said = b"\x1f" + b"\xff" * 15
+        path = written(Path(folder) / "a.mcap", conversation([(said, b"\0")]))
+        row, _ = parquet_rows(written_by(write_parquet, open_capture(path), protocol))
+
+    assert row["fields.speed"] == row["state.speed"] == 2**120 - 1
+
+
+@pytest.mark.parametrize("start", [2**63, 2**63 - 50 * MS])
+def test_a_time_that_parquet_cannot_hold_is_one_sentence(tmp_path: Path, start: int) -> None:
+    path = written(tmp_path / "a.mcap", conversation(TALK), start=start)
+    done = command("export", str(path), "--format", "parquet", "-o", str(tmp_path / "a.parquet"))
+
+    assert done.returncode == 2
+    assert b"out of the range of Parquet (1677 to 2262): export it as csv" in done.stderr
+    assert done.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == [path]
+    assert csv_rows(exported(path, "csv"))
+
+
+def test_without_pyarrow_the_line_that_brings_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    out = tmp_path / "a.parquet"
+
+    done = command("export", str(SAMPLE), "--format", "parquet", "-o", str(out))
+
+    assert done.returncode == 2
+    assert done.stderr == (
+        b"bilprov: parquet needs pyarrow, which is not installed: pip install 'bilprov[parquet]'\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_hostile_words_of_a_capture_stay_in_their_cell(tmp_path: Path) -> None:
+    hostile = '=cmd|"/c calc"!A1\r\n@x,\x1b[2J\u202e'
+    events = [
+        Line(0, hostile, "", hostile),
+        Line(MS, "break", "", "+1"),
+        Chunk(MS, "host", b"\0"),
+    ]
+    path = written(tmp_path / "a.mcap", events)
+
+    for style in ("csv", "jsonl"):
+        assert exported(path, style).decode().replace("\r\n", "").replace("\n", "").isprintable()
+    for row in parquet_rows(exported(path, "parquet")):
+        assert all(text.isprintable() for text in row.values() if isinstance(text, str))
+    assert exported(path, "csv").decode().splitlines()[1].startswith("0.001,,fault,,break,")
+    assert ",'+1," in exported(path, "csv").decode()
+
+
+@pytest.mark.parametrize("style", FORMATS)
+def test_nothing_is_overwritten_unless_it_is_forced(tmp_path: Path, style: str) -> None:
+    out = tmp_path / "out"
+    out.write_bytes(b"mine")
+    words = ("export", str(SAMPLE), "--format", style, "-o", str(out))
+
+    refused = command(*words)
+    assert (refused.returncode, out.read_bytes()) == (2, b"mine")
+    assert b"exists: name another file, or say --force" in refused.stderr
+
+    assert command(*words, "--force").returncode == 0
+    assert out.read_bytes() == exported(SAMPLE, style)
+    assert list(tmp_path.iterdir()) == [out]
+
+
+WRONG = [
+    ([], "say what to write where"),
+    ([str(SAMPLE), "--format", "csv"], "say what to write where"),
+    ([str(SAMPLE), "--format", "xlsx", "-o", "-"], "'xlsx' is not one of"),
+    (["nowhere.mcap", "--format", "csv", "-o", "-"], "does not exist"),
+    ([str(SAMPLE), "--format", "csv", "-o", str(SAMPLE / "x.csv")], "in a folder that exists"),
+    ([str(SAMPLE), "--format", "csv", "-o", str(SAMPLE), "--force"], "overwrite the capture"),
+    ([str(SAMPLE), "--format", "csv", "-o", "-", "--columns", "rbg"], "did you mean rgb?"),
+    ([str(SAMPLE), "--format", "csv", "-o", "-", "--columns", "t", "--time", "utc"], "name it in"),
+    ([str(SAMPLE), "--format", "jsonl", "-o", "-", "--columns", "t"], "is for csv and parquet"),
+    ([str(SAMPLE), "--format", "parquet", "-o", "-", "--time", "utc"], "--time is for csv, not"),
+    ([str(SAMPLE), "--format", "csv", "-o", "-", "--start", "2", "--end", "1"], "is not after"),
+    ([str(SAMPLE), "--format", "csv", "-o", "-", "--filter", "rbg > 1"], "rbg"),
+    (["--foxglove-layout", str(SAMPLE)], "it takes no capture"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "part"), WRONG, ids=lambda value: str(value)[-40:])
+def test_wrong_use_is_one_sentence(arguments: list[str], part: str) -> None:
+    done = command("export", *arguments)
+
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert part in done.stderr.decode()
+    assert done.stderr.count(b"\n") == 1
+
+
+FULL = """
+import resource, signal, sys
+from bilprov.__main__ import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
+main(["export", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("style", FORMATS)
+def test_a_full_disk_is_one_sentence_and_leaves_no_file(tmp_path: Path, style: str) -> None:
+    out = tmp_path / "out"
+
+    done = process(str(SAMPLE), "--format", style, "-o", str(out), code=FULL)
+
+    assert done.returncode == 2
+    assert done.stderr.decode() == f"bilprov: {out} cannot be written: File too large\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("style", FORMATS)
+def test_a_reader_that_goes_away_ends_it_quietly(style: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = ["export", str(SAMPLE), "--format", style, "-o", "-"]
+    done = subprocess.run(
+        [sys.executable, "-m", "bilprov", *words],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        timeout=PATIENCE,
+        check=False,
+    )
+    os.close(writer)
+
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def much(path: Path, kilobytes: int) -> Path:
+    """A capture with so much of the host in regular traffic, and its answers."""
+    said = (b"\x11\x7f\x20\x81\x05\x00" * 1000)[:6000]
+    answered = bytes(4000)
+    pairs = range(kilobytes * 1_000 // len(said))
+    events = (
+        Chunk(at * 2 * MS + late, side, data)  # type: ignore[arg-type]
+        for at in pairs
+        for late, side, data in ((0, "host", said), (MS, "device", answered))
+    )
+    return written(path, events)
+
+
+PEAK = """
+import resource, sys
+from bilprov.__main__ import main
+try:
+    main(["export", *sys.argv[1:]])
+finally:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, file=sys.stderr)
+"""
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("style", FORMATS)
+def test_memory_does_not_grow_with_the_capture(tmp_path: Path, style: str) -> None:
+    columns = ["--columns", "t,name"] if FORMATS[style].columns else []
+    peaks = []
+    for size in (250, 500):
+        path = much(tmp_path / f"{size}.mcap", size)
+        done = process(
+            str(path), "--format", style, "-o", str(tmp_path / f"{size}.out"), *columns, code=PEAK
+        )
+        assert done.returncode == 0, done.stderr
+        peaks.append(int(done.stderr))
+
+    more = (tmp_path / "500.out").stat().st_size - (tmp_path / "250.out").stat().st_size
+    assert style == "parquet" or more > 3_000_000
+    assert peaks[1] - peaks[0] < 15
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_export_leaves_no_file(tmp_path: Path, number: signal.Signals) -> None:
+    path, out = much(tmp_path / "a.mcap", 1500), tmp_path / "a.csv"
+    with running("export", str(path), "--format", "csv", "-o", str(out)) as export:
+        until = time.monotonic() + PATIENCE
+        while not any(part.stat().st_size > 100_000 for part in tmp_path.glob(".a.csv.*")):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        code, _, said = export.end(number)
+
+    assert (code, said.decode()) == (130, f"stopped: {out} was not written\n")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _on_a_terminal(*words: str, out: int | None = None) -> tuple[int, bytes]:
+    """Run the command with standard error (and output, if there is no `out`) on a terminal."""
+    ours, theirs = pty.openpty()
+    shown = b""
+    with subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *words],
+        stdout=theirs if out is None else out,
+        stderr=theirs,
+        cwd=ROOT,
+    ) as child:
+        os.close(theirs)
+        try:
+            while part := os.read(ours, 4_096):
+                shown += part
+        except OSError:  # the other end is closed
+            pass
+    os.close(ours)
+    return child.returncode, shown
+
+
+@pytest.mark.waits
+def test_progress_is_drawn_on_a_terminal(tmp_path: Path) -> None:
+    words = ("export", str(SAMPLE), "--format", "csv", "-o", str(tmp_path / "a.csv"))
+    code, shown = _on_a_terminal(*words, out=subprocess.DEVNULL)
+
+    assert code == 0
+    assert b"100%" in shown
+
+
+@pytest.mark.waits
+def test_what_is_no_text_is_not_written_to_a_terminal() -> None:
+    code, shown = _on_a_terminal("export", str(SAMPLE), "--format", "parquet", "-o", "-")
+
+    assert code == 2
+    assert b"is a terminal" in shown
+
+
+def _property(schema: dict[str, Any], path: str) -> dict[str, Any]:
+    for name in path.split("."):
+        schema = schema["properties"][name]
+    return schema
+
+
+def _panels(layout: Any) -> list[str]:
+    if isinstance(layout, str):
+        return [layout]
+    return _panels(layout["first"]) + _panels(layout["second"])
+
+
+def test_every_path_of_the_foxglove_layout_is_in_a_schema(each_protocol: Protocol) -> None:
+    layout = json.loads(foxglove_layout(each_protocol))
+    known = {topic.name: topic for topic in topics.TOPICS}
+    panels = layout["configById"]
+
+    assert sorted(_panels(layout["layout"])) == sorted(panels)
+    assert {name.split("!")[0] for name in panels} == {
+        *("Plot", "StateTransitions", "RawMessages", "RosOut")
+    }
+    for name, panel in panels.items():
+        for place in ("topicPath", "topicToRender"):
+            assert panel.get(place, "/state") in known
+        for path in panel.get("paths", ()):
+            topic, _, rest = path["value"].partition(".")
+            schema = json.loads(topics.json_schema(known[topic].value))
+            kind = _property(schema, rest.partition(".@")[0])["type"]
+            assert kind == "integer" or name.startswith("StateTransitions")
+    low, high = each_protocol.bounds["steering"]
+    assert panels["Plot!drive"]["minYValue"] <= low <= high <= panels["Plot!drive"]["maxYValue"]
+
+
+def test_the_foxglove_layout_needs_no_capture(tmp_path: Path) -> None:
+    def asked(*more: str) -> Done:
+        return command("export", "--foxglove-layout", *more)
+
+    assert json.loads(asked().stdout)["configById"]
+    out = tmp_path / "layout.json"
+    assert asked("-o", str(out)).returncode == 0
+    assert out.read_bytes() == asked().stdout
+    assert asked("-o", str(out)).returncode == 2

@@ -1,0 +1,88 @@
+"""Files written whole: what was there stays until the new content is complete."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.files import whole_file, write_whole
+
+
+def test_the_file_appears_when_it_is_whole(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    with whole_file(file) as out:
+        out.write(b"new")
+        assert not file.exists()
+
+    assert file.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_an_error_leaves_the_old_content_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"old")
+
+    def interrupted() -> None:
+        with whole_file(file) as out:
+            out.write(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert file.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_that_may_not_be_replaced_is_refused_before_anything_is_written(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"old")
+    begun = False
+    with pytest.raises(FileExistsError), whole_file(file, replace=False):
+        begun = True
+
+    assert not begun
+    assert file.read_bytes() == b"old"
+
+
+def test_a_file_that_appears_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+
+    def overtaken() -> None:
+        with whole_file(file, replace=False) as out:
+            out.write(b"ours")
+            file.write_bytes(b"theirs")
+
+    with pytest.raises(FileExistsError):
+        overtaken()
+    assert file.read_bytes() == b"theirs"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_that_is_replaced_keeps_its_mode_and_a_link_its_target(tmp_path: Path) -> None:
+    file, link = tmp_path / "a", tmp_path / "link"
+    file.write_bytes(b"old")
+    file.chmod(0o640)
+    link.symlink_to(file)
+
+    write_whole(link, b"new")
+
+    assert link.is_symlink()
+    assert (file.read_bytes(), file.stat().st_mode & 0o777) == (b"new", 0o640)
+
+
+def test_a_pipe_is_written_to_as_it_is(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    with whole_file(pipe, replace=False) as out:
+        out.write(b"through")
+    reader.join()
+
+    assert read == [b"through"]

@@ -1,0 +1,478 @@
+"""`bilprov plot`: the page's values are the recording's, and it is used in a real Chromium."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from itertools import accumulate
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.columns import timeline
+from bilprov.analyzer.decode.records import Record, serious_faults
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.codec import build, judge
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.tables import MOTIONS
+from tests.support import ROOT
+from tests.support.chromium import INSTALL, Browser, Page, chromium, running
+from tests.support.commands import command
+from tests.support.decoding import MS, Event, decoded, devices, hosts
+
+pytestmark = pytest.mark.waits
+
+EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
+SECOND = 1_000_000_000  # ns
+needs_chromium = pytest.mark.skipif(chromium() is None, reason=INSTALL)
+Open = Callable[..., Page]
+
+
+class Seen(HTMLParser):
+    """The elements of a page and their attributes, as a parser finds them."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+
+def written(path: Path, events: list[Event]) -> str:
+    about = {"attached": "no", "heard": "host device"}
+    with CaptureWriter(path, start_wall=10**18, metadata=about, version="1") as writer:
+        for event in events:
+            if isinstance(event, Chunk):
+                writer.chunk(event)
+            else:
+                writer.write(event, event.t)
+    return str(path)
+
+
+def page_of(file: str, *arguments: str) -> str:
+    result = command(*arguments, "plot", file, "--html", "-")
+    assert result.returncode == 0, result.stderr
+    return result.stdout.decode()
+
+
+def data_of(text: str) -> Any:
+    block = text.partition('id="data">')[2].partition("</script>")[0]
+    found = json.loads(block)
+    for part in ("states", "latencies", "marks"):
+        found[part]["t"] = list(accumulate(found[part]["t"]))
+    return found
+
+
+def records_of(file: str, protocol: Protocol) -> list[Record]:
+    capture = open_capture(file)
+    return decoded(capture_session(capture, protocol), capture.events())
+
+
+def drive(protocol: Protocol, frames: int, seed: int = 1) -> list[Event]:
+    """Frames of all kinds, of which a few are faulty, 20 ms apart, and their right answers."""
+    random, events = Random(seed), []
+    names = protocol.instructions
+    for number in range(frames):
+        spec = random.choice(names)
+        values = {part.name: random.randint(part.low, part.high) for part in spec.fields}
+        frame = build(protocol, spec.name, values)
+        if random.random() < 0.03:
+            frame = bytes([protocol.header_bytes[protocol.unused_ids[0], 0]])
+        t = 3 * SECOND + number * 20 * MS
+        events.append(Chunk(t, "host", frame))
+        answer = bytes([judge(protocol, frame).response.code])
+        events.append(Chunk(t + random.randrange(MS, 9 * MS), "device", answer))
+    return events
+
+
+# -- what is in the file --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [0, 400])
+def test_the_values_in_the_page_are_those_of_the_records(
+    tmp_path: Path, protocol: Protocol, frames: int
+) -> None:
+    file = written(tmp_path / "c.mcap", drive(protocol, frames)) if frames else EXAMPLES
+    records = records_of(file, protocol)
+
+    text = page_of(file)
+    data = data_of(text)
+
+    states = data["states"]
+    for record in hosts(records):
+        row = max(at for at, t in enumerate(states["t"]) if t <= record.known)
+        state = record.state
+        motion = MOTIONS.index(Motion(state.motion))
+        assert states["motion"][row] == 2 * motion + state.moving
+        assert states["speed"]["last"][row] == state.speed
+        assert states["steering"]["last"][row] == state.steering
+    latencies = data["latencies"]
+    answers = [(r.t, r.latency) for r in devices(records) if r.latency is not None]
+    assert list(zip(latencies["t"], latencies["low"], strict=True)) == answers
+    faults = [fault for record in records for fault in serious_faults(record)]
+    assert data["marks"] == {"t": [fault.t for fault in faults], "n": [1] * len(faults)}
+    assert data["steps"] == [0, 0]
+    rows = re.findall(r'<a href="#t=(\d+)">[^<]+</a></td><td>([^<]*)</td><td>([^<]*)</td>', text)
+    assert [(int(t), kind) for t, kind, _ in rows] == [(f.t, f.kind) for f in faults]
+    assert "Every change of the state" in text
+
+
+@pytest.fixture
+def little_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page has room for less, so that a recording need not be as long to be reduced."""
+    monkeypatch.setattr(timeline, "MOST", 500)
+    monkeypatch.setattr(timeline, "MOST_MARKS", 40)
+
+
+@pytest.mark.usefixtures("little_room")
+def test_a_long_recording_is_reduced_and_says_so(tmp_path: Path, protocol: Protocol) -> None:
+    file = written(tmp_path / "c.mcap", drive(protocol, 3000))
+
+    text = page_of(file)
+
+    data = data_of(text)
+    assert min(data["steps"]) > 0
+    assert "The recording is long: states are reduced" in text
+    assert max(data["states"]["speed"]["high"]) == protocol.bounds["speed"][1]
+    assert sum(data["latencies"]["count"]) == 3000
+    faults = [f for r in records_of(file, protocol) for f in serious_faults(r)]
+    assert sum(data["marks"]["n"]) == len(faults) > len(data["marks"]["n"])
+    assert " more</span>" in text
+
+
+@pytest.mark.slow
+def test_a_page_has_two_megabytes_at_most(tmp_path: Path, protocol: Protocol) -> None:
+    text = page_of(written(tmp_path / "c.mcap", drive(protocol, 16_000)))
+
+    # Little is reduced, so that it is near the most that a page can hold.
+    assert len(data_of(text)["latencies"]["t"]) == 16_000
+    assert len(text) < 2_000_000
+
+
+def test_it_is_one_file_that_asks_no_other_place(tmp_path: Path, protocol: Protocol) -> None:
+    text = page_of(written(tmp_path / "c.mcap", drive(protocol, 50)))
+    elements = Seen(text).elements
+
+    assert not {tag for tag, _ in elements} & {"link", "img", "iframe", "object", "embed", "base"}
+    assert not [attributes for _, attributes in elements if "src" in attributes]
+    assert not re.search(r"url\(|@import|https?:", text)
+    (policy,) = [a["content"] or "" for _, a in elements if a.get("http-equiv")]
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert "unsafe" not in policy
+    assert not [a for _, a in elements if "style" in a or any(key.startswith("on") for key in a)]
+
+
+def test_the_numbers_are_there_without_any_script(protocol: Protocol) -> None:
+    text = page_of(EXAMPLES).partition("<script")[0]
+
+    assert "<noscript>" in text
+    assert "41 as expected, 0 not" in text
+    for fault in (f for r in records_of(EXAMPLES, protocol) for f in serious_faults(r)):
+        assert fault.reason in text
+    for spec in protocol.instructions[:2]:
+        assert f'<th scope="row">{spec.name}</th>' in text
+
+
+@pytest.mark.parametrize("evil", ["<script>alert(1)</script>", "\x1b[31m\u202e", "'\"><img src=x>"])
+def test_hostile_text_makes_no_element_and_no_attribute(
+    tmp_path: Path, protocol: Protocol, evil: str
+) -> None:
+    def elements(detail: str, name: str) -> tuple[set[str], set[str], str]:
+        lines = [Line(3 * SECOND + 1, "gap", "host", detail)]
+        text = page_of(written(tmp_path / f"{name}.mcap", [*drive(protocol, 50)[:1], *lines]))
+        found = Seen(text).elements
+        return {tag for tag, _ in found}, {key for _, a in found for key in a}, text
+
+    tame, wild = elements("tame", "tame"), elements(evil, evil.replace("/", "_"))
+
+    assert wild[:2] == tame[:2]
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", wild[2])
+
+
+def test_another_grammar_draws_its_own(tmp_path: Path, horn_text: str, horn: Protocol) -> None:
+    grammar = tmp_path / "horn.py"
+    grammar.write_text(horn_text, encoding="utf-8")
+    file = written(tmp_path / "c.mcap", drive(horn, 60))
+
+    text = page_of(file, "--grammar", str(grammar))
+
+    assert '<th scope="row">Horn</th>' in text
+    assert len(data_of(text)["marks"]["t"]) < len(data_of(page_of(file))["marks"]["t"])
+
+
+def test_a_recording_of_nothing_still_makes_a_page(tmp_path: Path) -> None:
+    text = page_of(written(tmp_path / "c.mcap", []))
+
+    assert "No answer was paired" in text
+    assert "There is none." in text
+
+
+def test_times_that_only_a_forged_file_has_make_a_page_too(tmp_path: Path) -> None:
+    path = tmp_path / "c.mcap"
+    with CaptureWriter(path, start_wall=0, metadata={"attached": "no"}, version="1") as writer:
+        for t in (0, 1, (1 << 63) + 5):
+            writer.chunk(Chunk(t, "host", b"\x20"))
+            writer.chunk(Chunk(t, "device", b"\0"))
+
+    assert len(data_of(page_of(str(path)))["latencies"]["t"]) == 3
+
+
+def test_wrong_use_is_one_sentence_and_overwrites_nothing(tmp_path: Path) -> None:
+    older = tmp_path / "older.html"
+    older.write_text("older")
+
+    def wrong(*arguments: str) -> str:
+        result = command("plot", *arguments)
+        assert (result.returncode, result.stdout) == (2, b"")
+        (line,) = result.stderr.decode().splitlines()
+        return line
+
+    assert "say --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
+    assert older.read_text() == "older"
+    assert "would overwrite the input" in wrong(EXAMPLES, "--html", EXAMPLES, "--force")
+    assert "cannot be written" in wrong(EXAMPLES, "--html", str(tmp_path / "no" / "x.html"))
+    assert "missing option '--html'" in wrong(EXAMPLES)
+    assert "does not exist" in wrong(str(tmp_path / "no.mcap"), "--html", str(tmp_path / "x.html"))
+    assert "No space left on device" in wrong(EXAMPLES, "--html", "/dev/full")
+    assert command("plot", EXAMPLES, "--html", str(older), "--force").returncode == 0
+    assert older.read_text().startswith("<!doctype html>")
+    assert list(tmp_path.iterdir()) == [older]
+
+
+# -- in the browser -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with running(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    with browser.page() as tab:
+        tab.size(1280)
+        tab.scheme("light")
+        yield tab
+
+
+@pytest.fixture
+def show(page: Page, tmp_path: Path) -> Open:
+    """Opens the page about a capture; nothing may complain, nothing else may be asked for."""
+
+    def opened(capture: str, fragment: str = "") -> Page:
+        file = tmp_path / "plot.html"
+        file.write_text(page_of(capture), encoding="utf-8")
+        page.open(file.as_uri() + fragment)
+        page.wait("!tools.hidden")
+        settle(page)
+        assert page.complaints == []
+        assert page.requests == [file.as_uri() + fragment]
+        return page
+
+    return opened
+
+
+def settle(page: Page) -> None:
+    """Until what is due is drawn."""
+    page.eval("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def told(page: Page, what: str) -> str:
+    return str(page.eval(f"document.querySelector('#readout [data-of={what}]').textContent"))
+
+
+def seconds(page: Page) -> float:
+    return float(told(page, "time").removesuffix(" s"))
+
+
+def spot(page: Page, share: float, target: str = "#plot") -> tuple[float, float]:
+    """A place on the canvas, so far from its left edge to its right, at half its height."""
+    x, y = page.eval(
+        f"(() => {{ const c = document.querySelector('{target}');"
+        "c.scrollIntoView({block: 'center', behavior: 'instant'});"
+        "const r = c.getBoundingClientRect();"
+        f"return [r.x + r.width * {share}, r.y + r.height / 2] }})()"
+    )
+    return x, y
+
+
+def mouse(page: Page, kind: str, at: tuple[float, float], **more: Any) -> None:
+    page.call("Input.dispatchMouseEvent", type=kind, x=at[0], y=at[1], **more)
+    settle(page)
+
+
+def time_at(page: Page, share: float) -> float:
+    mouse(page, "mouseMoved", spot(page, share))
+    return seconds(page)
+
+
+def span(page: Page) -> float:
+    """How many seconds there are between two places."""
+    return time_at(page, 0.9) - time_at(page, 0.5)
+
+
+def colours(page: Page) -> int:
+    """How many colours the canvas shows."""
+    return int(
+        page.eval(
+            "(() => { const c = document.querySelector('#plot');"
+            "const d = new Uint32Array("
+            "c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer);"
+            "return new Set(d).size })()"
+        )
+    )
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_look_zoom_move_and_read(
+    protocol: Protocol, page: Page, show: Open, tmp_path: Path, width: int, scheme: str
+) -> None:
+    page.size(width)
+    page.scheme(scheme)
+    show(written(tmp_path / "c.mcap", drive(protocol, 400)))
+
+    # Nothing is wider than the window, the ground is as asked for, and the canvas is not empty.
+    assert page.eval("document.documentElement.scrollWidth") == width
+    red = page.eval("+getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0]")
+    assert (red > 128) is (scheme == "light")
+    assert colours(page) > 20
+    disabled = "document.querySelector('[data-do=all]').disabled"
+    assert page.eval(disabled)
+
+    # The wheel zooms at the place where it is turned, and back; a button shows all again.
+    whole, held = span(page), time_at(page, 0.7)
+    mouse(page, "mouseWheel", spot(page, 0.7), deltaX=0, deltaY=-600)
+    assert span(page) < whole / 2
+    assert time_at(page, 0.7) == pytest.approx(held, abs=0.05)
+    assert not page.eval(disabled)
+    assert page.eval("document.documentElement.scrollWidth") == width
+    near = span(page)
+    mouse(page, "mouseWheel", spot(page, 0.7), deltaX=0, deltaY=300)
+    assert near < span(page) < whole
+    page.click("#tools [data-do=all]")
+    settle(page)
+    assert span(page) == pytest.approx(whole, rel=0.01)
+
+    # A drag moves what is under the pointer along.
+    page.click("#tools [data-do=in]")
+    settle(page)
+    held = time_at(page, 0.6)
+    mouse(page, "mousePressed", spot(page, 0.6), button="left", clickCount=1)
+    mouse(page, "mouseMoved", spot(page, 0.7), button="left", buttons=1)
+    mouse(page, "mouseMoved", spot(page, 0.8), button="left", buttons=1)
+    mouse(page, "mouseReleased", spot(page, 0.8), button="left", clickCount=1)
+    assert time_at(page, 0.8) == pytest.approx(held, abs=whole / 50)
+
+    # Keys do the same.
+    page.eval("document.querySelector('#plot').focus()")
+    before = span(page)
+    page.press("+", 187, "+")
+    settle(page)
+    assert span(page) == pytest.approx(before / 2, rel=0.05)
+    page.press("0", 48, "0")
+    settle(page)
+    assert span(page) == pytest.approx(whole, rel=0.01)
+    assert page.complaints == []
+
+
+@needs_chromium
+def test_two_fingers_zoom_and_the_overview_moves(
+    protocol: Protocol, page: Page, show: Open, tmp_path: Path
+) -> None:
+    page.size(400)
+    show(written(tmp_path / "c.mcap", drive(protocol, 400)))
+    whole = span(page)
+
+    def fingers(kind: str, *shares: float) -> None:
+        points = [{"x": x, "y": y} for x, y in (spot(page, share) for share in shares)]
+        page.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+        settle(page)
+
+    fingers("touchStart", 0.4, 0.6)
+    fingers("touchMove", 0.3, 0.7)
+    fingers("touchMove", 0.2, 0.8)
+    fingers("touchEnd")
+    near = span(page)
+    assert near == pytest.approx(whole / 3, rel=0.15)
+
+    late = time_at(page, 0.5)
+    for kind in ("mousePressed", "mouseReleased"):
+        mouse(page, kind, spot(page, 0.9, "#map"), button="left", buttons=1, clickCount=1)
+    assert time_at(page, 0.5) > late + near / 2
+    assert span(page) == pytest.approx(near, rel=0.01)
+
+
+@needs_chromium
+def test_what_is_told_at_a_time_is_what_the_records_say(
+    protocol: Protocol, show: Open, tmp_path: Path
+) -> None:
+    file = written(tmp_path / "c.mcap", drive(protocol, 300))
+    records = records_of(file, protocol)
+    page = show(file)
+
+    for record in hosts(records)[::37]:
+        page.eval(f"location.hash = '#t={record.known + 10 * MS}'")
+        page.wait(
+            f"Math.abs({(record.known + 10 * MS) / 1e9} - parseFloat("
+            "document.querySelector('[data-of=time]').textContent)) < 0.01"
+        )
+        assert told(page, "motion").startswith(record.state.motion.replace("_", " "))
+        assert ("not moving" in told(page, "motion")) is (
+            record.state.motion != Motion.STOPPED and not record.state.moving
+        )
+        assert told(page, "speed") == str(record.state.speed)
+        assert told(page, "steering") == str(record.state.steering)
+        last = [r.latency for r in devices(records) if r.t <= record.known + 10 * MS][-1]
+        assert float(told(page, "latency").split()[0]) == pytest.approx((last or 0) / MS, rel=1e-3)
+
+
+@needs_chromium
+def test_an_anomaly_is_told_with_its_reason(protocol: Protocol, show: Open, tmp_path: Path) -> None:
+    file = written(tmp_path / "c.mcap", drive(protocol, 300))
+    faults = [fault for r in records_of(file, protocol) for fault in serious_faults(r)]
+    page = show(file)
+
+    page.eval("document.querySelector('#plot').focus()")
+    for fault in faults[:3]:
+        page.press("n", 78, "n")
+        settle(page)
+        assert fault.reason in told(page, "anomaly")
+        assert fault.kind in told(page, "anomaly")
+    page.press("N", 78, "N")
+    settle(page)
+    assert seconds(page) == pytest.approx(faults[1].t / 1e9, abs=0.02)
+    page.click("#anomalies tbody tr:nth-child(4) a")
+    settle(page)
+    assert seconds(page) == pytest.approx(faults[3].t / 1e9, abs=0.02)
+    assert page.eval("document.activeElement.id") == "plot"
+    page.click("#tools [data-do=all]")
+    page.click("#tools [data-do=next]")
+    settle(page)
+    assert faults[4].reason in told(page, "anomaly")
+
+
+@needs_chromium
+@pytest.mark.usefixtures("little_room")
+def test_a_long_recording_and_one_of_nothing_are_shown_without_a_complaint(
+    protocol: Protocol, page: Page, show: Open, tmp_path: Path
+) -> None:
+    for events in ([], drive(protocol, 3000)):
+        show(written(tmp_path / f"{len(events)}.mcap", events))
+        page.click("#tools [data-do=in]")
+        settle(page)
+        assert page.complaints == []
+        page.requests.clear()
+    assert " to " in told(page, "speed")

@@ -1,0 +1,125 @@
+"""The columns of a row, and the styles of its time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.output.row_columns import (
+    COLUMNS,
+    ColumnError,
+    Times,
+    TimeStyle,
+    cells,
+    chosen_columns,
+    columns_of,
+    row_values,
+)
+from bilprov.captures.schemas import Line
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS, conversation, decoded
+
+WALL = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
+
+
+@pytest.fixture
+def in_stockholm(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TZ", "Europe/Stockholm")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+def rows(protocol: Protocol, *exchanges: tuple[bytes, bytes]) -> list[JsonLine]:
+    lines = [json_line(record) for record in decoded(Session(protocol), conversation(exchanges))]
+    return [line for line in lines if line is not None]
+
+
+@pytest.mark.parametrize(
+    ("style", "first", "second"),
+    [
+        (TimeStyle.RELATIVE, "1.000000", "1.250001"),
+        (TimeStyle.DELTA, "0.000000", "0.250001"),
+        (TimeStyle.ABSOLUTE, "2023-11-14 23:13:21.000000", "2023-11-14 23:13:21.250001"),
+        (TimeStyle.UTC, "2023-11-14T22:13:21.000000Z", "2023-11-14T22:13:21.250001Z"),
+    ],
+)
+@pytest.mark.usefixtures("in_stockholm")
+def test_each_style_writes_the_time_in_its_way(style: TimeStyle, first: str, second: str) -> None:
+    times = Times(style, WALL)
+
+    assert [times.shown(1000 * MS), times.shown(1250 * MS + 1000)] == [first, second]
+    assert len(first) <= times.width
+
+
+@pytest.mark.usefixtures("in_stockholm")
+def test_the_hour_that_comes_twice_is_two_hours_of_utc() -> None:
+    before, after = 1_729_988_999, 1_729_992_599  # 2024-10-27 02:29:59 in summer and in winter
+
+    local = {Times(TimeStyle.ABSOLUTE, wall * 10**9).text(0) for wall in (before, after)}
+    utc = {Times(TimeStyle.UTC, wall * 10**9).text(0) for wall in (before, after)}
+
+    assert (len(local), len(utc)) == (1, 2)
+
+
+def test_delta_counts_from_the_row_shown_before_and_may_be_negative() -> None:
+    times = Times(TimeStyle.DELTA)
+
+    assert [times.shown(t * MS) for t in (5, 8, 6)] == ["0.000000", "0.003000", "-0.002000"]
+    assert times.text(9 * MS, 8 * MS) == "0.001000"
+
+
+def test_cells_are_for_people_and_values_for_programs(protocol: Protocol) -> None:
+    columns = chosen_columns("time,t_ns,NAME,rgb,id,len,data,latency,state.moving,agrees", protocol)
+    said, answered = rows(protocol, (b"\x81\x05", b"\0"))
+
+    assert cells(said, columns, Times()) == [
+        *("0.020000", "20000000", "LED", "5", "8", "1", "05", "", "false", "")
+    ]
+    assert cells(answered, columns, Times()) == [
+        *("0.021000", "21000000", "OK", "", "", "", "", "1.000 ms", "false", "true")
+    ]
+    assert row_values(answered, columns, Times())[-3:] == [0.001, False, True]
+
+
+def test_each_kind_of_row_has_a_text_in_each_column(each_protocol: Protocol) -> None:
+    events = conversation([(b"\x20", b"\0"), (b"\x11\xff", b"\7"), (b"\x90", b""), (b"", b"\0")])
+    events += [Line(900 * MS, "gap", "host", "\x1b[2J"), Line(901 * MS, "break", "", "x")]
+    lines = [json_line(record) for record in decoded(Session(each_protocol), events)]
+    columns = list(columns_of(each_protocol).values())
+
+    for line in lines:
+        if line is not None:
+            assert all(text.isprintable() for text in cells(line, columns, Times()))
+
+
+def test_columns_are_the_grammars_own_fields_too(each_protocol: Protocol) -> None:
+    names = {part.name for spec in each_protocol.instructions for part in spec.fields}
+
+    for name in names - set(COLUMNS):
+        plain, dotted = chosen_columns(f"{name},fields.{name}", each_protocol)
+        assert (plain.name, dotted.name) == (name, f"fields.{name}")
+    assert set(COLUMNS) < set(columns_of(each_protocol))
+
+
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    [
+        ("t,latncy", "there is no column 'latncy', did you mean latency?"),
+        ("t,,name", "there is no column ''"),
+        ("", "there is no column ''"),
+        ("t,T", "the column t is asked for twice"),
+        ("\x1b[2J", r"there is no column '\\x1b[2J'"),
+    ],
+)
+def test_a_wrong_column_is_one_sentence(protocol: Protocol, names: str, sentence: str) -> None:
+    with pytest.raises(ColumnError) as error:
+        chosen_columns(names, protocol)
+
+    assert str(error.value).startswith(sentence)
+    assert str(error.value).isprintable()

@@ -1,0 +1,254 @@
+"""Settings: which place comes first, what a project's file may not do, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bilprov import __main__ as front_door
+from bilprov.analyzer.cli.settings import PORTS
+from bilprov.analyzer.settings import COMMON, DEVICE_KEYS, read_settings
+from tests.support import commands
+from tests.support.commands import Done
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working folder; the user's file would stand in `home/bilprov` beside it."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    (tmp_path / "home" / "bilprov").mkdir(parents=True)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))
+    return folder
+
+
+def command(*arguments: str) -> Done:
+    return commands.command(*arguments, cwd=Path.cwd())
+
+
+def mine(place: Path, text: str) -> None:
+    (place.parent / "home" / "bilprov" / "config.toml").write_text(text)
+
+
+def theirs(place: Path, text: str) -> None:
+    (place / "bilprov.toml").write_text(text)
+
+
+def shown(*arguments: str) -> dict[tuple[str, str], tuple[object, str, bool]]:
+    """What `config show` says: value, source and use, by command and setting."""
+    result = command("config", "show", *arguments, "--format", "json")
+    assert (result.returncode, result.stderr) == (0, b"")
+    return {
+        (row["command"], row["setting"]): (row["value"], row["source"], row["used"])
+        for row in json.loads(result.stdout)
+    }
+
+
+def refused(*arguments: str) -> str:
+    result = command(*arguments)
+    lines = result.stderr.decode().splitlines()
+    assert (result.returncode, result.stdout, len(lines)) == (2, b"", 1)
+    return lines[0].removeprefix("bilprov: ")
+
+
+def test_later_places_come_before_earlier_ones(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine(place, "[decode]\nformat = 'jsonl'\nfrom = 'device'")
+    assert b'"kind":"response"' in command("decode", "00").stdout
+
+    theirs(place, "[decode]\nfrom = 'host'")
+    assert b'"kind":"instruction"' in command("decode", "00").stdout
+
+    monkeypatch.setenv("BILPROV_DECODE_FROM", "device")
+    assert b'"kind":"response"' in command("decode", "00").stdout
+
+    assert b'"kind":"instruction"' in command("decode", "00", "--from", "host").stdout
+
+
+def test_a_setting_for_all_commands_is_left_alone_by_those_without_it(place: Path) -> None:
+    mine(place, "baud = 9600")
+
+    assert command("encode", "Stop").stdout == b"00\n"
+    assert shown("sniff")["sniff", "baud"][0] == 9600
+
+
+def test_a_commands_own_table_comes_before_what_is_for_all(place: Path) -> None:
+    mine(place, "baud = 9600\n[sniff]\nbaud = 1200")
+
+    assert shown("sniff")["sniff", "baud"][0] == 1200
+    assert shown("conform")["conform", "baud"][0] == 9600
+
+
+def test_show_says_where_each_value_comes_from_and_which_are_not_used(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine(place, "baud = 9600\nparity = 'E'\n[device.car]\nport = '/dev/ttyUSB7'")
+    theirs(place, "baud = 1200")
+    monkeypatch.setenv("BILPROV_PARITY", "O")
+
+    user = str(place.parent / "home" / "bilprov" / "config.toml")
+    found = command("config", "show", "--format", "json").stdout
+    rows = [tuple(row.values()) for row in json.loads(found)]
+    assert rows == [
+        ("all", "baud", 9600, user, False),
+        ("all", "parity", "E", user, False),
+        ("device car", "port", "/dev/ttyUSB7", f"{user} [device.car]", True),
+        ("all", "baud", 1200, "bilprov.toml", True),
+        ("all", "parity", "O", "BILPROV_PARITY", True),
+    ]
+    for row in rows:
+        assert all(str(part) in command("config", "show").stdout.decode() for part in row[:3])
+
+
+def test_show_of_a_command_has_all_its_options(place: Path) -> None:
+    theirs(place, "[conform]\nlevel = 'smoke'")
+
+    found = shown("conform")
+    assert found["conform", "level"] == ("smoke", "bilprov.toml [conform]", True)
+    assert found["conform", "seed"] == (1, "the command's default", True)
+
+
+def test_nothing_set_is_said(place: Path) -> None:
+    assert command("config", "show").stdout.startswith(b"nothing is set")
+
+
+def test_a_named_device_stands_for_its_port_and_brings_its_options(place: Path) -> None:
+    mine(place, "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'")
+
+    assert "/nowhere/tty7" in refused("send", "car", "00", "--yes")
+    assert "/nowhere/tty7" in refused("conform", "car", "--yes")
+    assert "/nowhere/tty7" in refused("sniff", "--bridge", "car")
+
+
+def test_the_options_of_a_device_come_before_the_files_and_after_the_environment(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine(place, "baud = 1200\n[device.car]\nport = '/dev/x'\nbaud = 9600")
+    settings = read_settings(front_door.COMMANDS, {"XDG_CONFIG_HOME": str(place.parent / "home")})
+    device = settings.device("car")
+    assert settings.values_of("send", device)["baud"].value == 9600
+
+    monkeypatch.setenv("BILPROV_BAUD", "300")
+    settings = read_settings(front_door.COMMANDS)
+    assert settings.values_of("send", device)["baud"].value == "300"
+
+
+@pytest.mark.parametrize("word", ["sim", "./car", "/dev/car", "socket://car:1", "cart"])
+def test_a_path_a_url_and_sim_are_never_a_name(place: Path, word: str) -> None:
+    mine(place, "[device.car]\nport = '/dev/x'")
+
+    assert read_settings(front_door.COMMANDS).device(word) is None
+
+
+def test_a_file_of_that_name_is_a_path(place: Path) -> None:
+    mine(place, "[device.car]\nport = '/dev/x'")
+    assert read_settings(front_door.COMMANDS).device("car") is not None
+
+    (place / "car").touch()
+    assert read_settings(front_door.COMMANDS).device("car") is None
+
+
+DANGEROUS = [
+    ("yes = true", "yes = True"),
+    ("grammar = 'evil.py'", "grammar = evil.py"),
+    ("probe = 'exec:rm -r x'", "exec:rm -r x"),
+    ("[conform]\npower = 'exec:reboot'", "power"),
+    ("[conform]\nprobe = 'EXEC:x'", "EXEC:x"),
+    ("[conform]\nyes = false", "yes = False"),
+    ("[device.car]\nport = '/dev/x'\nprobe = 'exec:x'", "[device.car]"),
+    ("[device.car]\nport = '/dev/x'\nyes = true", "[device.car]"),
+    ("[device.car]\nport = 'spy:///dev/x?file=/etc/passwd'", "spy:"),
+    ("[device.car]\nport = 'alt://x?class=os.system'", "alt:"),
+    ("[sniff]\nwrite = '/home/x/.bashrc'", "/home/x/.bashrc"),
+    ("[conform]\nhtml = '../x.html'", "../x.html"),
+    ("[conform]\nonly = ['a', '~/x']", "only"),
+]
+
+
+@pytest.mark.parametrize(("text", "part"), DANGEROUS, ids=[text for text, _ in DANGEROUS])
+def test_a_projects_file_cannot_run_code_or_answer_or_write_elsewhere(
+    place: Path, text: str, part: str
+) -> None:
+    theirs(place, text)
+
+    sentence = refused("encode", "Stop")
+    assert sentence.startswith("bilprov.toml")
+    assert part in sentence
+    assert "which a project's file may not" in sentence
+
+
+@pytest.mark.parametrize(("text", "part"), DANGEROUS, ids=[text for text, _ in DANGEROUS])
+def test_the_users_own_file_may(place: Path, text: str, part: str) -> None:
+    mine(place, text)
+    if text.startswith("grammar"):
+        assert "evil.py cannot be read" in refused("encode", "Stop")
+    else:
+        assert command("encode", "Stop").stdout == b"00\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("boud = 1", "boud is not a setting of all commands, did you mean baud?"),
+        ("[snif]\nbaud = 1", "snif is not a command, did you mean sniff?"),
+        ("[encode]\nformta = 'json'", "encode has no option formta"),
+        ("[encode.x]\na = 1", "x is a table, allowed is a value"),
+        ("[device.car]\nprot = 1", "prot is not a setting of a device, did you mean port?"),
+        ("[device.'a/b']\nport = 'x'", "a device's name is letters, digits, - and _"),
+        ("[device.sim]\nport = 'x'", "a device's name is letters, digits, - and _, and not sim"),
+        ("[device]\ncar = 'x'", "it must be a table with a port"),
+        ("baud = ", "cannot be read"),
+        ("\x1b[31m = 1", "cannot be read"),
+    ],
+)
+def test_what_is_no_setting_is_one_sentence_with_its_place(
+    place: Path, text: str, part: str
+) -> None:
+    theirs(place, text)
+
+    sentence = refused("encode", "Stop")
+    assert "bilprov.toml" in sentence
+    assert part in sentence
+    assert sentence.isprintable()
+
+
+def test_a_value_that_its_option_does_not_take_is_one_sentence(place: Path) -> None:
+    theirs(place, "[decode]\nformat = 'xml'")
+    assert "bilprov.toml [decode]: format = xml: 'xml' is not one of" in refused("decode", "00")
+
+
+def test_a_device_without_a_port_is_one_sentence(place: Path) -> None:
+    theirs(place, "[device.car]\nbaud = 9600")
+    assert "bilprov.toml [device.car] names no port" in refused("send", "car", "00")
+
+
+def test_help_and_version_do_not_need_settings_that_can_be_read(place: Path) -> None:
+    theirs(place, "not toml")
+
+    assert command("--version").returncode == 0
+    assert command("sniff", "--help").returncode == 0
+
+
+def test_every_common_setting_is_an_option_of_some_command() -> None:
+    options = {"grammar"}
+    for name in front_door.COMMANDS:
+        result = command("config", "show", name, "--format", "json")
+        assert result.returncode == 0, result.stderr
+        options |= {row["setting"] for row in json.loads(result.stdout)}
+
+    assert set(COMMON) <= options
+    assert set(DEVICE_KEYS) - {"port"} <= options
+
+
+@pytest.mark.parametrize("name", PORTS)
+def test_the_parameters_that_may_be_a_device_are_there(name: str) -> None:
+    import click
+
+    context = click.Context(front_door.front_door, resilient_parsing=True)
+    _, found, _ = front_door.front_door.resolve_command(context, [name])
+    assert found is not None
+    assert set(PORTS[name]) <= {param.name for param in found.params}

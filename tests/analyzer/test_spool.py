@@ -1,0 +1,117 @@
+"""The spool of a session that nobody asked to log: bounded, kept if asked, and never in the way."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from bilprov.analyzer.replay.recorder import session_metadata
+from bilprov.analyzer.replay.spool import PARTS, Spool
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS
+
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def metadata(protocol: Protocol) -> dict[str, str]:
+    return session_metadata(
+        protocol, ports={"host": "a"}, line="115200 8N1", timeout=50 * MS, skew=0, heard=["host"]
+    )
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+def bytes_of(path: Path) -> bytes:
+    return b"".join(event.data for event in open_capture(path) if isinstance(event, Chunk))
+
+
+def test_a_short_session_is_kept_whole_and_the_temporary_files_go(
+    tmp_path: Path, own_folder: Path, metadata: dict[str, str]
+) -> None:
+    kept = tmp_path / "kept.mcap"
+    with Spool(START, metadata) as spool:
+        spool.events([Line(0, "open"), Chunk(MS, "host", b"\x20\x00")])
+        spool.tick(2 * MS)
+        spool.finish()
+        spool.keep(kept)
+
+    assert bytes_of(kept) == b"\x20\x00"
+    assert not open_capture(kept).unfinished
+    assert (spool.failure, spool.oldest, spool.bytes) == ("", 0, 2)
+    assert list(own_folder.iterdir()) == []
+
+
+@pytest.mark.waits
+def test_the_oldest_goes_and_the_rest_is_kept_as_one_capture(
+    tmp_path: Path, own_folder: Path, metadata: dict[str, str]
+) -> None:
+    kept, random, said = tmp_path / "kept.mcap", Random(1), b""
+    part, sent = 32 * 1024, 0
+    with Spool(START, metadata, most=PARTS * part) as spool:
+        give_up = time.monotonic() + 20
+        while not spool.oldest:
+            assert time.monotonic() < give_up
+            data = random.randbytes(part)
+            sent, said = sent + 1, said + data
+            spool.events([Chunk(sent * MS, "host", data)])
+            spool.checkpoint(sent * MS, lambda: None)
+            time.sleep(0.01)
+        files = list(next(own_folder.iterdir()).iterdir())
+        assert len(files) == PARTS
+        assert spool.bytes == len(said)
+        spool.finish()
+        spool.keep(kept)
+
+    gap, *_ = open_capture(kept)
+    assert isinstance(gap, Line)
+    assert (gap.event, gap.t) == ("gap", spool.oldest)
+    rest = bytes_of(kept)
+    assert 0 < len(rest) < len(said)
+    assert said.endswith(rest)
+
+
+def test_a_file_is_never_overwritten_and_the_session_is_not_lost(
+    tmp_path: Path, own_folder: Path, metadata: dict[str, str]
+) -> None:
+    there = tmp_path / "there.mcap"
+    there.write_bytes(b"precious")
+    with Spool(START, metadata) as spool:
+        spool.events([Chunk(MS, "host", b"\x20")])
+        spool.finish()
+        with pytest.raises(CaptureError, match="the capture is in"):
+            spool.keep(there)
+
+    assert there.read_bytes() == b"precious"
+    (kept,) = own_folder.rglob("*.mcap")
+    assert bytes_of(kept) == b"\x20"
+
+
+def test_where_nothing_can_be_written_the_session_goes_on(
+    monkeypatch: pytest.MonkeyPatch, metadata: dict[str, str]
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", "/proc")
+    with Spool(START, metadata) as spool:
+        spool.events([Chunk(MS, "host", b"\x20")])
+        spool.decoded(1, MS, list)
+        spool.checkpoint(MS, lambda: "")
+        spool.tick(2 * MS)
+        spool.finish()
+
+        assert "cannot be saved" in spool.failure
+        assert (spool.bytes, spool.waited_ns) == (0, 0)
+        with pytest.raises(CaptureError, match="cannot be saved"):
+            spool.keep(Path("anywhere.mcap"))

@@ -1,0 +1,472 @@
+"""`bilprov shell`: what is typed is done, and every way out leaves the robot at rest."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cli.shell.completion import candidates
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import Done, command
+from tests.support.grammars import wide_grammar
+from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here
+from tests.support.signals import ignoring
+from tests.support.terminals import CTRL_C, CTRL_D, TAB, UP, Terminal, on_terminal
+
+SAYS_MORE = b"\x81\x07"
+
+
+class Car(Simulator):
+    """A simulated robot that notes what it hears; after LED 7 it says `more` unasked.
+
+    More than a few bytes it says again and again.
+    """
+
+    def __init__(self, protocol: Protocol, fault: Fault | None = None, more: bytes = b"") -> None:
+        super().__init__(protocol, fault)
+        self.heard = b""
+        self.said = 0
+        self._more = more
+        self._again: int | None = None
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.heard += data
+        if SAYS_MORE in data and self._more:
+            self._again = now + 20 * MS
+        super().receive(data, now)
+
+    def advance(self, now: int) -> bytes:
+        more = b""
+        if self._again is not None and now >= self._again:
+            more, self._again = self._more, now + 2 * MS if len(self._more) > 8 else None
+        self.said += len(more)
+        return super().advance(now) + more
+
+    def deadline(self) -> int | None:
+        due = [t for t in (super().deadline(), self._again) if t is not None]
+        return min(due, default=None)
+
+
+@contextmanager
+def car(
+    protocol: Protocol, *, fault: str = "", more: bytes = b""
+) -> Iterator[tuple[Car, str, str]]:
+    """A car on a pty; with the names of its port and its probe."""
+    device = Car(protocol, fault_bank(protocol)[fault] if fault else None, more)
+    with served_here(device, pty=True) as (port, probe):
+        yield device, port, probe
+
+
+def shell(port: str, lines: str, *more: str) -> Done:
+    return command("shell", port, "--yes", *more, stdin=lines.encode())
+
+
+def until(what: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + PATIENCE
+    while not what():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+# -- lines from a pipe ----------------------------------------------------------------------------
+
+
+@pytest.mark.waits
+def test_lines_from_a_pipe_are_done_and_the_robot_is_left_at_rest(protocol: Protocol) -> None:
+    with car(protocol) as (device, port, probe):
+        result = shell(
+            port,
+            "speed 80; FORWARD # off it goes\n\nlook; state\n81 05; pause=1\n90\n",
+            *("--probe", probe),
+        )
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    lines = [line.split() for line in result.stdout.decode().splitlines()]
+    assert [line[1:4] for line in lines if line[1] in "→←"] == [
+        ["→", "11", "50"],
+        ["←", "00", "OK"],
+        ["→", "20", "Forward"],
+        ["←", "00", "OK"],
+        ["→", "81", "05"],
+        ["←", "00", "OK"],
+        ["→", "90", "unused"],
+        ["←", "01", "BAD_HEADER"],
+    ]
+    told = result.stdout.decode()
+    assert "seen moving: motion forward speed 80" in told
+    assert "predicted: forward speed 80 led 0, moving" in told
+    assert (device.state.moving, device.state.speed, device.state.led) == (False, 80, 5)
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("Speed 80\nForwrd\nSpeed 1\n", "line 2: 'Forwrd' is not hex; "),
+        ("Speed 80\nForwrd\nSpeed 1\n", "did you mean Forward?"),
+        ("Speed 80\nForward; Speed 999; Speed 1\n", "Speed.speed is 999, allowed are 0 to 255"),
+        ("Speed 80\npause=forever", "line 2: 'pause=forever' is no pause"),
+        ("Speed 80\nhlep; Speed 1", "did you mean help?"),
+        ("Speed 80\n" + "81 05 " * 20_000, "a line is longer than 65536 bytes"),
+        ("Speed 80\n\x1b[31m\n", r"'\x1b[31m' is not hex"),
+    ],
+)
+def test_a_line_that_says_nothing_ends_it_and_is_told_with_its_number(
+    protocol: Protocol, lines: str, words: str
+) -> None:
+    with car(protocol) as (device, port, _):
+        result = shell(port, lines)
+
+    assert result.returncode == 2
+    assert words in sentence(result)
+    assert device.state.speed == 80
+    assert not device.state.moving
+    assert device.heard.strip(b"\x00") == b"\x11\x50"
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    ("fault", "line", "words"),
+    [
+        ("silent-on-faults", "90; Stop", "no answer came to 1 of 2 instructions"),
+        ("unused-code-for-faults", "90", "an answer is not allowed: 5 is an unused response"),
+        ("", "LED 7; pause=100", "2 bytes came without an instruction"),
+    ],
+)
+def test_wrong_answers_end_a_script_with_1(
+    protocol: Protocol, fault: str, line: str, words: str
+) -> None:
+    with car(protocol, fault=fault, more=b"\x00\x00") as (_, port, _):
+        result = shell(port, line)
+
+    assert result.returncode == 1
+    assert words in sentence(result)
+
+
+@pytest.mark.waits
+def test_the_words_and_the_completion_are_those_of_the_grammar(
+    horn: Protocol, horn_text: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "horn.py"
+    file.write_text(horn_text)
+    with car(horn) as (_, port, _):
+        result = command(
+            "--grammar", str(file), "shell", port, "--yes", stdin=b"horn 2; help; quit"
+        )
+
+    assert result.returncode == 0
+    told = result.stdout.decode()
+    assert "91 02        Horn sound=2" in told
+    assert "Horn sound=0..3" in told
+    assert "pause=500" in told
+
+
+@pytest.mark.waits
+def test_after_homing_the_state_is_that_of_a_stop_in_any_grammar(
+    grammar_text: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "wide.py"
+    file.write_text(wide_grammar(grammar_text))
+    words = ("--grammar", str(file), "shell", "sim", "--truncation-timeout", "1000")
+    result = command(*words, stdin=b"Cruise 300 5; Right 7; state; home; state; look")
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert [line.decode() for line in result.stdout.splitlines() if line[:1] != b" "] == [
+        "predicted: backward speed 300 steering +7 led -10, moving",
+        "predicted: stopped speed 300 led -10, not moving",
+        "seen stopped: motion stopped speed 300 steering 0 led -10 left 0 right 0",
+    ]
+
+
+@pytest.mark.waits
+def test_the_simulator_is_there_by_its_name_and_brings_its_probe() -> None:
+    result = command("shell", "sim", stdin=b"Speed 9; Forward; look")
+
+    assert result.returncode == 0
+    assert b"seen moving: motion forward speed 9" in result.stdout
+    assert command("shell", "sim", "--probe", "ask").returncode == 2
+
+
+@pytest.mark.waits
+def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
+    with car(protocol) as (device, port, _):
+        result = command("shell", port, stdin=b"Forward")
+        with on_terminal("shell", port) as terminal:
+            terminal.wait_for("Is there room, and may it move?")
+            terminal.type("n\n")
+            assert terminal.end() == 2
+
+    assert result.returncode == 2
+    assert "say --yes if it may move" in sentence(result)
+    assert device.heard == b""
+
+
+# -- limits ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.waits
+def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped(protocol: Protocol) -> None:
+    with car(protocol) as (device, port, _):
+        result = shell(port, "Speed 80; Forward; pause=60000; Speed 1\nstate", "--max-drive", "0.2")
+
+    assert result.returncode == 1
+    assert b"stopped: it has driven for 0.2 s without a new instruction" in result.stderr
+    assert b"predicted: stopped speed 80 led 0, not moving" in result.stdout
+    assert device.state.speed == 80  # the rest of the line was not done
+
+
+@pytest.mark.waits
+def test_a_device_that_floods_the_line_is_stopped_and_fills_neither_screen_nor_memory(
+    protocol: Protocol,
+) -> None:
+    with car(protocol, more=b"\x00" * 1000) as (device, port, _), ignoring():
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", "shell", port, "--yes"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
+        with process:
+            assert process.stdin is not None
+            process.stdin.write(b"Forward; LED 7; pause=60000; Speed 1\n")
+            process.stdin.flush()
+            until(lambda: device.said > 100_000)
+            early = _resident(process.pid)
+            until(lambda: device.said > 500_000)
+            grown = _resident(process.pid) - early
+            out, err = process.communicate(timeout=PATIENCE)
+
+    assert process.returncode == 1
+    assert grown < 40_000_000  # one record kept for each byte is four times that
+    assert err.decode().count("floods the line: 64 bytes came that answer no instruction") == 1
+    assert "bytes came without an instruction" in err.decode()
+    assert len(out.splitlines()) < 100
+    assert not device.state.moving
+    assert device.state.speed == 0
+
+
+def _resident(process: int) -> int:
+    """Bytes of memory that a process holds."""
+    pages = Path(f"/proc/{process}/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+# -- on a terminal --------------------------------------------------------------------------------
+
+
+def driving(terminal: Terminal, device: Car) -> None:
+    """Type what makes the robot drive, and see that it does."""
+    terminal.wait_for("led 0>")
+    terminal.type("Speed 80; Forward\r")
+    terminal.wait_for("forward speed 80 led 0>")
+    assert device.state.moving
+
+
+def _signal(number: signal.Signals) -> Callable[[Terminal], None]:
+    return lambda terminal: terminal.process.send_signal(number)
+
+
+WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
+    "Ctrl-D": lambda terminal: terminal.type(CTRL_D),
+    "quit": lambda terminal: terminal.type("quit\r"),
+    "Ctrl-C twice": lambda terminal: terminal.type(CTRL_C + CTRL_C),
+    "SIGTERM": _signal(signal.SIGTERM),
+    "SIGHUP": _signal(signal.SIGHUP),
+    "hang-up": lambda terminal: terminal.hang_up(),
+    "in a pause, SIGTERM": lambda terminal: (
+        terminal.type("pause=60000\r"),
+        _signal(signal.SIGTERM)(terminal),
+    ),
+}
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("way", WAYS_OUT)
+def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) -> None:
+    with car(protocol) as (device, port, _), on_terminal("shell", port, "--yes") as terminal:
+        driving(terminal, device)
+        WAYS_OUT[way](terminal)
+        code = terminal.end()
+
+        assert code == 0 or way == "hang-up", terminal.shown  # 2 there: nobody saw the end
+        assert not device.state.moving
+        assert "Traceback" not in terminal.shown
+
+
+@pytest.mark.waits
+def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol: Protocol) -> None:
+    with car(protocol) as (device, port, probe):
+        with on_terminal("shell", port, "--yes", "--probe", probe) as terminal:
+            terminal.wait_for("led 0, seen stopped>")
+            terminal.type("Speed 80; Forward; look; pause=60000; Speed 1\r")
+            terminal.wait_for("seen moving: motion forward")
+            terminal.type(CTRL_C)
+            terminal.wait_for("stopped: Ctrl-C")
+            terminal.wait_for("stopped speed 80 led 0, seen stopped>")
+            assert (device.state.moving, device.state.speed) == (False, 80)
+            terminal.type("LED 5\r")
+            terminal.wait_for("stopped speed 80 led 5, seen stopped>")
+            # At the prompt it stops the robot too, takes back what is typed, and then leaves.
+            terminal.type("Forward\r")
+            terminal.wait_for("seen moving>")
+            terminal.type(CTRL_C)
+            terminal.wait_for("stopped: Ctrl-C")
+            terminal.wait_for("seen stopped>")
+            terminal.type("half a li" + CTRL_C + "state\r")
+            terminal.wait_for("predicted: ")
+            terminal.wait_for("seen stopped>")
+            terminal.type(CTRL_C)
+            assert terminal.end() == 0
+
+        assert device.state.speed == 80
+
+
+@pytest.mark.waits
+def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
+    protocol: Protocol,
+) -> None:
+    with (
+        car(protocol, more=b"\x05") as (device, port, _),
+        on_terminal("shell", port, "--yes", "--max-drive", "0.5") as terminal,
+    ):
+        driving(terminal, device)
+        terminal.type("LED 7\rtyped mean")
+        terminal.wait_for("no instruction waits for an answer")
+        terminal.wait_for("stopped: it has driven for 0.5 s without a new instruction")
+        terminal.wait_for("stopped speed 80 led 7> typed mean")
+        assert not device.state.moving
+        terminal.type(CTRL_C + CTRL_D)
+        assert terminal.end() == 0
+
+
+@pytest.mark.waits
+def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) -> None:
+    answers = (b'{"moving": false}\n', b'{"moving": true}\n', b"")
+    with ProbeServer(*answers) as probe, car(protocol) as (device, port, _):
+        with on_terminal("shell", port, "--yes", "--probe", probe.name) as terminal:
+            terminal.wait_for("seen stopped>")
+            terminal.type("Speed 80; Forward\r")
+            terminal.wait_for("seen moving>")
+            terminal.type("LED 5\r")  # here the probe hangs up
+            assert terminal.end() == 2
+
+        assert f"bilprov: the probe at {probe.name} hung up" in terminal.shown
+        assert "Traceback" not in terminal.shown
+        assert not device.state.moving
+
+
+@pytest.mark.waits
+def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
+    protocol: Protocol,
+) -> None:
+    with ExitStack() as stack:
+        with car(protocol) as (device, port, _):
+            terminal = stack.enter_context(on_terminal("shell", port, "--yes"))
+            driving(terminal, device)
+        assert terminal.end() == 2
+    assert terminal.shown.count(f"bilprov: {port} disappeared while it was in use") == 1
+    assert "Traceback" not in terminal.shown
+
+
+@pytest.mark.waits
+def test_tab_completes_and_the_history_outlives_the_shell(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    state = {"XDG_STATE_HOME": str(tmp_path / "state")}
+    with car(protocol) as (device, port, _):
+        with on_terminal("shell", port, "--yes", **state) as terminal:
+            terminal.wait_for("led 0>")
+            for typed, shown in [("led", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
+                terminal.type(typed + TAB)
+                terminal.wait_for(shown)
+            terminal.type("\r")
+            terminal.wait_for("rotate_right speed 0 led 5>")
+            terminal.type(CTRL_D)
+            assert terminal.end() == 0
+        device.heard = b""
+        with on_terminal("shell", port, "--yes", **state) as terminal:
+            terminal.wait_for("led 0>")
+            terminal.type(f"{UP}\r")
+            terminal.wait_for("rotate_right speed 0 led 5>")
+            terminal.type(CTRL_D)
+            assert terminal.end() == 0
+
+    assert device.heard.strip(b"\x00") == b"\x81\x05\x60"
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("home", ["/dev/null", "relative"])
+def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
+    with car(protocol) as (_, port, _):
+        variables = {"XDG_STATE_HOME": home, "HOME": "/dev/null"}
+        with on_terminal("shell", port, "--yes", **variables) as terminal:
+            terminal.wait_for("led 0>")
+            terminal.type("LED 5\r")
+            terminal.wait_for("led 5>")
+            terminal.type(UP)
+            terminal.wait_for("LED 5")
+            terminal.type(CTRL_C + CTRL_D)
+            assert terminal.end() == 0
+
+
+@pytest.mark.waits
+def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
+    protocol: Protocol,
+) -> None:
+    with (
+        car(protocol) as (_, port, _),
+        on_terminal("shell", port, "--yes", TERM="dumb") as terminal,
+    ):
+        terminal.type("Speeed 1\nSpeed 9\nstate\nquit\n")
+        terminal.wait_for("did you mean Speed?; see help")
+        terminal.wait_for("predicted: stopped speed 9")
+        assert terminal.end() == 0
+
+
+# -- completion -----------------------------------------------------------------------------------
+
+
+def test_each_instruction_field_and_value_of_the_grammar_completes(each_protocol: Protocol) -> None:
+    def texts(line: str) -> list[str]:
+        offered = candidates(each_protocol, {}, line)
+        return [line[: len(line) - one.replaced] + one.text for one in offered]
+
+    for spec in each_protocol.instructions:
+        assert spec.name in texts("")
+        assert f"81 05; {spec.name}" in texts(f"81 05; {spec.name[:2].lower()}")
+        line = f"{spec.name} "
+        for part in spec.fields:
+            assert f"{line}{part.name}=" in texts(line)
+            assert texts(f"{line}{part.name[:1]}")
+            values = texts(f"{line}{part.name}=")
+            assert {f"{line}{part.name}={end}" for end in (part.low, part.high)} <= set(values)
+            assert len(values) <= 16
+            line += f"{part.name}={part.low} "
+        assert texts(line) == []
+
+
+def test_words_and_pauses_complete_and_an_instruction_goes_before_a_word(
+    protocol: Protocol,
+) -> None:
+    words = {"stop": "a word", "home": "another"}
+    found = {one.text: one.meaning for one in candidates(protocol, words, "Forward; ")}
+
+    assert found["home"] == "another"
+    assert "stop" not in found
+    assert found["Stop"] == protocol.by_name["Stop"].prose
+    assert [one.text for one in candidates(protocol, words, "pa")] == ["pause="]
+    assert list(candidates(protocol, words, "81 ")) == []

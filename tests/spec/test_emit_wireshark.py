@@ -1,0 +1,340 @@
+"""The Wireshark dissector that is generated from the grammar, run by the real tshark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from decimal import Decimal
+from itertools import chain, repeat
+from pathlib import Path
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
+from bilprov.spec.emit.wireshark import lua_dissector
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.python_names import snake_case
+from tests.support.commands import command
+from tests.support.decoding import Event, decoded
+from tests.support.traffic import ACTS, Act, played
+from tests.support.wireshark import Tshark, capture_of, exported, reads
+
+pytestmark = [pytest.mark.slow, pytest.mark.waits]
+
+
+def every_frame(protocol: Protocol) -> Iterator[bytes]:
+    """Every header with every value of one byte of data, wrong lengths, every truncation.
+
+    Of wider data each field's range, and what is out of it.
+    """
+    for header, length in enumerate(protocol.lengths):
+        for came in range(length + 1):
+            yield bytes([header]) + bytes(range(1, came + 1))
+        if length == 1:
+            yield from (bytes([header, value]) for value in range(256))
+    for spec in protocol.instructions:
+        if spec.length > 1:
+            for data in (*all_data(spec, 40), *list(bad_data(spec))[::7]):
+                yield raw_frame(protocol, spec.id, spec.length, data)
+
+
+def test_every_frame_gets_the_verdict_of_the_grammar(
+    each_protocol: Protocol, tmp_path: Path
+) -> None:
+    frames = list(every_frame(each_protocol))
+    judgements = [judge(each_protocol, frame) for frame in frames]
+    events: list[Event] = []
+    for turn, (frame, judgement) in enumerate(zip(frames, judgements, strict=True)):
+        t = turn * 100 * MS
+        events.append(Chunk(t, "host", frame))
+        answered = t + (60 if judgement.truncated else 1) * MS
+        events.append(Chunk(answered, "device", bytes([judgement.response.code])))
+    data = exported(capture_of(tmp_path / "all.mcap", each_protocol, events), each_protocol)
+    words = {
+        (spec.name, part.name): f"{snake_case(spec.name, '')}.{part.name}"
+        for spec in each_protocol.instructions
+        for part in spec.fields
+    }
+    bits = {
+        (name, part.name): [f"{words[name, part.name]}.{bit.lower()}" for bit in part.bits]
+        for name, spec in each_protocol.by_name.items()
+        for part in spec.fields
+    }
+
+    names = ["kind", "outcome", "judgement", "reason", "id", "length", "name", "agrees"]
+    names += [*words.values(), *chain(*bits.values())]
+    rows = [
+        {name.removeprefix("robot_car."): value for name, value in row.items()}
+        for row in Tshark(tmp_path, each_protocol).rows(
+            data, "_ws.expert.message", *(f"robot_car.{name}" for name in names)
+        )
+    ]
+
+    shown = [row for row in rows if row["outcome"]]
+    for judgement, row in zip(judgements, shown, strict=True):
+        expected = {
+            "kind": "truncated" if judgement.truncated else "instruction",
+            "outcome": judgement.outcome.value,
+            "judgement": str(judgement.response.code),
+            "reason": judgement.reason,
+            "_ws.expert.message": judgement.reason,
+            "id": str(judgement.id),
+            "length": str(judgement.length),
+            "name": judgement.name,
+        }
+        for field, value in judgement.fields:
+            expected[words[judgement.name, field]] = str(value)
+            among = bits[judgement.name, field]
+            expected |= {
+                name: str(value >> place & 1) for place, name in enumerate(reversed(among))
+            }
+        assert {name: value for name, value in row.items() if value} == {
+            name: value for name, value in expected.items() if value
+        }
+    assert [row["agrees"] for row in rows if row["agrees"]] == ["1"] * len(shown)
+
+
+def found(tshark: Tshark, data: bytes) -> tuple[list[tuple[object, ...]], list[str], list[str]]:
+    """What tshark tells: of each instruction, the garbage, and the bytes that answer nothing."""
+    names = ("data", "kind", "sequence", "latency", "response", "response_to", "response_in")
+    variables = ("motion", "speed", "steering", "led", "moving")
+    names += tuple(f"state.{variable}" for variable in variables)
+    rows = [
+        {name.removeprefix("robot_car."): value for name, value in row.items()}
+        for row in tshark.rows(data, "frame.number", *(f"robot_car.{name}" for name in names))
+    ]
+    by_number = {row["frame.number"]: row for row in rows}
+    instructions: list[tuple[object, ...]] = []
+    for row in rows:
+        if row["sequence"]:
+            answer = by_number.get(row["response_in"])
+            if answer:
+                assert answer["response_to"] == row["frame.number"]
+            instructions.append(
+                (
+                    int(row["sequence"]),
+                    row["kind"],
+                    *(row[f"state.{variable}"] for variable in variables),
+                    answer and int(answer["response"]),
+                    answer and round(Decimal(answer["latency"]) * 1_000_000_000),
+                )
+            )
+    garbage = [row["data"] for row in rows if row["kind"] == "garbage"]
+    stray = [row["response"] for row in rows if row["response"] and not row["latency"]]
+    return instructions, garbage, stray
+
+
+def told(records: list[Record]) -> tuple[list[tuple[object, ...]], list[str], list[str]]:
+    """The same as the kit's own records have it."""
+    answers = {record.instruction: record for record in records if isinstance(record, DeviceRecord)}
+    instructions: list[tuple[object, ...]] = []
+    for record in records:
+        if isinstance(record, HostRecord) and record.sequence is not None:
+            state, answer = record.state, answers.get(record.sequence)
+            instructions.append(
+                (
+                    record.sequence,
+                    record.kind,
+                    state.motion,
+                    *(str(number) for number in (state.speed, state.steering, state.led)),
+                    str(int(state.moving)),
+                    answer and answer.byte,
+                    answer and answer.latency,
+                )
+            )
+    garbage = [r.data.hex() for r in records if isinstance(r, HostRecord) and r.sequence is None]
+    stray = [str(r.byte) for r in records if isinstance(r, DeviceRecord) and r.instruction is None]
+    return instructions, garbage, stray
+
+
+LONG = 5_000 * MS
+
+
+@settings(max_examples=5, phases=[Phase.generate])  # to shrink would start too many programs
+@given(lives=st.lists(ACTS, min_size=1, max_size=5), attached=st.booleans())
+def test_it_pairs_and_follows_the_state_as_the_kit_does(
+    each_protocol: Protocol,
+    tmp_path_factory: pytest.TempPathFactory,
+    lives: list[list[Act]],
+    attached: bool,
+) -> None:
+    folder = tmp_path_factory.mktemp("random")
+    # Much in one file: to start tshark takes longer than to dissect thousands of packets.
+    acts = [
+        act._replace(pause=LONG) if first else act
+        for life in lives
+        for act, first in zip(life, chain([True], repeat(False)), strict=False)
+    ]
+    path = capture_of(
+        folder / "random.mcap",
+        each_protocol,
+        played(each_protocol, acts),
+        attached="yes" if attached else "no",
+    )
+
+    capture = open_capture(path)
+    session = capture_session(capture, each_protocol)
+    records = decoded(session, capture.events())
+
+    assert found(Tshark(folder, each_protocol), exported(path, each_protocol)) == told(records)
+
+
+def exchanges(protocol: Protocol) -> list[Event]:
+    """Whole and truncated frames of every length, each answered, some by the device first."""
+    events: list[Event] = []
+    for turn, frame in enumerate(frame for frame in every_frame(protocol) if len(frame) != 2):
+        if turn % 9 == 0 or len(frame) == 1:
+            judgement, t = judge(protocol, frame), turn * 100 * MS
+            answered = t + (30 + turn % 40 if judgement.truncated else 1) * MS
+            events.append(Chunk(t, "host", frame))
+            events.append(Chunk(answered, "device", bytes([judgement.response.code])))
+    return events
+
+
+def test_frames_cut_over_packets_are_put_together(each_protocol: Protocol, tmp_path: Path) -> None:
+    events = exchanges(each_protocol)
+    path = capture_of(tmp_path / "whole.mcap", each_protocol, events)
+    tshark = Tshark(tmp_path, each_protocol)
+    whole = [chunk for chunk in events if isinstance(chunk, Chunk)]
+
+    single = [
+        Chunk(chunk.t, chunk.direction, bytes([byte])) for chunk in whole for byte in chunk.data
+    ]
+
+    once = found(tshark, exported(path, each_protocol))
+    assert len(once[0]) > 100
+    assert found(tshark, reads(whole)) == found(tshark, reads(single)) == once
+
+
+def test_a_packet_may_hold_many_frames(protocol: Protocol, tmp_path: Path) -> None:
+    tshark = Tshark(tmp_path, protocol)
+    frames = [b"\x11\x50", b"\x20", b"\x81\x09", b"\x90", b"\x81"]
+    said = [Chunk(0, "host", b"".join(frames)), Chunk(MS, "device", b"\0\0\2\1")]
+    said += [Chunk(10 * MS, "host", b"\x05\0"), Chunk(11 * MS, "device", b"\0\0")]
+
+    lines = tshark(reads(said)).splitlines()
+
+    shown = [line.partition("robot-car 1.1 ")[2].split(" ", 1)[1] for line in lines]
+    assert shown == [
+        "Speed speed=80; Forward; LED rgb=9: BAD_DATA, LED.rgb is 9, allowed are 0 to 7 (frame 81 "
+        "09, byte 1); unused 9, 0 data bytes: BAD_HEADER, no instruction has ID 9, used are 0, 1, "
+        "2, 3, 4, 5, 6, 7, 8; beginning of a frame of 2 bytes",
+        "OK to Speed speed=80; OK to Forward; BAD_DATA to LED rgb=9; BAD_HEADER to unused 9, 0 data"
+        " bytes",
+        "LED rgb=5 (R B); Stop",
+        "OK to LED rgb=5 (R B); OK to Stop",
+    ]
+
+
+def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> None:
+    said = [
+        Chunk(0, "device", b"\0"),
+        Chunk(100 * MS, "host", b"\x20"),
+        Chunk(101 * MS, "device", b"\1"),
+        Chunk(300 * MS, "host", b"\x20"),
+        Chunk(500 * MS, "device", b"\x07"),
+        Chunk(1_000 * MS, "host", b"\x20"),
+        Chunk(3_000 * MS, "device", b"\0"),
+        Chunk(4_000 * MS, "host", b"\x11"),
+    ]
+
+    rows = Tshark(tmp_path, protocol).rows(reads(said), "_ws.expert.message")
+
+    assert [row["_ws.expert.message"] for row in rows] == [
+        "",
+        "",
+        "The device says BAD_HEADER to Forward, expected is OK",
+        "",
+        "Unused response|The device says unused 7 to Forward, expected is OK"
+        "|After 200.0 ms, allowed are 100",
+        "No response",
+        "It responds to no instruction",
+        "Speed: 1 data byte announced, 0 came",
+    ]
+
+
+def test_an_answer_passes_over_a_frame_cut_short_only_if_it_fits_the_next(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    said: list[Chunk] = []
+    for t, answer in ((0, b"\1"), (5_000 * MS, b"\2")):
+        said += [Chunk(t, "host", b"\x11"), Chunk(t + 60 * MS, "host", b"\x90")]
+        said.append(Chunk(t + 61 * MS, "device", answer))
+
+    rows = Tshark(tmp_path, protocol).rows(reads(said), "robot_car.response_to")
+
+    assert [row["robot_car.response_to"] for row in rows] == ["", "", "2", "", "", "4"]
+
+
+def test_the_preferences_change_the_time_out_or_leave_the_packets_alone(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    tshark = Tshark(tmp_path, protocol)
+    data = reads([Chunk(0, "host", b"\x11"), Chunk(20 * MS, "host", b"\x20")])
+
+    usual, strict = tshark(data), tshark(data, "-o", "robot_car.truncation_timeout:15000")
+    alone = tshark(data, "-o", "robot_car.take:FALSE", "-O", "data")
+
+    assert "Speed speed=32" in usual
+    assert "Forward" in strict
+    assert "robot-car" not in alone
+    assert "Data: 11" in alone
+
+
+def test_a_grammar_with_any_names_gives_a_script_that_runs(
+    grammar_text: str, tmp_path: Path
+) -> None:
+    odd = grammar_text.replace('NAME = "robot-car"', 'NAME = "]] \\"Bil\\" 4 \\\\"')
+    for old, new in (
+        ('1: "Speed"', '1: "State"'),
+        ('2: "Forward"', '2: "For-ward %d"'),
+        ('3: "Backward"', '3: "For ward %D"'),
+        ('7: "RotateLeft"', '7: "Håll \\n--[["'),
+        ('bits="RGB"', 'bits="rR"'),
+        ("Changes the colours", "Changes --]] \\n the colours"),
+    ):
+        assert odd.count(old) == 1, old
+        odd = odd.replace(old, new)
+    protocol = load(odd)
+    data = reads([Chunk(0, "host", b"\x11\x05\x20\x30\x70\x81\x02")])
+
+    tshark = Tshark(tmp_path, protocol)
+    names = [f"x_bil_4.{name}" for name in ("state_.speed", "name", "led.rgb.r", "led.rgb.r_")]
+    (row,) = tshark.rows(data, *names)
+
+    assert [row[name] for name in names] == [
+        "5",
+        "State|For-ward %d|For ward %D|Håll \\n--[[|LED",
+        "1",
+        "0",
+    ]
+
+
+def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
+    grammar_text: str, tmp_path: Path
+) -> None:
+    wide = grammar_text.replace("BitStruct, Byte,", "BitStruct, Byte, Int64ub,").replace(
+        '"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(Int64ub, 0, 255)'
+    )
+    (tmp_path / "wide.py").write_text(wide, encoding="utf-8")
+
+    done = command("--grammar", str(tmp_path / "wide.py"), "spec", "emit", "wireshark")
+
+    assert (done.returncode, done.stdout) == (2, b"")
+    assert done.stderr.decode().count("\n") == 1
+    assert "Speed.speed is no plain integer of 1 to 6 bytes" in done.stderr.decode()
+
+
+def test_the_command_writes_the_script_whole(protocol: Protocol, tmp_path: Path) -> None:
+    file = tmp_path / "robot.lua"
+
+    shown = command("spec", "emit", "wireshark")
+    written = command("spec", "emit", "wireshark", "-o", str(file))
+
+    assert (written.returncode, written.stdout, written.stderr) == (0, b"", b"")
+    assert shown.stdout.decode() == file.read_text(encoding="utf-8") == lua_dissector(protocol, 20)

@@ -1,0 +1,88 @@
+"""What people read: each Python snippet runs as it stands, each command line is one that exists."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from bilprov import __main__ as front_door
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
+
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
+_PATIENCE = 60  # s
+
+
+def snippets() -> list[tuple[str, str]]:
+    """Each Python snippet of the pages, named by page and number."""
+    found = []
+    for page in PAGES:
+        texts = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+        found += [(f"{page.name}-{number}", text) for number, text in enumerate(texts, 1)]
+    return found
+
+
+def command_lines() -> list[tuple[str, str]]:
+    """Each command line that a page shows, with the page's name."""
+    found = []
+    for page in PAGES:
+        text = re.sub(r"^```python\n.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        lines = re.findall(r"^    (?:\.venv/bin/)?bilprov (.*)$", text, re.MULTILINE)
+        inline = re.findall(r"`bilprov ([a-z][^`]*)`", " ".join(text.split("\n")))
+        found += [(page.name, line) for line in [*lines, *inline]]
+    return list(dict.fromkeys(found))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A working folder with the capture that the snippets read."""
+    path = tmp_path / "drive.mcap"
+    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
+        for number, frame in enumerate(("1150", "20", "8109", "00")):
+            capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
+            answer = b"\x02" if frame == "8109" else b"\x00"
+            capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
+    return tmp_path
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(("name", "text"), snippets(), ids=[name for name, _ in snippets()])
+def test_a_python_snippet_runs_as_it_stands(name: str, text: str, folder: Path) -> None:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", text],
+        cwd=folder,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        timeout=_PATIENCE,
+        check=False,
+    )
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert result.stdout or "print" not in text or "except" in text
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_a_command_line_is_one_that_exists(page: str, line: str) -> None:
+    words = shlex.split(line.split(" | ")[0], comments=True)
+    context = click.Context(front_door.front_door, resilient_parsing=True)
+    group: click.Command = front_door.front_door
+    while isinstance(group, click.Group):
+        parsed = group.make_parser(context)
+        parsed.allow_interspersed_args = False
+        _, words, _ = parsed.parse_args(words)
+        if not words:
+            return
+        name, command, words = group.resolve_command(context, words)
+        assert command is not None, f"{page}: there is no command {name}"
+        group, context = command, click.Context(command, context, name, resilient_parsing=True)
+    if "--help" not in words:
+        group.make_parser(context).parse_args(words)
