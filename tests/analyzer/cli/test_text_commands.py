@@ -271,6 +271,26 @@ def test_info_tells_what_a_capture_holds(tmp_path: Path) -> None:
     assert told["unfinished"] is False
 
 
+def test_info_as_json_says_when_where_and_by_which_kit_it_was_recorded(tmp_path: Path) -> None:
+    file, part = tmp_path / "c.mcap", tmp_path / "part.mcap"
+    capture(file, machine="rover", version="0.0.9")
+    told = json.loads(text("info", "--json", str(file)))
+    assert told == json.loads(text("info", "--format", "json", str(file)))
+    assert (told["start"], told["end"]) == (
+        "2023-11-14T22:13:20.000000+00:00",
+        "2023-11-14T22:13:21.500000+00:00",
+    )
+    assert (told["zero"], told["duration"]) == (told["start"], 1.5)
+    assert (told["host"], told["kit"]) == ("rover", "0.0.9")
+    assert command("cut", str(file), str(part), "--start", "1").returncode == 0
+    told = json.loads(text("info", "--json", str(part)))
+    assert (told["start"][17:], told["zero"][17:]) == ("21.000000+00:00", "20.000000+00:00")
+    assert told["duration"] == 0.5
+    shown = text("info", str(part))
+    for said in ("rover", "bilprov 0.0.9", "cut c.mcap --start 1", "times count from"):
+        assert said in shown
+
+
 def test_info_says_when_the_grammar_is_another(tmp_path: Path, horn: str) -> None:
     file = tmp_path / "c.mcap"
     capture(file, grammar_sha256=PROTOCOL.sha256)
