@@ -95,17 +95,10 @@ class Settings:
         return found
 
     def device(self, word: object) -> dict[str, Value] | None:
-        """The device of that name, None if the word is a path, a URL, sim, or no device's name.
-
-        Raises SettingsError for a device without a port.
-        """
+        """The device of that name, None if the word is a path, a URL, sim, or no device's name."""
         if not isinstance(word, str) or not is_name(word) or Path(word).exists():
             return None
-        found = self.devices.get(word)
-        if found is not None and PORT not in found:
-            source = next(iter(found.values())).source if found else f"[{DEVICE}.{word}]"
-            raise SettingsError(f"{source} names no port: add {PORT} = PATH or URL")
-        return found
+        return self.devices.get(word)
 
 
 def is_name(word: str) -> bool:
@@ -114,8 +107,11 @@ def is_name(word: str) -> bool:
 
 
 def _leads_out(text: str) -> bool:
-    """Whether a text is a path that is not below the working folder."""
-    return text.startswith(("/", "~")) or ".." in Path(text).parts
+    """Whether a text is a path that is not below the working folder, links followed."""
+    try:
+        return text.startswith("~") or not Path(text).resolve().is_relative_to(Path.cwd())
+    except (OSError, ValueError):  # what no file can be called
+        return False
 
 
 def user_file(environ: Mapping[str, str]) -> Path:
@@ -130,7 +126,13 @@ def read_settings(
     """Read all settings; `commands` are the names of the commands. Raises SettingsError."""
     files = ((user_file(environ), False), (Path(PROJECT_FILE), True))
     layers = [_file(file, commands, foreign=foreign) for file, foreign in files]
-    return Settings((*layers, _environment(commands, environ)))
+    settings = Settings((*layers, _environment(commands, environ)))
+    for name, values in settings.devices.items():
+        port = values.get(PORT)
+        source = next(iter(values.values())).source if values else f"[{DEVICE}.{name}]"
+        if port is None or not isinstance(port.value, str):
+            raise SettingsError(f"{source} names no port: add {PORT} = PATH or URL, a text")
+    return settings
 
 
 def _file(file: Path, commands: Mapping[str, object], *, foreign: bool) -> Layer:
@@ -185,8 +187,12 @@ class _Reader:
         source = self._at(where)
         found = {}
         for key, value in table.items():
-            if isinstance(value, dict):
-                raise SettingsError(f"{source}: {printable(key)} is a table, allowed is a value")
+            kinds = str | int | float
+            if not isinstance(value, kinds) and not (
+                isinstance(value, list) and all(isinstance(part, kinds) for part in value)
+            ):
+                what = "table" if isinstance(value, dict) else type(value).__name__
+                raise SettingsError(f"{source}: {printable(key)} is a {what}, allowed is a value")
             if self._foreign:
                 self._refuse_dangerous(key, value, source)
             found[key.replace("_", "-")] = Value(value, source)

@@ -74,10 +74,24 @@ def ports(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[I
     """The serial ports of this machine, or where a path is begun that is none of them, files."""
     from bilprov.analyzer.transport.ports import list_ports
 
-    found = beginning(incomplete, ((port.path, port.description) for port in list_ports()))
+    words = [(port.path, port.description) for port in list_ports()]
+    found = beginning(incomplete, _devices(ctx) + words)
     if not found and incomplete[:1] in ("/", ".", "~"):
         return files(ctx, param, incomplete)
     return found
+
+
+def _devices(ctx: click.Context) -> list[tuple[str, str]]:
+    """The named devices of the settings, each with its port; none if these cannot be read."""
+    front_door = ctx.find_root().command
+    names = front_door.list_commands(ctx) if isinstance(front_door, click.Group) else []
+    from bilprov.analyzer.settings import PORT, SettingsError, read_settings
+
+    try:
+        devices = read_settings(dict.fromkeys(names)).devices
+    except SettingsError:
+        return []
+    return [(name, str(values[PORT].value)) for name, values in devices.items()]
 
 
 def files(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:

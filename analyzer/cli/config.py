@@ -49,7 +49,7 @@ def show(name: str | None, style: str) -> None:
 
 def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
     """Yield command, setting, value, source and whether it is the one that holds."""
-    from bilprov.analyzer.cli.settings import options_of
+    from bilprov.analyzer.cli.settings import options_of, with_settings
     from bilprov.analyzer.settings import read_settings
 
     ctx = click.get_current_context().find_root()
@@ -57,6 +57,10 @@ def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
     assert isinstance(front_door, click.Group)
     names = {one: one for one in front_door.list_commands(ctx)}
     settings = read_settings(names)
+    for one in names:  # a value that its command would refuse is refused here too
+        _, command, _ = front_door.resolve_command(ctx, [one])
+        if command is not None:
+            with_settings(command, one, settings, [])
     if name is not None:
         _, command, _ = front_door.resolve_command(ctx, [name])
         assert command is not None

@@ -8,6 +8,8 @@ from pathlib import Path
 import click
 
 from bilprov.analyzer.files import why_not_writable, write_whole
+from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
 
 STANDARD_OUTPUT = "-"
 
@@ -50,8 +52,15 @@ def require_writable(
 
 
 def write_output(path: str, data: bytes) -> None:
-    """Write bytes to a file, complete or not at all, or to standard output as they are."""
+    """Write bytes to a file, complete or not at all, or to standard output as they are.
+
+    Raises UserError, in one sentence, if it cannot be written.
+    """
     if path == STANDARD_OUTPUT:
         click.echo(data, nl=False)
-    else:
+        return
+    try:
         write_whole(Path(path), data)
+    except OSError as error:
+        why = error.strerror or "it cannot be written"
+        raise UserError(f"{printable(path)} cannot be written: {why}") from error

@@ -66,7 +66,7 @@ def with_settings(
 def _devices_named(
     command: click.Command, name: str, settings: Settings, arguments: Sequence[str]
 ) -> dict[str, dict[str, Value]]:
-    """The devices that the arguments name, by the word that does. Raises SettingsError."""
+    """The devices that the arguments name, by the word that does."""
     if name not in PORTS or not settings.devices:
         return {}
     context = click.Context(command, info_name=name, resilient_parsing=True)
@@ -109,6 +109,8 @@ def _defaults(
             raise SettingsError(f"{source}: {name} has no option {printable(key)}{meant}")
         if option.multiple and isinstance(value, str):
             value = value.split()
+        if isinstance(value, list) and not option.multiple:
+            raise SettingsError(f"{source}: {key} is a list, allowed is one value")
         try:
             option.type_cast_value(context, value)
         except click.BadParameter as error:

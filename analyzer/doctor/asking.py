@@ -138,8 +138,9 @@ def told(
         yield Finding("echo", Grade.BLOCKS, sentence)
     elif last.reply is Reply.GARBAGE:
         came = " ".join(spaced(answer) for _, answer in last.exchanges if answer)[:60]
+        asked = dict.fromkeys(one.baud for one in found)  # each is asked at twice
         sentence = (
-            f"something comes back at {', '.join(f'{one.baud}' for one in found)} baud, but no "
+            f"something comes back at {', '.join(map(str, asked))} baud, but no "
             f"answers ({came}): another baud rate, parity or protocol"
         )
         yield Finding("answers", Grade.BLOCKS, sentence)

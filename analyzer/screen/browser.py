@@ -448,7 +448,7 @@ class Browser(App[str | None]):
 
     def action_follow(self) -> None:
         """Follow what comes, or stop to."""
-        self.follows = not self.follows
+        self.follows = not self.follows or self.frames.held is not None
         if self.follows:
             self.frames.held = None
         self.show_rows()

@@ -143,7 +143,7 @@ class FilterPrompt(Vertical):
         return compile_filter(text, self._protocol).started(self._start_wall)
 
     def _refuse(self, error: FilterError) -> None:
-        self._under.update(Text(printable(str(error)), "red", no_wrap=True))
+        self._under.update(Text(printable(error.sentence), "red", no_wrap=True))
 
 
 def _common(words: list[str]) -> str:

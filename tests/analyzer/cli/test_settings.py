@@ -112,6 +112,11 @@ def test_show_of_a_command_has_all_its_options(place: Path) -> None:
     assert found["conform", "seed"] == (1, "the command's default", True)
 
 
+def test_show_refuses_what_a_command_would_refuse(place: Path) -> None:
+    theirs(place, "[decode]\nformat = 'xml'")
+    assert "bilprov.toml [decode]: format = xml" in refused("config", "show")
+
+
 def test_nothing_set_is_said(place: Path) -> None:
     assert command("config", "show").stdout.startswith(b"nothing is set")
 
@@ -181,6 +186,18 @@ def test_a_projects_file_cannot_run_code_or_answer_or_write_elsewhere(
     assert "which a project's file may not" in sentence
 
 
+@pytest.mark.parametrize("path", ["out.html", "up/out.html", "nowhere.html"])
+def test_a_projects_file_cannot_write_elsewhere_by_a_link(place: Path, path: str) -> None:
+    (place.parent / "victim").write_text("mine")
+    (place / "out.html").symlink_to("../victim")
+    (place / "up").symlink_to("..")
+    (place / "nowhere.html").symlink_to("../new")
+    theirs(place, f"[conform]\nhtml = '{path}'")
+
+    assert "outside this folder" in refused("encode", "Stop")
+    assert (place.parent / "victim").read_text() == "mine"
+
+
 @pytest.mark.parametrize(("text", "part"), DANGEROUS, ids=[text for text, _ in DANGEROUS])
 def test_the_users_own_file_may(place: Path, text: str, part: str) -> None:
     mine(place, text)
@@ -195,12 +212,16 @@ def test_the_users_own_file_may(place: Path, text: str, part: str) -> None:
     [
         ("boud = 1", "boud is not a setting of all commands, did you mean baud?"),
         ("[snif]\nbaud = 1", "snif is not a command, did you mean sniff?"),
-        ("[encode]\nformta = 'json'", "encode has no option formta"),
-        ("[encode.x]\na = 1", "x is a table, allowed is a value"),
+        ("[send]\nformta = 'json'", "send has no option formta, did you mean format?"),
+        ("[send.x]\na = 1", "x is a table, allowed is a value"),
         ("[device.car]\nprot = 1", "prot is not a setting of a device, did you mean port?"),
         ("[device.'a/b']\nport = 'x'", "a device's name is letters, digits, - and _"),
         ("[device.sim]\nport = 'x'", "a device's name is letters, digits, - and _, and not sim"),
         ("[device]\ncar = 'x'", "it must be a table with a port"),
+        ("baud = [1, 2]", "baud is a list, allowed is one value"),
+        ("[device.car]\nport = ['a']", "names no port: add port = PATH or URL, a text"),
+        ("[device.car]\nbaud = 3", "names no port"),
+        ("baud = 2026-11-22", "baud is a date, allowed is a value"),
         ("baud = ", "cannot be read"),
         ("\x1b[31m = 1", "cannot be read"),
     ],
@@ -210,7 +231,7 @@ def test_what_is_no_setting_is_one_sentence_with_its_place(
 ) -> None:
     theirs(place, text)
 
-    sentence = refused("encode", "Stop")
+    sentence = refused("send", "/dev/null", "00")
     assert "bilprov.toml" in sentence
     assert part in sentence
     assert sentence.isprintable()
