@@ -58,7 +58,7 @@ def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(protocol:
     assert unwell(result) == {"power-on/Forward": "skipped"}
     assert {case.id for case in cases} < set(verdicts)
     count = planned(protocol, Options(), cases)
-    assert f"{count} cases, about".encode() in result.stderr  # the estimate comes first
+    assert f"{count:,} cases, about".encode() in result.stderr  # the estimate comes first
     assert state["moving"] is False
 
 
