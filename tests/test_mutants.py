@@ -9,6 +9,8 @@ import pytest
 from benchmarks.mutants import ROOMS, Mutation, changes_the_tree, draw, mutations
 from tests.support import ROOT
 
+pytestmark = pytest.mark.slow  # each reads whole rooms
+
 # What is written, the operator, what the mutants of that operator make of it.
 OPERATORS = [
     ("a = b < c", "comparison", ["a = b <= c"]),

@@ -22,6 +22,8 @@ from tests.support.decoding import MS, Event
 from tests.support.screens import browser, operated, text_of
 from tests.support.traffic import told
 
+pytestmark = pytest.mark.slow  # the screen is drawn in each
+
 SIZES = [(40, 10), (60, 15), (80, 24), (100, 30), (132, 43), (200, 60)]
 
 
