@@ -18,6 +18,7 @@ from bilprov.analyzer.columns import decoder
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
+from tests.support.chromium import Browser, Page, running
 from tests.support.grammars import wide_grammar
 from tests.vectors import RobotState
 
@@ -188,3 +189,19 @@ def columns_at_once() -> Iterator[None]:
         patch.setattr(decoder, "LEAST", 0)
         patch.setattr(decoder, "FIRST", 0)
         yield
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """Headless Chromium."""
+    with running(tmp_path_factory.mktemp("chromium")) as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A tab of it, wide and light."""
+    with browser.page() as tab:
+        tab.size(1280)
+        tab.scheme("light")
+        yield tab

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 import click
 
 from bilprov.analyzer.cli.options import Finite, compiled, filter_option, note
+from bilprov.analyzer.cli.output_files import force_option
 from bilprov.captures.text import quantity
 
 if TYPE_CHECKING:
     from bilprov.analyzer.edit.new_capture import Progress
     from bilprov.captures.reader import Capture
-
-force_option = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 
 
 @click.command()

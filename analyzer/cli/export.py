@@ -19,6 +19,7 @@ from bilprov.analyzer.cli.options import (
     row_options,
     row_style,
 )
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.row_columns import RowStyle
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
-
-STANDARD_OUTPUT = "-"
 
 
 class Format(NamedTuple):
@@ -91,7 +90,7 @@ FORMATS = {
 @click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
 @row_options
-@click.option("--force", is_flag=True, help="Overwrite OUT.")
+@force_option
 @click.option(
     "--foxglove-layout",
     "layout",

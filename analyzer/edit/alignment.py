@@ -123,7 +123,10 @@ def _jump(left: Keys, right: Keys) -> list[Step]:
 
 
 def _furthest(before: dict[int, _Reached], diagonal: int, most: int) -> tuple[int, int]:
-    """Where one more edit leads on a diagonal, from which other one; below 0 for nowhere."""
+    """The place that one more edit reaches on a diagonal, and the diagonal that it comes from.
+
+    The place is below 0 if no edit leads there.
+    """
     found = []
     if diagonal + 1 in before:
         found.append((before[diagonal + 1].end, diagonal + 1))

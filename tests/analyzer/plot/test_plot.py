@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html.parser import HTMLParser
 from itertools import accumulate
 from pathlib import Path
@@ -24,7 +24,7 @@ from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import MOTIONS
 from tests.support import ROOT
-from tests.support.chromium import INSTALL, Browser, Page, chromium, running
+from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
 from tests.support.decoding import MS, Event, decoded, devices, hosts
 
@@ -250,20 +250,6 @@ def test_wrong_use_is_one_sentence_and_overwrites_nothing(tmp_path: Path) -> Non
 
 
 # -- in the browser -------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with running(tmp_path_factory.mktemp("chromium")) as started:
-        yield started
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    with browser.page() as tab:
-        tab.size(1280)
-        tab.scheme("light")
-        yield tab
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.run_report import Report, reproduce
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
-from tests.support.chromium import INSTALL, Browser, Page, chromium, running
+from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
 
 pytestmark = pytest.mark.waits
@@ -36,20 +36,6 @@ class Seen(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.elements.append((tag, dict(attrs)))
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with running(tmp_path_factory.mktemp("chromium")) as started:
-        yield started
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    with browser.page() as tab:
-        tab.size(1280)
-        tab.scheme("light")
-        yield tab
 
 
 @pytest.fixture
