@@ -48,6 +48,11 @@ class Case(Step):
         """The frames under test: the stimulus and, if there is one, `then`; not the preamble."""
         return (self.frame, self.then) if self.then else (self.frame,)
 
+    @property
+    def frames(self) -> int:
+        """How many frames are under test."""
+        return len(self.sent)
+
 
 def runner_case(
     protocol: Protocol,

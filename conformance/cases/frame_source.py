@@ -26,6 +26,8 @@ TOO_MANY, TOO_FEW = "too-many", "too-few"
 FILLS = 3
 """Number of ways to fill faulty frames: Stop bytes, a motion (seen if it is run), all bits set."""
 
+_STEP = 83  # from one byte of a fill to the next: odd, and far from the values at its neighbours
+
 
 class Inputs:
     """A seeded supply of frames.
@@ -63,9 +65,15 @@ class Inputs:
         return next(self._supplies[kind])
 
     def fill(self, length: int) -> bytes:
-        """`length` data bytes for a faulty frame; each call takes the next way to fill them."""
+        """`length` data bytes for a faulty frame; each call takes the next way to fill them.
+
+        One way takes the next values, so that every value comes to stand at every place.
+        """
         self._turn += 1
-        return fill(self._protocol, length, self._turn)
+        way, turn = self._turn % (FILLS + 1), self._turn // (FILLS + 1)
+        if way < FILLS:
+            return fill(self._protocol, length, way)
+        return bytes((turn + _STEP * place) % 256 for place in range(length))
 
     def _valid(self, spec: InstructionSpec) -> Iterator[Step]:
         steps = valid_frames(self._protocol, spec.name)

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.combinations import Combinations
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
@@ -29,6 +30,7 @@ from bilprov.spec.protocol import Protocol
 
 AnyCase = Case | SequenceCase
 
+_RANDOM_BURSTS = 64  # of a sequence of random frames
 # How long (ms) the robot is sent nothing after each frame of a left-alone sequence.
 _DWELLS = (65, 35, 130, 65, 35, 65, 140, 35, 65, 20, 130, 65)
 
@@ -39,7 +41,7 @@ class Level:
 
     name: str
     promise: str
-    cuts: int  # truncations in every second tour
+    cuts: int  # truncations in every eighth tour
     singles: str  # `few`, `headers` (one truncation of each) or `all` (every truncation)
     idle: int  # ms for which a moving robot is sent nothing
 
@@ -58,6 +60,7 @@ class Source:
     level: Level
     seed: int
     tours: Tours
+    combinations: Combinations
 
 
 Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
@@ -86,11 +89,11 @@ GENERATORS = (
     Generator(
         "sequence/tour",
         (12, 130, 500),
-        _numbered(lambda of, n: of.tours.waited("tour", n, cuts=0 if n % 2 else of.level.cuts)),
+        _numbered(lambda of, n: of.tours.waited("tour", n, cuts=0 if n % 8 else of.level.cuts)),
     ),
     Generator(
         "sequence/left-alone",
-        (1, 10, 40),
+        (1, 6, 40),
         _numbered(lambda of, n: of.tours.left_alone("left-alone", n, _DWELLS)),
     ),
     Generator(
@@ -116,6 +119,12 @@ GENERATORS = (
         "sequence/faults-alone",
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
+    ),
+    Generator("combined", (0, 1, 1), lambda of, _: of.combinations.arrays()),
+    Generator(
+        "combined/random",
+        (0, 130, 1300),
+        _numbered(lambda of, n: of.combinations.random(n, _RANDOM_BURSTS)),
     ),
 )
 
@@ -156,7 +165,9 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
 
 
 def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
-    source = Source(protocol, level, seed, Tours(protocol, seed))
+    source = Source(
+        protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed)
+    )
     place = list(LEVELS).index(level.name)
     for generator in GENERATORS:
         amount = generator.amounts[place]

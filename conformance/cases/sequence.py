@@ -53,7 +53,8 @@ class SequenceCase:
     """A test case of many frames.
 
     `setup`, the preamble, brings the robot to a known state, one instruction at a time, before the
-    first burst.
+    first burst. A `seeded` sequence can be made again from its id and the run's seed: where it
+    passes, a report keeps only how many frames it had.
     """
 
     id: str
@@ -62,11 +63,17 @@ class SequenceCase:
     setup: tuple[Step, ...]
     bursts: tuple[Burst, ...]
     reading: str = ""
+    seeded: bool = False
 
     @property
     def sent(self) -> tuple[bytes, ...]:
         """The bytes of each burst."""
         return tuple(burst.data for burst in self.bursts)
+
+    @property
+    def frames(self) -> int:
+        """How many frames are under test."""
+        return sum(len(burst.steps) for burst in self.bursts)
 
     @property
     def pipelined(self) -> bool:

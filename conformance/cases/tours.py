@@ -85,9 +85,11 @@ class Tours:
         cut, alone, long = self._draw.sample(range(bursts), 3)
         for index in range(bursts):
             steps = [self._next(where) for _ in range(self._draw.randint(*sizes))]
-            if index == cut:
+            if index == cut and number % 4 == 1:
                 steps[-1] = self._go(where, CUT)
-            dwell = 25 if index == alone else 130 if index == long and number % 2 else 0
+            dwell = 0
+            if number % 2:
+                dwell = 25 if index == alone else 130 if index == long and number % 4 == 1 else 0
             made.append(Burst(tuple(steps), idle_ms=dwell))
         return self._sequence(f"pipelined/{name}/{number:03}", setup, made)
 

@@ -79,7 +79,8 @@ class CaseResult(msgspec.Struct, frozen=True):
     `clause` is the one that a failure violates, `planned` the one that the case was made for, ""
     where they are the same. `log` is everything on the wire since the case began, set-up and homing
     included; `reproduce` has the arguments of `bilprov send` that reproduce the failure, "" where
-    the case's id is enough.
+    the case's id is enough. `frames` are how many frames it has under test. A seeded sequence that
+    was answered as it should be keeps this number alone: its id and the run's seed make it again.
     """
 
     id: str
@@ -93,6 +94,12 @@ class CaseResult(msgspec.Struct, frozen=True):
     log: tuple[WireEvent, ...] = ()
     reproduce: str = ""
     planned: str = ""
+    frames: int = 0
+
+    @property
+    def counted(self) -> bool:
+        """Whether only the number of its frames is kept, and not what they were."""
+        return bool(self.frames and not self.sent)
 
     @property
     def group(self) -> str:

@@ -86,6 +86,7 @@ def case_of(report: Report, result: CaseResult) -> schema.Case:
         reading=result.reading or None,
         sent=list(result.sent),
         received=[schema.AnswerByte(byte.hex, byte.t / 1e9) for byte in result.received],
+        frames=result.frames,
         reproduce=reproduce(report, result),
         expected_failure=bool(report.comparison and result.id in report.comparison.expected),
     )
@@ -180,6 +181,7 @@ def _result(case: schema.Case) -> CaseResult:
         reading=case.reading or "",
         sent=tuple(case.sent),
         received=tuple(AnswerByte(byte.hex, round(byte.t * 1e9)) for byte in case.received),
+        frames=case.frames,
         planned="" if own_clause == case.clause else own_clause,
         log=tuple(WireEvent(round(e.t * 1e9), e.kind, e.hex, e.look) for e in log),
     )

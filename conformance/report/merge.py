@@ -236,6 +236,7 @@ def _not_run(case: AnyCase, why: str) -> CaseResult:
         reading=case.reading,
         sent=sent,
         received=(),
+        frames=case.frames,
     )
 
 

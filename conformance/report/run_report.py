@@ -165,7 +165,7 @@ def coverage(
 
     A case that was not run does not count, nor does a sequence that was not judged to its end.
     """
-    done = {r.id for r in results if r.sent and r.axes.get("answer") and r.received}
+    done = {r.id for r in results if r.counted or (r.sent and r.axes.get("answer") and r.received)}
     done |= {r.id for r in results if "stop" in r.axes or "state" in r.axes}
     broken = {r.id for r in results if r.verdict >= Verdict.INCONCLUSIVE}
     run = [
@@ -184,7 +184,8 @@ def run_facts(report: Report) -> dict[str, str]:
 
 def evidence(result: CaseResult) -> list[tuple[str, str]]:
     """Labels and words: what was sent, and what was expected and seen on each axis not passed."""
-    rows = [("sent", " | ".join(result.sent) or "nothing")]
+    frames = f"{result.frames} frames, made again with --only {result.id}"
+    rows = [("sent", " | ".join(result.sent) or (frames if result.counted else "nothing"))]
     for name, axis in result.axes.items():
         if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
             continue

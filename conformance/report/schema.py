@@ -49,7 +49,8 @@ class Case(msgspec.Struct, kw_only=True):
     """One case without its wire log.
 
     `clause` is the one that its failure violates, `planned_clause` the one that the case stands
-    under in every format of the report. `axes` are `answer`, `stop` and `state`. The verdict of an
+    under in every format of the report. `frames` are how many frames it has; where a seeded
+    sequence was answered as it should be, `sent`, `received` and the log are left out. `axes` are `answer`, `stop` and `state`. The verdict of an
     `expected_failure` stays `fail`.
     """
 
@@ -62,6 +63,7 @@ class Case(msgspec.Struct, kw_only=True):
     reading: str | None
     sent: list[Hex]
     received: list[AnswerByte]
+    frames: int = 0
     reproduce: str
     expected_failure: bool = False
 

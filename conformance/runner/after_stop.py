@@ -26,13 +26,14 @@ def stays_stopped(
     Returns whether the checks that follow (`restart_guard`) can be made.
     """
     run = trial.run
-    # Of the many cases with a bad value or a time-out, one in four waits for silence: a late answer
-    # shows in the next homing, and a stop that does not last shows in the sequences too.
-    many = case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough
+    # Of the many faulty frames, one in four waits for silence: a late answer shows in the next
+    # homing, and a stop that does not last shows in the sequences too.
+    many = case.kind is not FrameClass.VALID and not case.thorough
     brief = many and run.counters.next_check() % 4
     window = run.timers.settle if brief else run.timers.silence
     costly = run.config.observability.costly
     rounds = max(1, run.timers.hold // window) if case.thorough and not costly else 1
+    trial.settled = True
     for _ in range(rounds):
         more = yield from listen(None, window)
         if more.answers:

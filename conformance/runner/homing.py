@@ -73,13 +73,16 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
         waiting.waited_for_pending(came=bool(heard.answers or (trial and trial.heard)))
         waiting.in_vain(waiting.patience)
     in_step = trial is not None and trial.in_step and not late
-    # A slow device that answered as it should is at a boundary: one stop is as good as many.
-    at_once = (1, due, due) if run.profile.slowest > _SLOW and in_step else (due, due)
+    # A device that answered as it should is at a boundary: a stop is as good as many. Another one
+    # is for the line, which may have made a motion of the first; a slow device gets no other.
+    few = 1 if run.profile.slowest > _SLOW else 2
+    at_once = (few, due, due) if in_step else (due, due)
+    settle = 0 if trial is not None and trial.settled else run.timers.settle
     between_frames = in_step or trial is None
     lost = 0
     for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
-        got = yield from _as_they_come(run, count, patience)
+        got = yield from _as_they_come(run, count, patience, settle)
         if len(got) > count:
             yield from _too_many(run, got[: len(got) - count], late)
         if len(got) >= count:
@@ -107,12 +110,14 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     raise GaveUp(f"the device stopped answering {after}")
 
 
-def _as_they_come(run: Run, due: int, patience: int) -> Procedure[tuple[tuple[int, int], ...]]:
-    """Listen for `due` answers, each for `patience` ns, and for what follows them at once."""
+def _as_they_come(
+    run: Run, due: int, patience: int, settle: int
+) -> Procedure[tuple[tuple[int, int], ...]]:
+    """Listen for `due` answers, each for `patience` ns, and for what follows in `settle` ns."""
     got = yield from run.waiting.all_answers(due, patience)
     if len(got.answers) < due:
         run.waiting.in_vain(patience)
-    more = yield from listen(None, run.timers.settle)
+    more = yield from listen(None, settle)
     return got.answers + more.answers
 
 

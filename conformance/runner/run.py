@@ -85,15 +85,19 @@ def result_of(
 
     `sent` is the time (ns) when its stimulus had been sent.
     """
+    verdict = worst(axis.verdict for axis in axes.values())
+    counted = isinstance(case, SequenceCase) and case.seeded and verdict < Verdict.FAIL
+    counted = counted and axes["answer"].verdict < Verdict.INCONCLUSIVE
     return CaseResult(
         id=case.id,
         clause=case.clause,
         requirement=case.requirement,
-        verdict=worst(axis.verdict for axis in axes.values()),
+        verdict=verdict,
         axes=axes,
         reading=next((a.reading for a in axes.values() if a.reading), case.reading),
-        sent=tuple(spaced(frame) for frame in case.sent if frame),
-        received=tuple(AnswerByte(f"{code:02x}", t - sent) for t, code in heard),
+        sent=() if counted else tuple(spaced(frame) for frame in case.sent if frame),
+        received=() if counted else tuple(AnswerByte(f"{c:02x}", t - sent) for t, c in heard),
+        frames=case.frames,
     )
 
 

@@ -40,7 +40,8 @@ class Trial:
 
     It is `begun` once its stimulus has been sent: answers from then on belong to the case. `sent`
     is when that was (ns), `expected` the state that the robot must have now, `before` the one
-    before the stimulus.
+    before the stimulus. It is `settled` once a silence has shown that its stimulus was not answered
+    twice.
     """
 
     def __init__(self, run: Run, case: Case | SequenceCase) -> None:
@@ -49,6 +50,7 @@ class Trial:
         self.axes: dict[str, Axis] = {}
         self.heard: list[tuple[int, int]] = []
         self.sent = 0
+        self.settled = False
         self.before = self.expected = run.model.found()
 
     def begin(

@@ -1,0 +1,281 @@
+"""Combinations: which frame comes in which state, after which outcome, in which delivery.
+
+The factors are ID, announced length, the classes of the first, second and last data byte, kind of
+motion, steering, speed, LED, the outcome before and the delivery. A covering array of strength 3
+holds every feasible combination of three of them. Truncated frames, each of which costs a time-out,
+have an array of strength 2 of their own; how many bytes arrive stands in place of the delivery.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+from bilprov.conformance.cases.covering_array import CoveringArray, Partial, Row
+from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import frames_to
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame, valid_frame
+from bilprov.spec.by_effect import moving_motions, setting
+from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.protocol import Protocol
+
+ARRAY = "combined"
+"""What the id of a sequence of an array begins with."""
+
+_BOUNDARIES = (0, 1, 127, 128, 255)  # of a byte, signed and unsigned; each a class of its own
+_BITS = tuple(1 << bit for bit in range(1, 7))  # the single bits that are no boundary
+_OTHERS = tuple(sorted(set(range(256)) - {*_BOUNDARIES, *_BITS}))
+BYTE_CLASSES: tuple[Sequence[int], ...] = (*((value,) for value in _BOUNDARIES), _BITS, _OTHERS)
+"""The values of each class of a data byte, which a row numbers from 1; 0 is a byte that is not."""
+
+# The factors, by their index in a row.
+_ID, _LENGTH, _FIRST, _SECOND, _LAST, _MOTION, _STEERING, _SPEED, _LED, _BEFORE, _WAY = range(11)
+_BYTES = ((_FIRST, 1), (_SECOND, 3), (_LAST, 2))  # and from how many data bytes on each stands
+WAITED, PIPELINED, SPLIT = range(3)
+DELIVERED, CUT = ("waited", "pipelined", "split"), "cut"
+_STIMULI = 48  # rows of a sequence
+_SIZES = (2, 8)  # frames of a random burst, at least and at most
+
+
+class _Shape(NamedTuple):
+    """A frame as far as its values depend on each other: announced length and bytes that arrive.
+
+    `lengths` and `way` are the row's values of these two factors.
+    """
+
+    lengths: int
+    way: int
+    announced: int
+    arrived: int
+
+
+@dataclass(frozen=True)
+class _Space:
+    """The factors of a protocol: the numbers that each value of them stands for.
+
+    `ways` are the deliveries of complete frames, or how many bytes of truncated frames arrive.
+    """
+
+    protocol: Protocol
+    states: tuple[tuple[str, tuple[Sequence[object], ...]], ...]
+    faults: tuple[str, ...]
+    lengths: int
+    ways: int
+    shapes: tuple[_Shape, ...]
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """How many values each factor has."""
+        data = (len(BYTE_CLASSES) + 1,) * len(_BYTES)
+        states = (len(values) for _, values in self.states)
+        ids = len(self.protocol.ids)
+        return (ids, self.lengths, *data, *states, 1 + len(self.faults), self.ways)
+
+    @cached_property
+    def _possible(self) -> dict[tuple[int | None, ...], bool]:
+        return {}
+
+    def feasible(self, chosen: Partial) -> bool:
+        """Whether a frame in a state can have these values."""
+        present = (chosen[factor] > 0 if factor in chosen else None for factor, _ in _BYTES)
+        key = (chosen.get(_LENGTH), chosen.get(_WAY), *present)
+        if key not in self._possible:
+            self._possible[key] = any(True for _ in self.fitting(chosen))
+        return self._possible[key] and (not chosen.get(_BEFORE) or self._after_fault(chosen))
+
+    def fitting(self, chosen: Partial) -> Iterator[_Shape]:
+        """The shapes of frames that have the chosen values."""
+        for shape in self.shapes:
+            if chosen.get(_LENGTH, shape.lengths) == shape.lengths:
+                bytes_fit = all(
+                    (chosen[factor] > 0) == (shape.arrived >= least)
+                    for factor, least in _BYTES
+                    if factor in chosen
+                )
+                if bytes_fit and chosen.get(_WAY, shape.way) == shape.way:
+                    yield shape
+
+    def _after_fault(self, chosen: Partial) -> bool:
+        """Whether a fault can leave the robot in the chosen state."""
+        on_fault = self.protocol.on_fault
+        left = on_fault.apply(self.protocol.power_on)
+        return all(
+            getattr(left, name) in values[chosen[factor]]
+            for factor, (name, values) in enumerate(self.states, _MOTION)
+            if factor in chosen and on_fault.sets(name)
+        )
+
+
+def _states(protocol: Protocol) -> tuple[tuple[str, tuple[Sequence[object], ...]], ...]:
+    """The variables of the state, with the values of each class of them."""
+    motions = tuple((motion,) for motion in (Motion.STOPPED, *moving_motions(protocol)))
+    low, high = _limits(protocol, "steering")
+    steerings = (range(low, 0), (0,), range(1, high + 1)) if low < high else ((low,),)
+    low, high = _limits(protocol, "speed")
+    half = (low + high + 1) // 2
+    speeds = ((low,), range(low + 1, half), range(half, high), (high,)) if low < high else ((low,),)
+    low, high = _limits(protocol, "led")
+    bits = [1 << bit for bit in range(high.bit_length())]
+    leds = range(low, high + 1) if high - low < 8 else sorted({low, high, *bits})
+    classes = {
+        "motion": motions,
+        "steering": steerings,
+        "speed": speeds,
+        "led": tuple((value,) for value in leds),
+    }
+    return tuple((name, tuple(filter(len, values))) for name, values in classes.items())
+
+
+def _limits(protocol: Protocol, variable: str) -> tuple[int, int]:
+    """The least and the greatest value that a setting gives a variable."""
+    low, high = protocol.limits.get(variable, (0, 0))
+    if setting(protocol, variable, low) and setting(protocol, variable, high):
+        return low, high
+    rest = getattr(protocol.power_on, variable)
+    return rest, rest
+
+
+@lru_cache(maxsize=8)
+def _space(protocol: Protocol, *, cut: bool) -> _Space:
+    """The factors of complete frames, or of truncated ones."""
+    if cut:
+        lengths, arrivals = _cut_classes(protocol)
+        shapes = tuple(
+            _Shape(i, j, length, arrived)
+            for i, some in enumerate(lengths)
+            for length in some
+            for j, counts in enumerate(arrivals)
+            for arrived in counts
+            if arrived < length
+        )
+        counts = len(lengths), len(arrivals)
+    else:
+        shapes = tuple(
+            _Shape(index, way, length, length)
+            for index, length in enumerate(protocol.data_lengths)
+            for way in range(len(DELIVERED))
+            if length or way != SPLIT
+        )
+        counts = len(protocol.data_lengths), len(DELIVERED)
+    faults = Inputs(protocol, 0).faulty_kinds
+    return _Space(protocol, _states(protocol), faults, *counts, shapes)
+
+
+def _cut_classes(protocol: Protocol) -> tuple[list[range], list[range]]:
+    """The classes of announced lengths, and those of how many bytes of them arrive."""
+    most = protocol.data_lengths[-1]
+    lengths, arrivals = sorted({1, 2, 4, most + 1}), sorted({0, 1, 2, 4, most})
+    return [range(*ends) for ends in pairwise(lengths)], [range(*e) for e in pairwise(arrivals)]
+
+
+@lru_cache(maxsize=8)
+def array(protocol: Protocol, seed: int, *, cut: bool) -> CoveringArray:
+    """The covering array of complete frames, or of truncated ones."""
+    space, draw = _space(protocol, cut=cut), random.Random(f"combinations {cut} {seed}")
+    if cut:
+        return CoveringArray(space.sizes, 2, space.feasible, draw, tries=16)
+    return CoveringArray(space.sizes, 3, space.feasible, draw, dear={(_WAY, SPLIT)})
+
+
+class Combinations:
+    """The sequences of combinations of a protocol and a seed: those of the arrays, and random ones.
+
+    The arrays begin each frame from a state that was set; the random ones go on from wherever the
+    frames before have led.
+    """
+
+    def __init__(self, protocol: Protocol, seed: int) -> None:
+        self._protocol = protocol
+        self._seed = seed
+        self._draw = random.Random(f"sequences of combinations {seed}")
+        self._inputs = Inputs(protocol, seed)
+
+    def arrays(self) -> Iterator[SequenceCase]:
+        """The sequences of both arrays, each delivery by itself."""
+        whole, cut = (array(self._protocol, self._seed, cut=cut).rows for cut in (False, True))
+        for way, word in enumerate(DELIVERED):
+            yield from self._chunks(word, [row for row in whole if row[_WAY] == way])
+        yield from self._chunks(CUT, cut)
+
+    def random(self, number: int, bursts: int) -> SequenceCase:
+        """The sequence of that number of random frames, every second one pipelined."""
+        made = []
+        for _ in range(bursts):
+            count = 1 if number % 2 else self._draw.randint(*_SIZES)
+            made.append(Burst(tuple(self._any() for _ in range(count))))
+        return self._sequence(f"random/{number:03}", "any frame in any state is answered", made)
+
+    def _any(self) -> Step:
+        """A random frame: as often a motion or a setting as any header with any data."""
+        inputs, draw, protocol = self._inputs, self._draw, self._protocol
+        if draw.random() < 0.5:
+            return inputs.next(draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds))
+        header = draw.randrange(len(protocol.headers))
+        data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
+        return complete_frame(protocol, header, data)
+
+    def _chunks(self, word: str, rows: Sequence[Row]) -> Iterator[SequenceCase]:
+        for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
+            what = "each combination of a frame, the state, the outcome before and the delivery"
+            bursts = list(self._bursts(word, rows[start : start + _STIMULI]))
+            yield self._sequence(f"{word}/{number:03}", what, bursts)
+
+    def _sequence(self, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
+        clause = self._protocol.clauses.instructions
+        return SequenceCase(f"{ARRAY}/{name}", clause, what, (), tuple(bursts), seeded=True)
+
+    def _bursts(self, word: str, rows: Iterable[Row]) -> Iterator[Burst]:
+        """For each row the frames that lead to its state, and its frame."""
+        protocol, motion = self._protocol, Motion.STOPPED
+        space = _space(protocol, cut=word == CUT)
+        for row in rows:
+            before, motion = self._before(row, space, motion)
+            step = self._frame(row, space)
+            motion = (step.frame_effect.effect or protocol.on_fault).motion or motion
+            if word == DELIVERED[PIPELINED]:
+                yield Burst((*before, step))
+                continue
+            yield from (Burst((one,), looks=one is before[-1]) for one in before)
+            split = word == DELIVERED[SPLIT]
+            yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())
+
+    def _before(self, row: Row, space: _Space, motion: Motion) -> tuple[list[Step], Motion]:
+        """The frames that lead from a kind of motion to the row's state, and the motion after."""
+        protocol, pick = self._protocol, self._draw.choice
+        drawn = {
+            name: pick(values[row[factor]])
+            for factor, (name, values) in enumerate(space.states, _MOTION)
+        }
+        fault = row[_BEFORE]
+        if fault:
+            # The fault is to stop a robot that moves and steers.
+            (_, motions), (_, steerings), *_ = space.states
+            drawn |= {"motion": pick(motions[1:] or motions)[0], "steering": pick(pick(steerings))}
+        state = replace(protocol.power_on, **drawn)
+        steps = []
+        # Steering while it rotates may make a curve of it (R-steer-rotating).
+        if state.motion is Motion.STOPPED or rotates(motion):
+            steps.append(valid_frame(protocol, protocol.stop, {}))
+        steps += (complete_frame(protocol, f[0], f[1:]) for f in frames_to(protocol, state))
+        if fault:
+            steps.append(self._inputs.next(space.faults[fault - 1]))
+            return steps, protocol.on_fault.motion or state.motion
+        return steps, state.motion
+
+    def _frame(self, row: Row, space: _Space) -> Step:
+        """The frame of a row, its bytes drawn from their classes."""
+        protocol, identity = self._protocol, self._protocol.ids[row[_ID]]
+        shape = self._draw.choice(list(space.fitting(dict(enumerate(row)))))
+        data = bytearray(self._inputs.fill(shape.arrived))
+        for at, factor in ((0, _FIRST), (1, _SECOND), (shape.arrived - 1, _LAST)):
+            if row[factor]:
+                data[at] = self._draw.choice(BYTE_CLASSES[row[factor] - 1])
+        if shape.arrived < shape.announced:
+            return truncated_frame(protocol, identity, shape.announced, bytes(data))
+        header = protocol.header_bytes[identity, shape.announced]
+        return complete_frame(protocol, header, bytes(data))
