@@ -19,8 +19,8 @@ class Case(Step):
     frame is sent; `expected` is the reference's state after it, and `stop` whether the case tests
     that the robot stands still. `then` is a valid frame that must work right after the stimulus,
     `after_then` the reference's state after it. `short` frames announce less data than the
-    instruction takes: a device must not take the next byte for its data. `thorough` cases watch the
-    stop longer; where looks are costly, only they are observed.
+    instruction takes: a device must not take the next byte for its data. `thorough` cases wait
+    for silence, one of each class for long; where looks are costly, only they are observed.
     """
 
     id: str
@@ -51,7 +51,7 @@ class Case(Step):
     @property
     def frames(self) -> int:
         """How many frames are under test."""
-        return len(self.sent)
+        return len([frame for frame in self.sent if frame])
 
 
 def runner_case(

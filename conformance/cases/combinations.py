@@ -13,9 +13,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from bilprov.conformance.cases.covering_array import CoveringArray, Partial, Row
+from bilprov.conformance.cases.covering_array import (
+    CoveringArray,
+    Partial,
+    Row,
+    feasible_combinations,
+)
 from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
@@ -26,6 +31,8 @@ from bilprov.spec.protocol import Protocol
 
 ARRAY = "combined"
 """What the id of a sequence of an array begins with."""
+STRENGTH = 3
+"""How many factors' combinations complete frames cover."""
 
 _BOUNDARIES = (0, 1, 127, 128, 255)  # of a byte, signed and unsigned; each a class of its own
 _BITS = tuple(1 << bit for bit in range(1, 7))  # the single bits that are no boundary
@@ -33,6 +40,7 @@ _OTHERS = tuple(sorted(set(range(256)) - {*_BOUNDARIES, *_BITS}))
 BYTE_CLASSES: tuple[Sequence[int], ...] = (*((value,) for value in _BOUNDARIES), _BITS, _OTHERS)
 """The values of each class of a data byte, which a row numbers from 1; 0 is a byte that is not."""
 
+_CLASS = {value: number for number, some in enumerate(BYTE_CLASSES, 1) for value in some}
 # The factors, by their index in a row.
 _ID, _LENGTH, _FIRST, _SECOND, _LAST, _MOTION, _STEERING, _SPEED, _LED, _BEFORE, _WAY = range(11)
 _BYTES = ((_FIRST, 1), (_SECOND, 3), (_LAST, 2))  # and from how many data bytes on each stands
@@ -55,7 +63,7 @@ class _Shape(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Space:
+class Space:
     """The factors of a protocol: the numbers that each value of them stands for.
 
     `ways` are the deliveries of complete frames, or how many bytes of truncated frames arrive.
@@ -87,6 +95,35 @@ class _Space:
         if key not in self._possible:
             self._possible[key] = any(True for _ in self.fitting(chosen))
         return self._possible[key] and (not chosen.get(_BEFORE) or self._after_fault(chosen))
+
+    @cached_property
+    def _numbers(self) -> tuple[dict[object, int], ...]:
+        """For each variable of the state the number of each of its values."""
+        return tuple(
+            {value: number for number, some in enumerate(values) for value in some}
+            for _, values in self.states
+        )
+
+    def row(self, state: State, before: str, step: Step, way: int) -> Row | None:
+        """The row of a complete frame that comes in a state; None where a value is in no class.
+
+        `before` is the kind of the fault before it, "" for a valid frame.
+        """
+        identity, length = self.protocol.headers[step.frame[0]]
+        places = {_FIRST: 1, _SECOND: 2, _LAST: -1}
+        found: tuple[int | None, ...] = (
+            self.protocol.ids.index(identity),
+            self.protocol.data_lengths.index(length),
+            *(_CLASS[step.frame[places[f]]] if length >= least else 0 for f, least in _BYTES),
+            *(
+                of.get(getattr(state, n))
+                for of, (n, _) in zip(self._numbers, self.states, strict=True)
+            ),
+            self.faults.index(before) + 1 if before else 0,
+            way,
+        )
+        known = tuple(number for number in found if number is not None)
+        return known if len(known) == len(found) else None
 
     def fitting(self, chosen: Partial) -> Iterator[_Shape]:
         """The shapes of frames that have the chosen values."""
@@ -141,7 +178,7 @@ def _limits(protocol: Protocol, variable: str) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=8)
-def _space(protocol: Protocol, *, cut: bool) -> _Space:
+def space_of(protocol: Protocol, *, cut: bool) -> Space:
     """The factors of complete frames, or of truncated ones."""
     if cut:
         lengths, arrivals = _cut_classes(protocol)
@@ -163,7 +200,7 @@ def _space(protocol: Protocol, *, cut: bool) -> _Space:
         )
         counts = len(protocol.data_lengths), len(DELIVERED)
     faults = Inputs(protocol, 0).faulty_kinds
-    return _Space(protocol, _states(protocol), faults, *counts, shapes)
+    return Space(protocol, _states(protocol), faults, *counts, shapes)
 
 
 def _cut_classes(protocol: Protocol) -> tuple[list[range], list[range]]:
@@ -174,12 +211,23 @@ def _cut_classes(protocol: Protocol) -> tuple[list[range], list[range]]:
 
 
 @lru_cache(maxsize=8)
-def array(protocol: Protocol, seed: int, *, cut: bool) -> CoveringArray:
-    """The covering array of complete frames, or of truncated ones."""
-    space, draw = _space(protocol, cut=cut), random.Random(f"combinations {cut} {seed}")
+def total(protocol: Protocol) -> int:
+    """How many feasible combinations of `STRENGTH` factors complete frames have."""
+    space = space_of(protocol, cut=False)
+    return sum(1 for _ in feasible_combinations(space.sizes, STRENGTH, space.feasible))
+
+
+@lru_cache(maxsize=8)
+def _rows(protocol: Protocol, *, cut: bool) -> tuple[Row, ...]:
+    """The rows of the covering array of complete frames, or of truncated ones.
+
+    They are the same in each run: a run's seed draws their data, and the values of their states.
+    """
+    space, draw = space_of(protocol, cut=cut), random.Random("combinations")
     if cut:
-        return CoveringArray(space.sizes, 2, space.feasible, draw, tries=16)
-    return CoveringArray(space.sizes, 3, space.feasible, draw, dear={(_WAY, SPLIT)})
+        return CoveringArray(space.sizes, 2, space.feasible, draw, tries=16).rows
+    dear = {(_WAY, SPLIT)}  # a pause each
+    return CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear).rows
 
 
 class Combinations:
@@ -191,16 +239,19 @@ class Combinations:
 
     def __init__(self, protocol: Protocol, seed: int) -> None:
         self._protocol = protocol
-        self._seed = seed
         self._draw = random.Random(f"sequences of combinations {seed}")
         self._inputs = Inputs(protocol, seed)
 
-    def arrays(self) -> Iterator[SequenceCase]:
-        """The sequences of both arrays, each delivery by itself."""
-        whole, cut = (array(self._protocol, self._seed, cut=cut).rows for cut in (False, True))
-        for way, word in enumerate(DELIVERED):
-            yield from self._chunks(word, [row for row in whole if row[_WAY] == way])
-        yield from self._chunks(CUT, cut)
+    def array(self, word: str) -> Iterator[SequenceCase]:
+        """The sequences of the array of truncated frames (`CUT`), or of one delivery of others."""
+        space = space_of(self._protocol, cut=word == CUT)
+        rows: Sequence[Row] = _rows(self._protocol, cut=word == CUT)
+        if word != CUT:
+            rows = [row for row in rows if row[_WAY] == DELIVERED.index(word)]
+        for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
+            what = "each combination of a frame, the state, the outcome before and the delivery"
+            bursts = list(self._bursts(word, space, rows[start : start + _STIMULI]))
+            yield self._sequence(f"{word}/{number:03}", what, bursts)
 
     def random(self, number: int, bursts: int) -> SequenceCase:
         """The sequence of that number of random frames, every second one pipelined."""
@@ -214,25 +265,22 @@ class Combinations:
         """A random frame: as often a motion or a setting as any header with any data."""
         inputs, draw, protocol = self._inputs, self._draw, self._protocol
         if draw.random() < 0.5:
-            return inputs.next(draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds))
+            return inputs.next(
+                draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds)
+            )
         header = draw.randrange(len(protocol.headers))
-        data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
+        data = bytes(
+            draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header])
+        )
         return complete_frame(protocol, header, data)
-
-    def _chunks(self, word: str, rows: Sequence[Row]) -> Iterator[SequenceCase]:
-        for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
-            what = "each combination of a frame, the state, the outcome before and the delivery"
-            bursts = list(self._bursts(word, rows[start : start + _STIMULI]))
-            yield self._sequence(f"{word}/{number:03}", what, bursts)
 
     def _sequence(self, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
         clause = self._protocol.clauses.instructions
         return SequenceCase(f"{ARRAY}/{name}", clause, what, (), tuple(bursts), seeded=True)
 
-    def _bursts(self, word: str, rows: Iterable[Row]) -> Iterator[Burst]:
+    def _bursts(self, word: str, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""
         protocol, motion = self._protocol, Motion.STOPPED
-        space = _space(protocol, cut=word == CUT)
         for row in rows:
             before, motion = self._before(row, space, motion)
             step = self._frame(row, space)
@@ -244,10 +292,10 @@ class Combinations:
             split = word == DELIVERED[SPLIT]
             yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())
 
-    def _before(self, row: Row, space: _Space, motion: Motion) -> tuple[list[Step], Motion]:
+    def _before(self, row: Row, space: Space, motion: Motion) -> tuple[list[Step], Motion]:
         """The frames that lead from a kind of motion to the row's state, and the motion after."""
         protocol, pick = self._protocol, self._draw.choice
-        drawn = {
+        drawn: dict[str, Any] = {
             name: pick(values[row[factor]])
             for factor, (name, values) in enumerate(space.states, _MOTION)
         }
@@ -267,7 +315,7 @@ class Combinations:
             return steps, protocol.on_fault.motion or state.motion
         return steps, state.motion
 
-    def _frame(self, row: Row, space: _Space) -> Step:
+    def _frame(self, row: Row, space: Space) -> Step:
         """The frame of a row, its bytes drawn from their classes."""
         protocol, identity = self._protocol, self._protocol.ids[row[_ID]]
         shape = self._draw.choice(list(space.fitting(dict(enumerate(row)))))

@@ -10,7 +10,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from itertools import combinations
 
+from bilprov.conformance.cases.combinations import (
+    PIPELINED,
+    SPLIT,
+    STRENGTH,
+    WAITED,
+    space_of,
+    total,
+)
 from bilprov.conformance.cases.frame_source import TOO_FEW, TOO_MANY
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
@@ -30,6 +39,7 @@ STATES = "instructions and faults x kinds of motion"
 PAIRS = "pairs in a row"
 TRIPLES = "pairs in a row x kinds of motion"
 WAYS = "instructions and faults x deliveries"
+COMBINED = "combinations of three"
 
 
 def kind_of(protocol: Protocol, step: Step) -> str:
@@ -121,9 +131,30 @@ def totals(protocol: Protocol) -> dict[str, int]:
 
 def covered(protocol: Protocol, cases: Iterable[AnyCase]) -> dict[str, tuple[int, int]]:
     """How many facts these cases exercise, out of how many: (done, of) by what is counted."""
-    of = totals(protocol)
+    cases, of = list(cases), totals(protocol)
     met: set[Fact] = set()
     for case in cases:
         met.update(facts(protocol, case))
     done = Counter(name for name, _ in met)
-    return {name: (done[name], of[name]) for name in of if of[name]}
+    found = {name: (done[name], of[name]) for name in of if of[name]}
+    seeded = [case for case in cases if isinstance(case, SequenceCase) and case.seeded]
+    return found | {COMBINED: _combined(protocol, seeded)} if seeded else found
+
+
+def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> tuple[int, int]:
+    """How many combinations of three factors these cases exercise, out of how many.
+
+    Of each burst the last frame counts, after which the robot is observed; truncated frames do not.
+    """
+    space = space_of(protocol, cut=False)
+    met: set[tuple[tuple[int, int], ...]] = set()
+    for case in cases:
+        state, last = protocol.power_on, ""
+        for burst in case.bursts:
+            way = SPLIT if burst.pauses else PIPELINED if len(burst.steps) > 1 else WAITED
+            for step in burst.steps:
+                if burst.looks and step is burst.steps[-1] and not step.truncated:
+                    row = space.row(state, last, step, way)
+                    met.update(combinations(enumerate(row or ()), STRENGTH))
+                state, last = _after(protocol, state, step), kind_of(protocol, step) * step.faulty
+    return len(met), total(protocol)

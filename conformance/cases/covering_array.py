@@ -19,13 +19,24 @@ Partial = Mapping[int, int]
 _DRAWS = 3  # values drawn for a factor, of which one that covers something new is taken
 
 
+def feasible_combinations(
+    sizes: Sequence[int], strength: int, feasible: Callable[[Partial], bool]
+) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Yield every feasible combination of the values of `strength` factors, as (factor, value)."""
+    for factors in combinations(range(len(sizes)), strength):
+        for values in product(*(range(sizes[factor]) for factor in factors)):
+            pairs = tuple(zip(factors, values, strict=True))
+            if feasible(dict(pairs)):
+                yield pairs
+
+
 class CoveringArray:
     """Rows over factors with `sizes` values each, and what they cover.
 
     `feasible` says whether values chosen so far can be completed to a row; it must be exact, so
     that a row is never begun in vain. `dear` are (factor, value) pairs that stand in no more rows
     than needed; of `tries` ways to complete a row the one that covers most is taken. `rows` hold
-    every feasible combination of `strength` factors, `total` says how many of these there are.
+    every feasible combination of `strength` factors.
     """
 
     def __init__(
@@ -46,18 +57,9 @@ class CoveringArray:
         self._covered: set[tuple[int, ...]] = set()
         # A value's number is unique over all factors, so that a combination is a tuple of numbers.
         self._first = tuple(sum(self._sizes[:index]) for index in range(len(self._sizes)))
-        wanted = list(self._combinations())
-        self.total = len(wanted)
+        wanted = list(feasible_combinations(sizes, strength, feasible))
         draw.shuffle(wanted)
         self.rows = tuple(self._rows(wanted, tries))
-
-    def _combinations(self) -> Iterator[tuple[tuple[int, int], ...]]:
-        """Every feasible combination of values, as (factor, value) pairs."""
-        for factors in combinations(range(len(self._sizes)), self._strength):
-            for values in product(*(range(self._sizes[factor]) for factor in factors)):
-                pairs = tuple(zip(factors, values, strict=True))
-                if self._feasible(dict(pairs)):
-                    yield pairs
 
     def _rows(self, wanted: Sequence[tuple[tuple[int, int], ...]], tries: int) -> Iterator[Row]:
         first = self._first

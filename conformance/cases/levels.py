@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.combinations import Combinations
+from bilprov.conformance.cases.combinations import CUT, DELIVERED, Combinations
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
@@ -41,14 +41,17 @@ class Level:
 
     name: str
     promise: str
-    cuts: int  # truncations in every eighth tour
+    cuts: int  # truncations in a tour that holds some
+    cut_each: int  # of how many tours one holds some
     singles: str  # `few`, `headers` (one truncation of each) or `all` (every truncation)
     idle: int  # ms for which a moving robot is sent nothing
 
 
-SMOKE = Level("smoke", "a look at everything", cuts=0, singles="few", idle=300)
-STANDARD = Level("standard", "every frame and pair", cuts=1, singles="headers", idle=1200)
-DEEP = Level("deep", "every cut", cuts=2, singles="all", idle=5000)
+SMOKE = Level("smoke", "a look at everything", cuts=0, cut_each=1, singles="few", idle=300)
+STANDARD = Level(
+    "standard", "every frame and pair", cuts=1, cut_each=8, singles="headers", idle=1200
+)
+DEEP = Level("deep", "every cut", cuts=2, cut_each=2, singles="all", idle=5000)
 LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP)}
 
 
@@ -61,6 +64,10 @@ class Source:
     seed: int
     tours: Tours
     combinations: Combinations
+
+    def cut(self, number: int) -> bool:
+        """Whether the tour of this number holds truncations."""
+        return number % self.level.cut_each == 0
 
 
 Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
@@ -83,13 +90,18 @@ def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
     return lambda source, amount: (make(source, number) for number in range(1, amount + 1))
 
 
+def _combined(word: str) -> Make:
+    """Make the sequences of an array of combinations."""
+    return lambda source, _: source.combinations.array(word)
+
+
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
 GENERATORS = (
     Generator("pipelined/dense", (0, 1, 1), lambda of, _: [dense(of.protocol)]),
     Generator(
         "sequence/tour",
         (12, 130, 500),
-        _numbered(lambda of, n: of.tours.waited("tour", n, cuts=0 if n % 8 else of.level.cuts)),
+        _numbered(lambda of, n: of.tours.waited("tour", n, cuts=of.level.cuts * of.cut(n))),
     ),
     Generator(
         "sequence/left-alone",
@@ -99,12 +111,12 @@ GENERATORS = (
     Generator(
         "pipelined/tour",
         (4, 40, 150),
-        _numbered(lambda of, n: of.tours.pipelined("tour", n, 24, (2, 6))),
+        _numbered(lambda of, n: of.tours.pipelined("tour", n, 24, (2, 6), cut=of.cut(n))),
     ),
     Generator(
         "pipelined/long",
         (1, 3, 10),
-        _numbered(lambda of, n: of.tours.pipelined("long", n, 4, (30, 60))),
+        _numbered(lambda of, n: of.tours.pipelined("long", n, 4, (30, 60), cut=True)),
     ),
     Generator("split/tour", (2, 10, 40), _numbered(lambda of, n: of.tours.split("tour", n, 30))),
     Generator("sequence/data", (0, 1, 1), lambda of, _: data_sweep(of.protocol)),
@@ -120,7 +132,7 @@ GENERATORS = (
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
     ),
-    Generator("combined", (0, 1, 1), lambda of, _: of.combinations.arrays()),
+    *(Generator(f"combined/{word}", (0, 1, 1), _combined(word)) for word in (*DELIVERED, CUT)),
     Generator(
         "combined/random",
         (0, 130, 1300),
@@ -165,9 +177,7 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
 
 
 def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
-    source = Source(
-        protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed)
-    )
+    source = Source(protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed))
     place = list(LEVELS).index(level.name)
     for generator in GENERATORS:
         amount = generator.amounts[place]

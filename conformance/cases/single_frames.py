@@ -85,11 +85,11 @@ def all_cases(protocol: Protocol, seed: int, *, every_cut: bool) -> tuple[Case, 
 
 
 def _mark_thorough(found: list[Case]) -> Iterator[Case]:
-    """The cases, the first of each class of fault marked as thorough."""
-    seen: set[tuple[FrameClass, int]] = set()
+    """The cases, the first of each class of fault in each kind of motion marked as thorough."""
+    seen: set[tuple[FrameClass, int, Motion]] = set()
     for case in found:
         answer = case.accepted[0].codes[0] if case.kind is FrameClass.WRONG_LENGTH else -1
-        key = (case.kind, answer)
+        key = (case.kind, answer, case.setup.motion)
         first = case.kind not in (FrameClass.VALID, FrameClass.RECOVERY) and key not in seen
         if first:
             seen.add(key)

@@ -77,15 +77,18 @@ class Tours:
         return self._go(where, kind)
 
     def pipelined(
-        self, name: str, number: int, bursts: int, sizes: tuple[int, int]
+        self, name: str, number: int, bursts: int, sizes: tuple[int, int], *, cut: bool
     ) -> SequenceCase:
-        """A sequence of `bursts`, each of `sizes` (least, most) frames sent in one go."""
+        """A sequence of `bursts`, each of `sizes` (least, most) frames sent in one go.
+
+        With `cut` the last frame of one of them is truncated.
+        """
         setup, where = self._begin()
         made = []
-        cut, alone, long = self._draw.sample(range(bursts), 3)
+        last, alone, long = self._draw.sample(range(bursts), 3)
         for index in range(bursts):
             steps = [self._next(where) for _ in range(self._draw.randint(*sizes))]
-            if index == cut and number % 4 == 1:
+            if index == last and cut:
                 steps[-1] = self._go(where, CUT)
             dwell = 0
             if number % 2:

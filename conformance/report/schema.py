@@ -49,9 +49,9 @@ class Case(msgspec.Struct, kw_only=True):
     """One case without its wire log.
 
     `clause` is the one that its failure violates, `planned_clause` the one that the case stands
-    under in every format of the report. `frames` are how many frames it has; where a seeded
-    sequence was answered as it should be, `sent`, `received` and the log are left out. `axes` are `answer`, `stop` and `state`. The verdict of an
-    `expected_failure` stays `fail`.
+    under in every format of the report. `axes` are `answer`, `stop` and `state`. The verdict of an
+    `expected_failure` stays `fail`. `frames` are how many frames the case has; a seeded sequence
+    that was answered as it should be has neither `sent` nor `received` nor a log.
     """
 
     id: str

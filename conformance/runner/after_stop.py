@@ -32,7 +32,8 @@ def stays_stopped(
     brief = many and run.counters.next_check() % 4
     window = run.timers.settle if brief else run.timers.silence
     costly = run.config.observability.costly
-    rounds = max(1, run.timers.hold // window) if case.thorough and not costly else 1
+    long = not costly and run.counters.holds(case)
+    rounds = max(1, run.timers.hold // window) if long else 1
     trial.settled = True
     for _ in range(rounds):
         more = yield from listen(None, window)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
-from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
 from bilprov.conformance.dut.operations import Ended, Observation, Procedure, listen, observe, send
 from bilprov.conformance.oracle.state_model import ExpectedState
@@ -74,8 +74,11 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
         waiting.in_vain(waiting.patience)
     in_step = trial is not None and trial.in_step and not late
     # A device that answered as it should is at a boundary: a stop is as good as many. Another one
-    # is for the line, which may have made a motion of the first; a slow device gets no other.
-    few = 1 if run.profile.slowest > _SLOW else 2
+    # is for the line, which may have made a motion of the first; a slow device gets no other. After
+    # a sequence there are many, and time for an answer that comes late.
+    slow = run.profile.slowest > _SLOW
+    single = trial is not None and isinstance(trial.case, Case)
+    few = 1 if slow else 2 if single else due
     at_once = (few, due, due) if in_step else (due, due)
     settle = 0 if trial is not None and trial.settled else run.timers.settle
     between_frames = in_step or trial is None

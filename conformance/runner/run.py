@@ -6,7 +6,7 @@ A case that is under way has a state of its own (`runner.trial`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
@@ -68,11 +68,17 @@ class Counters:
     missed_stops: int = 0
     floods: int = 0
     _checks: int = 0
+    _held: dict[tuple[str, tuple[int, ...]], str] = field(default_factory=dict)
 
     def next_check(self) -> int:
         """The next value of a counter that rotates through the checks after a stop."""
         self._checks += 1
         return self._checks
+
+    def holds(self, case: Case) -> bool:
+        """Whether the stop of this case is watched for long: one thorough case of each class."""
+        key = (case.kind, case.accepted[0].codes)
+        return case.thorough and self._held.setdefault(key, case.id) == case.id
 
 
 def result_of(

@@ -285,7 +285,7 @@ def require_agreement(protocol: Protocol, step: Step) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_a_walk_begins_in_motion_and_leaves_nothing_open(protocol: Protocol, level: str) -> None:
-    for sequence in sequences_of(protocol, level):
+    for sequence in [found for found in sequences_of(protocol, level) if not found.seeded]:
         names = {judge(protocol, step.frame).name for step in sequence.setup}
         assert not any(step.faulty for step in sequence.setup), sequence.id
         assert {"Speed", "LED"} <= names, sequence.id
