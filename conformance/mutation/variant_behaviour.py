@@ -196,6 +196,13 @@ def at_the_header(pause: int, chooses: Chooses) -> Hear:
     return hear
 
 
+def stops_at_an_unused_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
+    """Stop the robot at the header of an unused ID; of a wrong length only after its data."""
+    identity, _ = device.protocol.headers[header]
+    known = identity in device.protocol.by_id
+    return () if known else stops_at_the_header(device, header)
+
+
 def stops_at_the_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
     """Stop the robot at a wrong header; the answer comes after the data, as usual."""
     identity, length = device.protocol.headers[header]
