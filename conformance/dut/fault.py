@@ -63,6 +63,7 @@ class MutatedDevice(typing.Protocol):
     """
 
     protocol: Protocol
+    fault: Fault
     state: State
     memory: dict[str, int]
     byte_time: int
