@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import click
 
@@ -19,7 +18,8 @@ from bilprov.analyzer.cli.options import (
     row_options,
     row_style,
 )
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, require_writable
+from bilprov.analyzer.cli.progress import reading
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -128,7 +128,7 @@ def export(
         _require_alone(path, style)
         from bilprov.analyzer.export.foxglove_layout import foxglove_layout
 
-        with _opened(output or STANDARD_OUTPUT, None, force, text=True) as stream:
+        with _opened(output or STANDARD_OUTPUT, [], force, text=True) as stream:
             stream.write(foxglove_layout(protocol))
         return
     if path is None or style is None or output is None:
@@ -141,24 +141,19 @@ def export(
     window = _window(start, end)
     test = compiled(expression, protocol)
     capture = _capture(path, protocol)
-    try:
-        with (
-            _opened(output, path, force, text=form.text) as stream,
-            _progress(capture) as progress,
-        ):
-            form.writer()(
-                capture,
-                protocol,
-                stream,
-                test=test.started(capture.start) if test else None,
-                window=window,
-                progress=progress,
-                **more,
-            )
-    except click.Abort:
-        to_file = output != STANDARD_OUTPUT
-        note(f"stopped: {printable(output) if to_file else 'the rest'} was not written")
-        raise
+    with (
+        _opened(output, [path], force, text=form.text) as stream,
+        reading([capture]) as progress,
+    ):
+        form.writer()(
+            capture,
+            protocol,
+            stream,
+            test=test.started(capture.start) if test else None,
+            window=window,
+            progress=progress,
+            **more,
+        )
 
 
 def _require_alone(path: str | None, style: str | None) -> None:
@@ -200,12 +195,12 @@ def _capture(path: str, protocol: Protocol) -> Capture:
 
 
 @contextmanager
-def _opened(output: str, source: str | None, force: bool, *, text: bool) -> Iterator[BinaryIO]:
+def _opened(output: str, inputs: list[str], force: bool, *, text: bool) -> Iterator[BinaryIO]:
     """Open the file OUT, which is there only if the block ends well; or standard output.
 
     Raises UsageError, in one sentence, if it may not be written, and UserError if it cannot be.
     """
-    from bilprov.analyzer.files import whole_file, why_not_writable
+    from bilprov.analyzer.files import whole_file
 
     if output == STANDARD_OUTPUT:
         if not text and sys.stdout.isatty():
@@ -213,39 +208,10 @@ def _opened(output: str, source: str | None, force: bool, *, text: bool) -> Iter
         yield sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
-    file = Path(output)
-    if file.is_file() and source and os.path.realpath(source) == os.path.realpath(file):
-        raise click.UsageError(f"-o {output} would overwrite the capture: name another file")
-    if file.is_file() and not force:
-        raise click.UsageError(f"-o {output} exists: name another file, or say --force")
-    if why_not := why_not_writable(file):
-        raise click.UsageError(f"-o {output} cannot be written: {why_not}")
+    require_writable([("-o", output)], inputs, force=force)
     try:
-        with whole_file(file, replace=force) as stream:
+        with whole_file(Path(output), replace=force) as stream:
             yield stream
     except OSError as error:
         why = printable(error.strerror or error)
         raise UserError(f"{printable(output)} cannot be written: {why}") from error
-
-
-@contextmanager
-def _progress(capture: Capture) -> Iterator[Callable[[int], None]]:
-    """Show on a terminal how many bytes of the line were read, and end at Ctrl-C or SIGTERM."""
-    from bilprov.analyzer.transport.signals import Stopper
-    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
-
-    size = sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
-    with ExitStack() as stack:
-        stopper = stack.enter_context(Stopper())
-        shown: Any = None
-        if sys.stderr.isatty():
-            bar = click.progressbar(length=size, file=sys.stderr, label=printable(capture.path))
-            shown = stack.enter_context(bar)
-
-        def progress(more: int) -> None:
-            if stopper.stopped:
-                raise click.Abort
-            if shown:
-                shown.update(more)
-
-        yield progress

@@ -65,7 +65,7 @@ COMMANDS = {
     "cut": Row("Analyze", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
     "join": Row("Analyze", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
     "compare": Row(
-        "Analyze", "bilprov.analyzer.cli.compare", "compare", "Tell where two captures differ."
+        "Analyze", "bilprov.analyzer.cli.edit", "compare", "Tell where two captures differ."
     ),
     "send": Row(
         "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
