@@ -134,6 +134,15 @@ def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path
     joined(*parts)
     both = [record for record in read_capture(tmp_path / "joined.mcap") if is_frame(record)]
     assert both == [record for record in read_capture(SAMPLE) if is_frame(record)]
+    gaps = [
+        [
+            e
+            for e in open_capture(path).events()
+            if isinstance(e, Line) and e.event == "gap" and not getattr(e, "silent", False)
+        ]
+        for path in (tmp_path / "joined.mcap", *parts)
+    ]
+    assert len(gaps[0]) == len(gaps[1]) + len(gaps[2])  # none between them
 
 
 def test_parts_of_different_hours_number_their_instructions_on(tmp_path: Path) -> None:
