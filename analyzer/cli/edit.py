@@ -174,7 +174,8 @@ def compare(
     """Tell where two captures differ.
 
     Both are decoded, and aligned by the frames that the host sent, so that one frame more or less
-    does not shift all that follow. Told are frames that only one of them has, other or missing
+    does not shift all that follow; after more than 20,000 missing at one place they are told one by
+    one. Told are frames that only one of them has, other or missing
     answers, bytes that nobody asked for, and latencies that differ by more than --latency; times of
     day and pauses are not compared. The keys of the JSON are explained in
     analyzer/edit/comparison_report.py.
