@@ -15,6 +15,7 @@ from bilprov.analyzer.cli.options import (
     confirm_motion,
     line_options,
     note,
+    note_suspension,
     text_format_option,
 )
 from bilprov.analyzer.output.console import show, show_json
@@ -98,6 +99,7 @@ def doctor(
             report.begin("both taps")
         with Stopper() as stopper:
             report.tell(of_line(protocol, names, settings, seconds, stopper, rates))
+        note_suspension(stopper)
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return report.end(names)
