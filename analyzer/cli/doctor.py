@@ -116,7 +116,13 @@ def _what_may_move(port: str, rates: Sequence[int], seconds: float) -> str:
 
 
 def _require_ports(names: Sequence[str]) -> None:
+    from bilprov.analyzer.settings import SIM
+    from bilprov.analyzer.transport.errors import missing
+    from bilprov.analyzer.transport.machine import Machine
+
     for name in names:
+        if name == SIM and not Path(name).exists():
+            raise missing(name, (), Machine())
         if Path(name).is_file():
             raise click.UsageError(
                 f"{name} is a file and no port; what a capture holds tells: bilprov info {name}"

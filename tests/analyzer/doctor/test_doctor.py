@@ -440,6 +440,14 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
     assert f"{file} is a file and no port".encode() in result.stderr
 
 
+@pytest.mark.parametrize("arguments", [["doctor"], ["doctor", "/dev/ptmx"], ["sniff"]])
+def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
+    result = command(*arguments, "sim", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, b"")
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(b"bilprov: sim is no port")
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
