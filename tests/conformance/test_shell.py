@@ -365,6 +365,7 @@ def test_ctrl_z_stops_the_robot_and_then_suspends_and_the_shell_goes_on(
         terminal.wait_for("stopped: the program was suspended")
         terminal.wait_for("stopped speed 80 led")
         terminal.type("LED 7\r")
+        terminal.wait_for("← 00")
         terminal.wait_for("stopped speed 80 led 7>")
         terminal.type(CTRL_D)
         terminal.wait_for("ended with 0")

@@ -560,6 +560,7 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
         result = command("--grammar", str(grammar), *asks)
         assert result.returncode == 2
         said = result.stdout.decode()
+        assert b"and 10 other rates" in result.stderr
         assert "a device answers at 9600 baud, not at 115200;" in said
         assert f"bilprov conform {pty.name} --baud 9600\n" in said
         assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0
