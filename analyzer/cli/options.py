@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.outputs import Format
     from bilprov.analyzer.output.row_columns import RowStyle
+    from bilprov.analyzer.transport.signals import Stopper
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -199,6 +200,12 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+def note_suspension(stopper: Stopper) -> None:
+    """Print a note if a run ends because Ctrl-Z has suspended it."""
+    if stopper.suspended:
+        note("the program was suspended: the robot was stopped first, and the run ends here")
 
 
 def note_hindrances(*names: str) -> None:

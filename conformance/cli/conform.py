@@ -20,6 +20,7 @@ from bilprov.analyzer.cli.options import (
     line_options,
     note,
     note_hindrances,
+    note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -294,6 +295,8 @@ def _tested(
             note(f"{quantity(count, 'case')}, about {seconds:.0f} s; what goes wrong may add a few")
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
+        if target.moves:
+            stopper.before_suspending(target.halt)
         listeners: list[RunListener] = []
         if record is not None:
             from bilprov.conformance.runner.listeners.recorder import open_recorder
@@ -305,6 +308,7 @@ def _tested(
         report = run_suite(target, options, listeners)
         if target.remark():
             note(target.remark())
+    note_suspension(stopper)
     broken = next((listener.broken for listener in listeners if listener.broken), None)
     return _dated(report, start), broken
 

@@ -17,6 +17,7 @@ from bilprov.analyzer.cli.options import (
     line_options,
     note,
     note_hindrances,
+    note_suspension,
     timeout_option,
 )
 from bilprov.analyzer.grammar_file import load_protocol
@@ -62,8 +63,8 @@ def shell(
 
     A line holds instructions as for `send` (Forward, Speed 255, LED rgb=5), bytes in hex (93 00),
     pauses (pause=500) or words (help lists them), with ; between them. Tab completes, the arrows
-    recall earlier lines. Ctrl-C stops the robot, at rest it leaves; Ctrl-D leaves. The device is
-    homed first and on every way out.
+    recall earlier lines. Ctrl-C stops the robot, at rest it leaves; Ctrl-D leaves; Ctrl-Z stops
+    the robot and suspends. The device is homed first and on every way out.
 
     Without a terminal the lines come from standard input. Exit code there: as for `send`, and 1
     where a line was not done to its end, 2 for a line that says nothing.
@@ -109,6 +110,7 @@ def shell(
 
                 done = do_lines(driving, stopper)
                 driving.target.finish()
+            note_suspension(stopper)
     told = [] if driving.target.answered_stops else [UNANSWERED_STOPS]
     if not interactive:
         check = driving.check
