@@ -84,12 +84,12 @@ def compare(
 
 def _require_writable(output: str | None, *captures: str) -> None:
     """Raise UsageError if the JSON cannot be written, before anything is compared."""
-    from bilprov.analyzer.files import why_not_writable
+    from bilprov.analyzer.files import real_path, why_not_writable
 
     if output is None or output == STANDARD_OUTPUT:
         return
     why_not = why_not_writable(Path(output))
     if why_not:
         raise click.UsageError(f"--json {output} cannot be written: {why_not}")
-    if Path(output).resolve() in {Path(capture).resolve() for capture in captures}:
+    if real_path(output) in {real_path(capture) for capture in captures}:
         raise click.UsageError(f"--json {output} would overwrite a capture: name another file")

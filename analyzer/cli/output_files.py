@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bilprov.analyzer.files import why_not_writable, write_whole
+from bilprov.analyzer.files import real_path, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -25,7 +25,7 @@ def require_writable(
     `outputs` are the option and the path of each, `inputs` files that must not be overwritten.
     Without `force` none may exist; a pipe or a device is not overwritten.
     """
-    taken = {Path(path).resolve(): f"the input {path}" for path in inputs}
+    taken = {real_path(path): f"the input {path}" for path in inputs}
     on_standard_output = ""
     for option, path in outputs:
         if path == STANDARD_OUTPUT:
@@ -40,15 +40,15 @@ def require_writable(
         why_not = why_not_writable(file)
         if why_not:
             raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
-        if file.resolve() in taken:
+        if real_path(file) in taken:
             raise click.UsageError(
-                f"{option} {path} would overwrite {taken[file.resolve()]}: name another file"
+                f"{option} {path} would overwrite {taken[real_path(file)]}: name another file"
             )
         if not force and file.is_file():
             raise click.UsageError(
                 f"{option} {path} exists: name another file, or say --force to overwrite it"
             )
-        taken[file.resolve()] = option
+        taken[real_path(file)] = option
 
 
 def write_output(path: str, data: bytes) -> None:
