@@ -99,11 +99,10 @@ class Settings:
                 found[name] = {**before, **values}
         return found
 
-    def device(self, word: object) -> dict[str, Value] | None:
-        """The device of that name, None if the word is a path, a URL, sim, or no device's name."""
-        if not isinstance(word, str) or not is_name(word) or Path(word).exists():
-            return None
-        return self.devices.get(word)
+    def device(self, word: str) -> dict[str, Value] | None:
+        """The device of that name, None if there is none, or a file that is called so."""
+        found = self.devices.get(word)
+        return None if found is None or Path(word).exists() else found
 
 
 def is_name(word: str) -> bool:

@@ -170,6 +170,7 @@ DANGEROUS = [
     ("grammar = 'evil.py'", "grammar = evil.py"),
     ("probe = 'exec:rm -r x'", "exec:rm -r x"),
     ("[conform]\npower = 'exec:reboot'", "power"),
+    ("[plot]\nforce = true", "force = True"),
     ("[conform]\nprobe = 'EXEC:x'", "EXEC:x"),
     ("[conform]\nyes = false", "yes = False"),
     ("[device.car]\nport = '/dev/x'\nprobe = 'exec:x'", "[device.car]"),
