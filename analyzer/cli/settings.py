@@ -68,7 +68,7 @@ def with_settings(
     named = _devices_named(command, name, settings, arguments)
     device: dict[str, Value] = {}
     for values in named.values():
-        device |= {key: value for key, value in values.items() if key != PORT}
+        device |= values
     if named:
         ports = {word: values[PORT].value for word, values in named.items()}
         command = copy(command)

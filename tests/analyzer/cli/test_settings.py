@@ -106,6 +106,48 @@ def test_show_says_where_each_value_comes_from_and_which_are_not_used(
         assert all(str(part) in command("config", "show").stdout.decode() for part in row[:3])
 
 
+def test_the_users_file_is_in_the_home_where_no_other_place_is_set(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (place / ".config" / "bilprov").mkdir(parents=True)
+    (place / ".config" / "bilprov" / "config.toml").write_text("baud = 9600")
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setenv("HOME", str(place))
+    source = str(place / ".config" / "bilprov" / "config.toml")
+    assert shown()["all", "baud"] == (9600, source, True)
+
+
+def test_keys_are_the_long_spellings_of_options_with_dashes_or_underscores(place: Path) -> None:
+    theirs(place, "truncation_timeout = 70\n[sniff]\nwrite = 'x.mcap'\n[replay]\nto = '/dev/x'")
+    assert shown("replay")["replay", "truncation-timeout"][0] == 70
+    assert shown("sniff")["sniff", "write"][0] == "x.mcap"
+    assert shown("replay")["replay", "to"][0] == "/dev/x"  # a port may be outside of the folder
+
+    for key in ("w", "help", "version"):
+        theirs(place, f"[sniff]\n{key} = 'x.mcap'")
+        assert f"sniff has no option {key}" in refused("config", "show")
+
+
+def test_several_values_are_a_list_or_stand_side_by_side_in_the_environment(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = ("conform", "sim", "--list")
+    both = command(*listed, "--only", "valid/Stop*", "--only", "bad-data/LED/9").stdout
+    assert both.count(b"bad-data/LED/9") == 1
+
+    theirs(place, "[conform]\nonly = ['valid/Stop*', 'bad-data/LED/9']")
+    assert command(*listed).stdout == both
+    theirs(place, "")
+    monkeypatch.setenv("BILPROV_CONFORM_ONLY", "valid/Stop* bad-data/LED/9")
+    assert command(*listed).stdout == both
+
+
+def test_the_option_comes_before_the_grammar_of_the_settings(place: Path, horn_text: str) -> None:
+    (place / "horn.py").write_text(horn_text)
+    mine(place, "grammar = 'nowhere.py'")
+    assert b"Horn" in command("--grammar", "horn.py", "decode", "9100").stdout
+
+
 def test_show_of_a_command_has_all_its_options(place: Path) -> None:
     theirs(place, "[conform]\nlevel = 'smoke'")
 
@@ -125,12 +167,30 @@ def test_a_command_of_commands_has_no_settings(place: Path) -> None:
         assert "bilprov.toml [spec]: spec has no option format" in refused(*arguments)
 
 
+def test_show_says_that_a_later_place_comes_before_a_commands_own_table(place: Path) -> None:
+    mine(place, "baud = 9600\n[sniff]\nbaud = 1200\nparity = 'E'\n[send]\nbaud = 300")
+    theirs(place, "[sniff]\nbaud = 2400")
+
+    found = command("config", "show", "--format", "json").stdout
+    rows = [(row["command"], row["value"], row["used"]) for row in json.loads(found)]
+    assert rows == [
+        ("all", 9600, True),
+        ("sniff", 1200, False),
+        ("sniff", "E", True),
+        ("send", 300, True),
+        ("sniff", 2400, True),
+    ]
+
+
 def test_nothing_set_is_said(place: Path) -> None:
     assert command("config", "show").stdout.startswith(b"nothing is set")
 
 
 def test_a_named_device_stands_for_its_port_and_brings_its_options(place: Path) -> None:
-    mine(place, "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'")
+    mine(
+        place,
+        "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'true'",
+    )
 
     assert "/nowhere/tty7" in refused("send", "car", "00", "--yes")
     assert "/nowhere/tty7" in refused("conform", "car", "--yes")
