@@ -189,7 +189,7 @@ def test_nothing_set_is_said(place: Path) -> None:
 def test_a_named_device_stands_for_its_port_and_brings_its_options(place: Path) -> None:
     mine(
         place,
-        "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'true'",
+        "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'exec:true'",
     )
 
     assert "/nowhere/tty7" in refused("send", "car", "00", "--yes")
