@@ -187,10 +187,8 @@ def test_nothing_set_is_said(place: Path) -> None:
 
 
 def test_a_named_device_stands_for_its_port_and_brings_its_options(place: Path) -> None:
-    mine(
-        place,
-        "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'exec:true'",
-    )
+    device = "[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'exec:true'"
+    mine(place, f"baud = 1200\n{device}")
 
     assert "/nowhere/tty7" in refused("send", "car", "00", "--yes")
     assert "/nowhere/tty7" in refused("conform", "car", "--yes")
@@ -360,6 +358,17 @@ def test_settings_are_left_alone_where_a_command_has_no_use_for_them(place: Path
     assert "name it in --columns too" in refused(
         "replay", str(SAMPLE), "--format", "lines", "--time", "utc", "--columns", "name"
     )
+
+
+def test_settings_for_ports_are_left_alone_where_the_target_is_none(place: Path) -> None:
+    mine(place, "probe = 'tcp:127.0.0.1:9'\n[conform]\npower = 'exec:false'")
+
+    sim = ("conform", "sim", "--only", "valid/Stop*")
+    assert command(*sim).returncode == 0
+    assert "is for ports" in refused(*sim, "--probe", "tcp:127.0.0.1:9")
+    assert "is for ports" in refused(*sim, "--power", "exec:true")
+    shell = commands.command("shell", "sim", stdin=b"Stop\n", cwd=place)
+    assert (shell.returncode, b"Stop" in shell.stdout) == (0, True)
 
 
 def test_a_device_at_another_port_has_not_what_was_allowed_for_the_first(place: Path) -> None:
