@@ -12,6 +12,7 @@ import click
 
 from bilprov.analyzer.cli.options import (
     Finite,
+    asked_here,
     compiled,
     filter_option,
     note,
@@ -140,7 +141,7 @@ def export(
     more = _choices(form, style, row_style(time_style, columns, protocol))
     window = _window(start, end)
     test = compiled(expression, protocol)
-    capture = _capture(path, protocol)
+    capture = _capture(path, protocol, window)
     with (
         _opened(output, [path], force, text=form.text) as stream,
         reading([capture]) as progress,
@@ -165,11 +166,11 @@ def _require_alone(path: str | None, style: str | None) -> None:
 
 def _choices(form: Format, style: str, rows: RowStyle) -> dict[str, RowStyle]:
     """The arguments of a writer that has a choice of columns. Raises UsageError for one more."""
-    for option, asked, able in (
-        ("--columns", rows.columns, {name: row.columns for name, row in FORMATS.items()}),
-        ("--time", rows.time, {name: row.times for name, row in FORMATS.items()}),
+    for option, parameter, able in (
+        ("--columns", "columns", {name: row.columns for name, row in FORMATS.items()}),
+        ("--time", "time_style", {name: row.times for name, row in FORMATS.items()}),
     ):
-        if asked and not able[style]:
+        if asked_here(parameter) and not able[style]:
             others = " and ".join(name for name in able if able[name])
             raise click.UsageError(f"{option} is for {others}, not for {style}")
     return {"rows": rows} if form.columns else {}
@@ -183,13 +184,13 @@ def _window(start: float | None, end: float | None) -> Window:
     return Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
 
 
-def _capture(path: str, protocol: Protocol) -> Capture:
+def _capture(path: str, protocol: Protocol, window: Window) -> Capture:
     """Open a capture and tell what there is to tell about it."""
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
 
     capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
+    for sentence in said_about(capture, protocol, window.first):
         note(sentence)
     return capture
 

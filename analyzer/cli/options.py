@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from bilprov.captures.text import escape_controls
 
@@ -154,21 +155,33 @@ def row_style(
     """What was asked for of each row, in the format `style`.
 
     Raises UsageError where the format has no choice of columns or times, or a time is to be
-    written that is not among the columns. Raises ColumnError for what is no column.
+    written that is not among the columns; a setting is left alone there. Raises ColumnError for
+    what is no column.
     """
     from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
 
-    if style == "jsonl" and (time_style or columns is not None):
-        raise click.UsageError(
-            "--time and --columns are for lines and csv: a JSON line has all its keys, and t in "
-            "seconds since the start"
-        )
+    if style == "jsonl":
+        if asked_here("time_style") or asked_here("columns"):
+            raise click.UsageError(
+                "--time and --columns are for lines and csv: a JSON line has all its keys, and t "
+                "in seconds since the start"
+            )
+        return RowStyle()
     chosen = None if columns is None else chosen_columns(columns, protocol)
-    if time_style and chosen and TIME not in chosen:
+    if asked_here("time_style") and chosen and TIME not in chosen:
         raise click.UsageError(
             f"--time {time_style} is how the column time is written: name it in --columns too"
         )
     return RowStyle(TimeStyle(time_style) if time_style else None, chosen)
+
+
+def asked_here(parameter: str) -> bool:
+    """Whether a parameter has its value from the command line.
+
+    A setting is for many uses of a command: where one has no use for it, it is no mistake.
+    """
+    source = click.get_current_context().get_parameter_source(parameter)
+    return source is ParameterSource.COMMANDLINE
 
 
 # In ms, as `truncation_timeout`, None if it is not given.

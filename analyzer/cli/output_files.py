@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bilprov.analyzer.files import why_not_writable, write_whole
+from bilprov.analyzer.files import real_path, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -47,7 +47,7 @@ def require_writable(
         if why_not:
             raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
         lost = next((f"the input {one}" for one in inputs if _same(file, Path(one))), None)
-        lost = lost or taken.get(file.resolve())
+        lost = lost or taken.get(real_path(file))
         if lost:
             raise click.UsageError(f"{option} {path} would overwrite {lost}: name another file")
         if regular and file.exists() and not file.is_file():
@@ -56,7 +56,7 @@ def require_writable(
             raise click.UsageError(
                 f"{option} {path} exists: name another file, or say --force to overwrite it"
             )
-        taken[file.resolve()] = option
+        taken[real_path(file)] = option
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -64,7 +64,7 @@ def _same(one: Path, other: Path) -> bool:
     try:
         return one.samefile(other)
     except OSError:  # one of them is not there
-        return one.resolve() == other.resolve()
+        return real_path(one) == real_path(other)
 
 
 def write_output(path: str, data: bytes) -> None:

@@ -179,7 +179,9 @@ class FrontDoor(Group):
         grammar = settings.values_of(name).get("grammar")
         if grammar is not None and ctx.params.get("grammar") is None:
             ctx.params["grammar"] = str(grammar.value)
-        command, ctx.default_map = with_settings(command, name, settings, rest)
+        command, ctx.default_map = with_settings(
+            command, name, settings, rest, ctx.params.get("grammar")
+        )
         return name, command, rest
 
 

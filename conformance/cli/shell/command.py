@@ -13,6 +13,7 @@ import click
 
 from bilprov.analyzer.cli.options import (
     Finite,
+    asked_here,
     confirm_motion,
     line_options,
     note,
@@ -85,7 +86,7 @@ def shell(
     with ExitStack() as stack:
         port = target
         if target == SIM:
-            if probe not in (None, SIM):
+            if probe not in (None, SIM) and asked_here("probe"):
                 raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
             port, probe = stack.enter_context(_simulator(protocol))
         opened = stack.enter_context(open_port(port, settings))
