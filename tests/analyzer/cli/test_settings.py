@@ -360,6 +360,7 @@ def test_settings_are_left_alone_where_a_command_has_no_use_for_them(place: Path
     )
 
 
+@pytest.mark.waits
 def test_settings_for_ports_are_left_alone_where_the_target_is_none(place: Path) -> None:
     mine(place, "probe = 'tcp:127.0.0.1:9'\n[conform]\npower = 'exec:false'")
 
@@ -383,6 +384,7 @@ def test_a_device_at_another_port_has_not_what_was_allowed_for_the_first(place: 
     assert [used for *_, used in shown().values()] == [True, False, False]
 
 
+@pytest.mark.waits
 def test_a_ring_of_links_and_a_nul_are_no_bug(place: Path) -> None:
     (place / "a").symlink_to("b")
     (place / "b").symlink_to("a")
