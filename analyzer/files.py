@@ -29,13 +29,18 @@ def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
     return data
 
 
+def real_path(path: str | Path) -> Path:
+    """A path with its links followed; one in a ring of links stays (`Path.resolve` raises)."""
+    return Path(os.path.realpath(path))
+
+
 def why_not_writable(file: Path) -> str:
     """Why a file cannot be written and what to do instead, "" if it can."""
     if file.is_dir() or not file.absolute().parent.is_dir():
         return "name a file in a folder that exists"
     allowed = not file.exists() or os.access(file, os.W_OK)
     if not file.exists() or file.is_file():  # anything else, as a pipe, is written as it is
-        allowed = allowed and os.access(file.resolve().parent, os.W_OK | os.X_OK)
+        allowed = allowed and os.access(real_path(file).parent, os.W_OK | os.X_OK)
     return "" if allowed else "this user may not; name another file"
 
 
@@ -54,7 +59,7 @@ def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     A pipe or a terminal is written to directly. Raises OSError, and FileExistsError where there is
     a file, now or at the end, which `replace` does not allow to be replaced.
     """
-    file = file.resolve()
+    file = real_path(file)
     if file.exists() and not file.is_file():
         with file.open("wb") as pipe:
             yield pipe
@@ -72,7 +77,7 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
     If the block raises, what was written is removed. Raises FileExistsError, and keeps the old
     file, if there is one by then, unless `force`.
     """
-    file = file.resolve()
+    file = real_path(file)
     part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
     try:
         yield part

@@ -8,7 +8,7 @@ come before all of them. Docs: docs/settings.md.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -87,18 +87,22 @@ class Settings:
 
     @property
     def devices(self) -> dict[str, dict[str, Value]]:
-        """The named devices."""
+        """The named devices.
+
+        A later place that names a device's port describes it anew: what was allowed for the one at
+        the port before (`yes`, `power`) is not allowed for another.
+        """
         found: dict[str, dict[str, Value]] = {}
         for layer in self.layers:
             for name, values in layer.devices.items():
-                found[name] = {**found.get(name, {}), **values}
+                before = {} if PORT in values else found.get(name, {})
+                found[name] = {**before, **values}
         return found
 
-    def device(self, word: object) -> dict[str, Value] | None:
-        """The device of that name, None if the word is a path, a URL, sim, or no device's name."""
-        if not isinstance(word, str) or not is_name(word) or Path(word).exists():
-            return None
-        return self.devices.get(word)
+    def device(self, word: str) -> dict[str, Value] | None:
+        """The device of that name, None if there is none, or a file that is called so."""
+        found = self.devices.get(word)
+        return None if found is None or Path(word).exists() else found
 
 
 def is_name(word: str) -> bool:
@@ -106,12 +110,16 @@ def is_name(word: str) -> bool:
     return word != SIM and word.replace("-", "").replace("_", "").isalnum()
 
 
+def _dangerous(key: str, texts: Sequence[str]) -> bool:
+    """Whether a project's file may not set this key to these texts."""
+    if key in _ANSWERS or any(text.lower().startswith(_RUNS + _WRITES) for text in texts):
+        return True
+    return key not in _PORTS and any(map(_leads_out, texts))
+
+
 def _leads_out(text: str) -> bool:
     """Whether a text is a path that is not below the working folder, links followed."""
-    try:
-        return text.startswith("~") or not Path(text).resolve().is_relative_to(Path.cwd())
-    except (OSError, ValueError):  # what no file can be called
-        return False
+    return text.startswith("~") or not Path(os.path.realpath(text)).is_relative_to(Path.cwd())
 
 
 def user_file(environ: Mapping[str, str]) -> Path:
@@ -193,20 +201,17 @@ class _Reader:
             ):
                 what = "table" if isinstance(value, dict) else type(value).__name__
                 raise SettingsError(f"{source}: {printable(key)} is a {what}, allowed is a value")
-            if self._foreign:
-                self._refuse_dangerous(key, value, source)
+            texts = [str(part) for part in (value if isinstance(value, list) else [value])]
+            if any("\0" in text for text in texts):
+                raise SettingsError(f"{source}: {printable(key)} holds a NUL character")
+            if self._foreign and _dangerous(key, texts):
+                raise SettingsError(
+                    f"{source}: {key} = {printable(value)} may run code, answer for you or write "
+                    "outside this folder, which a project's file may not: set it in your own "
+                    "config.toml, or as an option"
+                )
             found[key.replace("_", "-")] = Value(value, source)
         return found
-
-    def _refuse_dangerous(self, key: str, value: object, source: str) -> None:
-        texts = [str(part) for part in (value if isinstance(value, list) else [value])]
-        refused = key in _ANSWERS or any(text.lower().startswith(_RUNS + _WRITES) for text in texts)
-        if refused or (key not in _PORTS and any(map(_leads_out, texts))):
-            raise SettingsError(
-                f"{source}: {key} = {printable(value)} may run code, answer for you or write "
-                "outside this folder, which a project's file may not: set it in your own "
-                "config.toml, or as an option"
-            )
 
     def _require(self, keys: Any, known: Any, where: str, what: str) -> None:
         """Raise SettingsError for the first key that is not known."""

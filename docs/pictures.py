@@ -56,7 +56,6 @@ _STEP = 12 * MS
 _WIDTH, _HEIGHT = 1120, 840  # pixels of a page's picture
 _BEGUN = 1_790_000_000_000_000_000  # ns since 1970: when the drive of the plot is said to begin
 _SCREEN = (110, 36)  # columns and lines of the screen's picture
-_WIDTH, _HEIGHT = 1120, 840  # pixels of the page's picture
 _PATIENCE = 120  # s for the browser
 
 

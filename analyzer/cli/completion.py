@@ -83,15 +83,23 @@ def ports(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[I
 
 def _devices(ctx: click.Context) -> list[tuple[str, str]]:
     """The named devices of the settings, each with its port; none if these cannot be read."""
-    front_door = ctx.find_root().command
-    names = front_door.list_commands(ctx) if isinstance(front_door, click.Group) else []
     from bilprov.analyzer.settings import PORT, SettingsError, read_settings
 
     try:
-        devices = read_settings(dict.fromkeys(names)).devices
+        devices = read_settings(dict.fromkeys(_commands(ctx))).devices
     except SettingsError:
         return []
     return [(name, str(values[PORT].value)) for name, values in devices.items()]
+
+
+def commands(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
+    """The commands."""
+    return beginning(incomplete, ((name, "") for name in _commands(ctx)))
+
+
+def _commands(ctx: click.Context) -> list[str]:
+    front_door = ctx.find_root().command
+    return front_door.list_commands(ctx) if isinstance(front_door, click.Group) else []
 
 
 def files(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
@@ -140,6 +148,7 @@ def sent_items(ctx: click.Context, param: click.Parameter, incomplete: str) -> l
 BY_METAVAR: tuple[tuple[str, Complete], ...] = (
     (r"EXPR", filters),
     (r"PORT(\|.*)?|HOST|DEVICE", ports),
+    (r"COMMAND", commands),
     (r"INSTRUCTION", instructions),
     (r"FIELD=VALUE", fields),
     (r"ITEM", sent_items),

@@ -55,12 +55,13 @@ def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
     ctx = click.get_current_context().find_root()
     front_door = ctx.command
     assert isinstance(front_door, click.Group)
+    grammar = ctx.params.get("grammar")
     names = {one: one for one in front_door.list_commands(ctx)}
     settings = read_settings(names)
     for one in names:  # a value that its command would refuse is refused here too
         _, command, _ = front_door.resolve_command(ctx, [one])
         if command is not None:
-            with_settings(command, one, settings, [])
+            with_settings(command, one, settings, [], grammar)
     if name is not None:
         _, command, _ = front_door.resolve_command(ctx, [name])
         assert command is not None
@@ -84,5 +85,5 @@ def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
                 yield command_name, key, value.value, value.source, used
         for device, table in layer.devices.items():
             for key, value in table.items():
-                used = not any(key in other.devices.get(device, {}) for other in later)
+                used = settings.devices[device].get(key) is value
                 yield f"device {device}", key, value.value, value.source, used

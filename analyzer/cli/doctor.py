@@ -15,6 +15,7 @@ from bilprov.analyzer.cli.options import (
     confirm_motion,
     line_options,
     note,
+    note_suspension,
     text_format_option,
 )
 from bilprov.analyzer.output.console import show, show_json
@@ -98,6 +99,7 @@ def doctor(
             report.begin("both taps")
         with Stopper() as stopper:
             report.tell(of_line(protocol, names, settings, seconds, stopper, rates))
+        note_suspension(stopper)
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return report.end(names)
@@ -114,7 +116,13 @@ def _what_may_move(port: str, rates: Sequence[int], seconds: float) -> str:
 
 
 def _require_ports(names: Sequence[str]) -> None:
+    from bilprov.analyzer.settings import SIM
+    from bilprov.analyzer.transport.errors import missing
+    from bilprov.analyzer.transport.machine import Machine
+
     for name in names:
+        if name == SIM and not Path(name).exists():
+            raise missing(name, (), Machine())
         if Path(name).is_file():
             raise click.UsageError(
                 f"{name} is a file and no port; what a capture holds tells: bilprov info {name}"

@@ -1,21 +1,24 @@
-"""`bilprov cut` and `bilprov join`: a part of a capture, and several captures as one."""
+"""`bilprov cut`, `join` and `compare`: a part of a capture, several as one, two side by side."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from bilprov.analyzer.cli.options import Finite, compiled, filter_option, note
-from bilprov.analyzer.cli.output_files import force_option
+from bilprov.analyzer.cli.output_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    require_writable,
+    write_output,
+)
+from bilprov.analyzer.cli.progress import reading
 from bilprov.captures.text import quantity
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.edit.new_capture import Progress
     from bilprov.captures.reader import Capture
 
 
@@ -49,7 +52,7 @@ def cut(
     Decoded topics are left out: bilprov convert --decoded writes them. Ctrl-C leaves no OUT.
     """
     from bilprov.analyzer.edit.cut import write_selected, write_window
-    from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture, require_new
+    from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_session import said_about
@@ -64,7 +67,7 @@ def cut(
     window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
     opened = opened_at(path, protocol, window.first or 0)
     capture = opened.capture
-    require_new(new, [path], force=force)
+    require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
     _say(said_about(capture, protocol), opened.note if window.first else "")
     _say_left_out(capture)
     metadata = cut_metadata(capture, protocol, window.first, window.after, expression)
@@ -116,7 +119,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
     Example: bilprov join host.mcap device.mcap -o both.mcap
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
-    from bilprov.analyzer.edit.new_capture import new_capture, require_new
+    from bilprov.analyzer.edit.new_capture import new_capture
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
@@ -125,7 +128,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
         raise click.UsageError("name two captures or more to put together")
     protocol = load_protocol(grammar)
     captures = [open_capture(path) for path in paths]
-    require_new(new, list(paths), force=force)
+    require_writable([("-o", str(new))], map(str, paths), force=force, regular=True)
     joined = Joined(protocol, captures)
     for capture in captures:
         _say(said_about(capture, protocol))
@@ -137,6 +140,80 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
     ):
         size = write_joined(joined, protocol, out, progress)
     note(f"{new} holds {quantity(size, 'byte')} of {len(paths)} captures")
+
+
+@click.command()
+@click.argument("first", metavar="A.mcap")
+@click.argument("second", metavar="B.mcap")
+@click.option(
+    "--latency",
+    "tolerance",
+    metavar="MS",
+    type=Finite(0),
+    default=20.0,
+    show_default=True,
+    help="By how many milliseconds the latencies of a frame may differ: an adapter alone may hold "
+    "an answer back for 16.",
+)
+@click.option(
+    "--json",
+    "output",
+    metavar="FILE",
+    help="All of it as one JSON object; - is standard output, which then has nothing else.",
+)
+@force_option
+@click.pass_obj
+def compare(
+    grammar: str | None,
+    first: str,
+    second: str,
+    tolerance: float,
+    output: str | None,
+    force: bool,
+) -> int:
+    """Tell where two captures differ.
+
+    Both are decoded, and aligned by the frames that the host sent, so that one frame more or less
+    does not shift all that follow; after more than 20,000 missing at one place they are told one by
+    one. Told are frames that only one of them has, other or missing
+    answers, bytes that nobody asked for, and latencies that differ by more than --latency; times of
+    day and pauses are not compared. The keys of the JSON are explained in
+    analyzer/edit/comparison_report.py.
+
+    Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
+    nothing else differs; 2 if not all of it could be shown.
+
+    Example: bilprov compare yesterday.mcap today.mcap
+    """
+    import msgspec
+
+    from bilprov.analyzer.cli.streams import promise_verdict
+    from bilprov.analyzer.edit.compare import compared
+    from bilprov.analyzer.edit.comparison_report import as_json, drawn
+    from bilprov.analyzer.edit.exchanges import exchanges
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.console import show
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.captures.reader import open_capture
+
+    promise_verdict()
+    outputs = [] if output is None else [("--json", output)]
+    require_writable(outputs, [first, second], force=force)
+    protocol = load_protocol(grammar)
+    captures = [open_capture(path) for path in (first, second)]
+    for capture in captures:
+        _say(said_about(capture, protocol))
+    with reading(captures) as progress:
+        one, other = (exchanges(capture, protocol, progress) for capture in captures)
+        comparison = compared(one, other, round(tolerance * 1e6))
+    paths = (first, second)
+    value = as_json(comparison, protocol, paths)
+    text = msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
+    if output is not None:
+        write_output(output, text)
+    if output != STANDARD_OUTPUT:
+        show(*drawn(comparison, paths))
+    return comparison.exit
 
 
 def _say(sentences: Iterator[str], *more: str) -> None:
@@ -152,37 +229,3 @@ def _say_left_out(capture: Capture) -> None:
     known = {topic.name for topic in TOPICS}
     if others := [topic for topic in capture.contents.counts if topic not in known]:
         note(f"left out, since they are none of bilprov's topics: {printable(', '.join(others))}")
-
-
-@contextmanager
-def reading(captures: list[Capture], times: int = 1) -> Iterator[Progress]:
-    """A bar on a terminal for reading captures so many times; Ctrl-C ends in click's Abort."""
-    from bilprov.analyzer.edit.new_capture import Stopped
-    from bilprov.analyzer.transport.signals import Stopper
-    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
-
-    total = times * sum(
-        sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
-        or capture.contents.size
-        for capture in captures
-    )
-    with Stopper() as stopper, _bar(total) as shown:
-
-        def progress(size: int) -> bool:
-            shown(size)
-            return not stopper.stopped
-
-        try:
-            yield progress
-        except Stopped:
-            note("stopped before the end: there is no result")
-            raise click.Abort from None
-
-
-@contextmanager
-def _bar(total: int) -> Iterator[Callable[[int], object]]:
-    if not sys.stderr.isatty():
-        yield lambda size: None
-        return
-    with click.progressbar(length=total, file=sys.stderr) as bar:
-        yield bar.update

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import click
 
 from bilprov.analyzer.cli.options import (
     Finite,
+    asked_here,
     compiled,
     filter_option,
     note,
     row_options,
     row_style,
 )
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, require_writable
+from bilprov.analyzer.cli.progress import reading
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -128,7 +129,7 @@ def export(
         _require_alone(path, style)
         from bilprov.analyzer.export.foxglove_layout import foxglove_layout
 
-        with _opened(output or STANDARD_OUTPUT, None, force, text=True) as stream:
+        with _opened(output or STANDARD_OUTPUT, [], force, text=True) as stream:
             stream.write(foxglove_layout(protocol))
         return
     if path is None or style is None or output is None:
@@ -140,25 +141,20 @@ def export(
     more = _choices(form, style, row_style(time_style, columns, protocol))
     window = _window(start, end)
     test = compiled(expression, protocol)
-    capture = _capture(path, protocol)
-    try:
-        with (
-            _opened(output, path, force, text=form.text) as stream,
-            _progress(capture) as progress,
-        ):
-            form.writer()(
-                capture,
-                protocol,
-                stream,
-                test=test.started(capture.start) if test else None,
-                window=window,
-                progress=progress,
-                **more,
-            )
-    except click.Abort:
-        to_file = output != STANDARD_OUTPUT
-        note(f"stopped: {printable(output) if to_file else 'the rest'} was not written")
-        raise
+    capture = _capture(path, protocol, window)
+    with (
+        _opened(output, [path], force, text=form.text) as stream,
+        reading([capture]) as progress,
+    ):
+        form.writer()(
+            capture,
+            protocol,
+            stream,
+            test=test.started(capture.start) if test else None,
+            window=window,
+            progress=progress,
+            **more,
+        )
 
 
 def _require_alone(path: str | None, style: str | None) -> None:
@@ -170,11 +166,11 @@ def _require_alone(path: str | None, style: str | None) -> None:
 
 def _choices(form: Format, style: str, rows: RowStyle) -> dict[str, RowStyle]:
     """The arguments of a writer that has a choice of columns. Raises UsageError for one more."""
-    for option, asked, able in (
-        ("--columns", rows.columns, {name: row.columns for name, row in FORMATS.items()}),
-        ("--time", rows.time, {name: row.times for name, row in FORMATS.items()}),
+    for option, parameter, able in (
+        ("--columns", "columns", {name: row.columns for name, row in FORMATS.items()}),
+        ("--time", "time_style", {name: row.times for name, row in FORMATS.items()}),
     ):
-        if asked and not able[style]:
+        if asked_here(parameter) and not able[style]:
             others = " and ".join(name for name in able if able[name])
             raise click.UsageError(f"{option} is for {others}, not for {style}")
     return {"rows": rows} if form.columns else {}
@@ -188,24 +184,24 @@ def _window(start: float | None, end: float | None) -> Window:
     return Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
 
 
-def _capture(path: str, protocol: Protocol) -> Capture:
+def _capture(path: str, protocol: Protocol, window: Window) -> Capture:
     """Open a capture and tell what there is to tell about it."""
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
 
     capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
+    for sentence in said_about(capture, protocol, window.first):
         note(sentence)
     return capture
 
 
 @contextmanager
-def _opened(output: str, source: str | None, force: bool, *, text: bool) -> Iterator[BinaryIO]:
+def _opened(output: str, inputs: list[str], force: bool, *, text: bool) -> Iterator[BinaryIO]:
     """Open the file OUT, which is there only if the block ends well; or standard output.
 
     Raises UsageError, in one sentence, if it may not be written, and UserError if it cannot be.
     """
-    from bilprov.analyzer.files import whole_file, why_not_writable
+    from bilprov.analyzer.files import whole_file
 
     if output == STANDARD_OUTPUT:
         if not text and sys.stdout.isatty():
@@ -213,39 +209,10 @@ def _opened(output: str, source: str | None, force: bool, *, text: bool) -> Iter
         yield sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
-    file = Path(output)
-    if file.is_file() and source and os.path.realpath(source) == os.path.realpath(file):
-        raise click.UsageError(f"-o {output} would overwrite the capture: name another file")
-    if file.is_file() and not force:
-        raise click.UsageError(f"-o {output} exists: name another file, or say --force")
-    if why_not := why_not_writable(file):
-        raise click.UsageError(f"-o {output} cannot be written: {why_not}")
+    require_writable([("-o", output)], inputs, force=force)
     try:
-        with whole_file(file, replace=force) as stream:
+        with whole_file(Path(output), replace=force) as stream:
             yield stream
     except OSError as error:
         why = printable(error.strerror or error)
         raise UserError(f"{printable(output)} cannot be written: {why}") from error
-
-
-@contextmanager
-def _progress(capture: Capture) -> Iterator[Callable[[int], None]]:
-    """Show on a terminal how many bytes of the line were read, and end at Ctrl-C or SIGTERM."""
-    from bilprov.analyzer.transport.signals import Stopper
-    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
-
-    size = sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
-    with ExitStack() as stack:
-        stopper = stack.enter_context(Stopper())
-        shown: Any = None
-        if sys.stderr.isatty():
-            bar = click.progressbar(length=size, file=sys.stderr, label=printable(capture.path))
-            shown = stack.enter_context(bar)
-
-        def progress(more: int) -> None:
-            if stopper.stopped:
-                raise click.Abort
-            if shown:
-                shown.update(more)
-
-        yield progress

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from bilprov.captures.text import escape_controls
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.outputs import Format
     from bilprov.analyzer.output.row_columns import RowStyle
+    from bilprov.analyzer.transport.signals import Stopper
     from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -153,21 +155,33 @@ def row_style(
     """What was asked for of each row, in the format `style`.
 
     Raises UsageError where the format has no choice of columns or times, or a time is to be
-    written that is not among the columns. Raises ColumnError for what is no column.
+    written that is not among the columns; a setting is left alone there. Raises ColumnError for
+    what is no column.
     """
     from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
 
-    if style == "jsonl" and (time_style or columns is not None):
-        raise click.UsageError(
-            "--time and --columns are for lines and csv: a JSON line has all its keys, and t in "
-            "seconds since the start"
-        )
+    if style == "jsonl":
+        if asked_here("time_style") or asked_here("columns"):
+            raise click.UsageError(
+                "--time and --columns are for lines and csv: a JSON line has all its keys, and t "
+                "in seconds since the start"
+            )
+        return RowStyle()
     chosen = None if columns is None else chosen_columns(columns, protocol)
-    if time_style and chosen and TIME not in chosen:
+    if asked_here("time_style") and chosen and TIME not in chosen:
         raise click.UsageError(
             f"--time {time_style} is how the column time is written: name it in --columns too"
         )
     return RowStyle(TimeStyle(time_style) if time_style else None, chosen)
+
+
+def asked_here(parameter: str) -> bool:
+    """Whether a parameter has its value from the command line.
+
+    A setting is for many uses of a command: where one has no use for it, it is no mistake.
+    """
+    source = click.get_current_context().get_parameter_source(parameter)
+    return source is ParameterSource.COMMANDLINE
 
 
 # In ms, as `truncation_timeout`, None if it is not given.
@@ -199,6 +213,12 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records."""
     click.echo(sentence, err=True)
+
+
+def note_suspension(stopper: Stopper) -> None:
+    """Print a note if a run ends because Ctrl-Z has suspended it."""
+    if stopper.suspended:
+        note("the program was suspended: the robot was stopped first, and the run ends here")
 
 
 def note_hindrances(*names: str) -> None:

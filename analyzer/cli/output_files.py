@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from bilprov.analyzer.files import why_not_writable, write_whole
+from bilprov.analyzer.files import real_path, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -18,14 +18,20 @@ force_option = click.option("--force", is_flag=True, help="Overwrite what exists
 
 
 def require_writable(
-    outputs: Iterable[tuple[str, str]], inputs: Iterable[str] = (), *, force: bool = True
+    outputs: Iterable[tuple[str, str]],
+    inputs: Iterable[str] = (),
+    *,
+    force: bool = True,
+    regular: bool = False,
 ) -> None:
     """Raise UsageError, in one sentence, for an output that cannot be written.
 
     `outputs` are the option and the path of each, `inputs` files that must not be overwritten.
-    Without `force` none may exist; a pipe or a device is not overwritten.
+    Without `force` none may exist; a pipe or a device is not overwritten, and with `regular` it is
+    refused.
     """
-    taken = {Path(path).resolve(): f"the input {path}" for path in inputs}
+    inputs = list(inputs)
+    taken: dict[Path, str] = {}
     on_standard_output = ""
     for option, path in outputs:
         if path == STANDARD_OUTPUT:
@@ -40,15 +46,25 @@ def require_writable(
         why_not = why_not_writable(file)
         if why_not:
             raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
-        if file.resolve() in taken:
-            raise click.UsageError(
-                f"{option} {path} would overwrite {taken[file.resolve()]}: name another file"
-            )
+        lost = next((f"the input {one}" for one in inputs if _same(file, Path(one))), None)
+        lost = lost or taken.get(real_path(file))
+        if lost:
+            raise click.UsageError(f"{option} {path} would overwrite {lost}: name another file")
+        if regular and file.exists() and not file.is_file():
+            raise click.UsageError(f"{option} {path} is no regular file: name another one")
         if not force and file.is_file():
             raise click.UsageError(
                 f"{option} {path} exists: name another file, or say --force to overwrite it"
             )
-        taken[file.resolve()] = option
+        taken[real_path(file)] = option
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two names are of one file, by links too."""
+    try:
+        return one.samefile(other)
+    except OSError:  # one of them is not there
+        return real_path(one) == real_path(other)
 
 
 def write_output(path: str, data: bytes) -> None:

@@ -6,7 +6,7 @@ import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import force_option, require_writable, write_output
-from bilprov.analyzer.cli.stats import line_bytes, progress_bar
+from bilprov.analyzer.cli.progress import reading
 
 
 @click.command()
@@ -34,8 +34,8 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page
+    from bilprov.analyzer.replay.capture_parts import decoded_parts
     from bilprov.analyzer.replay.capture_session import capture_line, said_about
-    from bilprov.analyzer.replay.capture_totals import decoded_parts
     from bilprov.analyzer.version import kit_version
     from bilprov.captures.reader import open_capture
 
@@ -45,9 +45,8 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
     for sentence in said_about(capture, protocol):
         note(sentence)
     totals, timeline = Totals(protocol), Timeline(protocol)
-    with progress_bar([capture]) as bar:
-        task = bar.add_task("", total=line_bytes(capture))
-        for part in decoded_parts(capture, protocol, lambda size: bar.advance(task, size)):
+    with reading([capture]) as progress:
+        for part in decoded_parts(capture, protocol, progress):
             totals.add(part)
             timeline.add(part)
     stats = file_stats(capture, totals, capture_line(capture, protocol))

@@ -141,7 +141,7 @@ def replay(
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
     test = test and test.started(capture.start)
-    for sentence in (*said_about(capture, protocol), opened.note):
+    for sentence in (*said_about(capture, protocol, window.first), opened.note):
         if sentence:
             note(sentence)
     if port is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 
-from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.options import note, note_suspension
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.records import (
     Anomaly,
@@ -80,6 +80,7 @@ def send_again(
         _send_frames(target, rest)
     target.finish()
     if stopper.stopped:
+        note_suspension(stopper)
         note(f"stopped after {quantity(len(run.frames), 'instruction')}, nothing was compared")
         return 0
     return _compare(protocol, recorded, run, output)

@@ -13,6 +13,7 @@ from bilprov.analyzer.cli.options import (
     line_options,
     note,
     note_hindrances,
+    note_suspension,
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -124,6 +125,7 @@ def send(
                     if not together:
                         target.settle()
                 target.finish()
+            note_suspension(stopper)
     told = [FLOOD_WORDS if check.flooded else check.unasked_words]
     if expectations:
         told.append(first_difference(protocol, run, expected))

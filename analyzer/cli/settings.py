@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
 import click
 
+from bilprov.analyzer.cli.options import compiled, row_style
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.settings import COMMON, PORT, Settings, SettingsError, Value
 from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 PORTS = {
     "sniff": ("host", "device", "bridge"),
@@ -21,6 +25,17 @@ PORTS = {
     "conform": ("target",),
 }
 """The parameters of each command that may be a named device."""
+
+
+def _columns(names: str, protocol: Protocol) -> object:
+    return row_style(None, names, protocol)
+
+
+_NAMING: Mapping[str, Callable[[str, Protocol], object]] = {
+    "expression": compiled,
+    "columns": _columns,
+}
+"""The parameters whose values have names of the grammar, each with what refuses others."""
 
 
 def spelling(param: click.Parameter) -> str:
@@ -38,20 +53,22 @@ def options_of(command: click.Command) -> dict[str, click.Parameter]:
 
 
 def with_settings(
-    command: click.Command, name: str, settings: Settings, arguments: Sequence[str]
+    command: click.Command,
+    name: str,
+    settings: Settings,
+    arguments: Sequence[str],
+    grammar: str | None,
 ) -> tuple[click.Command, dict[str, Any]]:
     """The command, for which a device's name stands for its port, and the defaults of its options.
 
-    The defaults are as click takes them from the context above: by command and parameter. Raises
-    SettingsError for a setting that the command does not have, and for a value that its option does
-    not take.
+    The defaults are as click takes them from the context above: by command and parameter. `grammar`
+    is the grammar's file that filters and columns are checked by. Raises SettingsError for a
+    setting that the command does not have, and for a value that its option does not take.
     """
-    if isinstance(command, click.Group):
-        return command, {}
     named = _devices_named(command, name, settings, arguments)
     device: dict[str, Value] = {}
     for values in named.values():
-        device |= {key: value for key, value in values.items() if key != PORT}
+        device |= values
     if named:
         ports = {word: values[PORT].value for word, values in named.items()}
         command = copy(command)
@@ -59,7 +76,8 @@ def with_settings(
             _naming_ports(param, ports) if param.name in PORTS[name] else param
             for param in command.params
         ]
-    defaults = _defaults(command, name, settings.values_of(name, device), set(device))
+    values = settings.values_of(name, device)
+    defaults = _defaults(command, name, values, set(device), grammar)
     return command, {name: defaults}
 
 
@@ -91,7 +109,11 @@ def _naming_ports(param: click.Parameter, ports: Mapping[str, Any]) -> click.Par
 
 
 def _defaults(
-    command: click.Command, name: str, values: Mapping[str, Value], device: set[str]
+    command: click.Command,
+    name: str,
+    values: Mapping[str, Value],
+    device: set[str],
+    grammar: str | None,
 ) -> dict[str, Any]:
     """The values by parameter, as click would have converted them. Raises SettingsError."""
     options = options_of(command)
@@ -111,10 +133,14 @@ def _defaults(
             value = value.split()
         if isinstance(value, list) and not option.multiple:
             raise SettingsError(f"{source}: {key} is a list, allowed is one value")
+        checked = _NAMING.get(option.name)
+        protocol = load_protocol(grammar) if checked else None
         try:
             option.type_cast_value(context, value)
-        except click.BadParameter as error:
-            said = " ".join(error.message.split()).rstrip(".")
+            if checked and protocol:
+                checked(str(value), protocol)
+        except (click.BadParameter, UserError) as error:
+            said = " ".join(str(error).split()).rstrip(".")
             raise SettingsError(f"{source}: {key} = {printable(value)}: {said}") from error
         defaults[option.name] = value
     return defaults

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
 from bilprov.analyzer.cli.options import compiled, filter_option, note
@@ -13,13 +11,7 @@ from bilprov.analyzer.cli.output_files import (
     require_writable,
     write_output,
 )
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from bilprov.captures.reader import Capture
-
-_LONG = 4_000_000  # bytes on the line from which on progress is shown
+from bilprov.analyzer.cli.progress import reading
 
 
 @click.command()
@@ -79,13 +71,12 @@ def stats(
         for sentence in said_about(capture, protocol):
             note(sentence)
     each, together = [], Totals(protocol)
-    with progress_bar(captures) as bar:
-        task = bar.add_task("", total=sum(map(line_bytes, captures)))
+    with reading(captures) as progress:
         for capture in captures:
             totals = capture_totals(
                 capture,
                 protocol,
-                lambda size: bar.advance(task, size),
+                progress,
                 test.started(capture.start) if test else None,
             )
             together.merge(totals)
@@ -97,26 +88,3 @@ def stats(
         write_output(csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():
         show(*drawn(found, BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII))
-
-
-def line_bytes(capture: Capture) -> int:
-    """How many bytes on the line a capture holds."""
-    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
-
-    return sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
-
-
-def progress_bar(captures: list[Capture]) -> Progress:
-    """A progress bar on standard error; shown on a terminal only, and only if it takes long."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    return Progress(
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal or sum(map(line_bytes, captures)) < _LONG,
-    )

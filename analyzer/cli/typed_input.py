@@ -9,6 +9,8 @@ from bilprov.spec.codec import build
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 PAUSE = "pause="
+SEPARATOR = ";"
+"""Stands between instructions on a line of the shell; elsewhere it may only separate bytes."""
 _NOTHING = "no values"
 _LONGEST_PAUSE = 60_000  # ms
 
@@ -18,6 +20,14 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
 
     `others` are words that may have been meant. Raises ValueError, in one sentence.
     """
+    if SEPARATOR in item:
+        try:
+            return bytes_from_hex(item)
+        except ValueError:
+            raise ValueError(
+                f"{item!r} holds a {SEPARATOR}, which stands between instructions in bilprov shell "
+                f"only; here each is an item of its own, like 'Speed 80' {PAUSE}500 '81 05'"
+            ) from None
     if item.startswith(PAUSE):
         try:
             pause = float(item.removeprefix(PAUSE))

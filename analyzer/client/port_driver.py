@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from os import PathLike
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
-from bilprov.analyzer.client.wire import PortWire, home_once
+from bilprov.analyzer.client.wire import PortWire, home_once, stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
+from bilprov.analyzer.transport.signals import (
+    ending_in_order,
+    suspending,
+    undisturbed,
+)
 from bilprov.spec.protocol import Protocol
 
 
@@ -30,8 +34,9 @@ class PortDriver(Driver):
     wrong use.
 
     Within `with`, the robot is also homed after Ctrl-C, and after SIGTERM and SIGHUP unless the
-    program handles them itself; a second signal waits until homing has ended. An exception raised
-    in the block is kept; if the robot could not be homed, a note on the exception says so.
+    program handles them itself; a second signal waits until homing has ended. Ctrl-Z stops it
+    before the program is suspended; once that is continued, RobotError is raised. An exception
+    raised in the block is kept; if the robot could not be homed, a note on the exception says so.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class PortDriver(Driver):
 
     def __enter__(self) -> Self:
         self._signals.enter_context(ending_in_order())
+        self._signals.enter_context(suspending(self._halt, self._continued))
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -89,6 +95,15 @@ class PortDriver(Driver):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self._port.name} {self.protocol.name}>"
+
+    def _halt(self) -> None:
+        self._in_step = False
+        with suppress(LinkError):
+            self._port.write(stops(self.protocol))
+
+    def _continued(self) -> None:
+        if self._open:
+            raise RobotError("the program was suspended, and the robot stopped before that")
 
     def _nobody(self) -> NoAnswer:
         return NoAnswer(

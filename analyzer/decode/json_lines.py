@@ -71,11 +71,11 @@ def json_line(record: Record) -> JsonLine | None:
     if isinstance(record, DeviceRecord):
         return _device_line(record)
     if isinstance(record, FaultRecord):
-        return _fault_line(record.fault, record.state)
+        return _fault_line(record.fault, record)
     if not record.faults:
         return None
     fault, direction = record.faults[0], record.value.tap or None
-    return _fault_line(fault, record.state, "gap" if record.lost else "fault", direction)
+    return _fault_line(fault, record, "gap" if record.lost else "fault", direction)
 
 
 def _kinds(record: Record) -> tuple[str, ...]:
@@ -118,7 +118,7 @@ def _device_line(record: DeviceRecord) -> JsonLine:
 
 
 def _fault_line(
-    fault: Anomaly, state: State, kind: str = "fault", direction: str | None = None
+    fault: Anomaly, record: Record, kind: str = "fault", direction: str | None = None
 ) -> JsonLine:
     return JsonLine(
         t=fault.t / 1e9,
@@ -126,7 +126,7 @@ def _fault_line(
         kind=kind,
         name=printable(fault.kind) if kind == "fault" else None,
         reason=fault.reason,
-        state=state,
+        state=record.state,
         sequence=fault.instruction,
-        faults=(fault.kind,),
+        faults=_kinds(record),
     )

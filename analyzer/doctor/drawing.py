@@ -33,7 +33,8 @@ def title(name: str, machine: Machine | None = None) -> str:
     device = machine.device(path)
     usb = machine.usb(path)
     driver = machine.driver(path)
-    says = [f"leads to {device}" if device != path else "", usb.title if usb else ""]
+    leads = device != path and machine.file(device).exists()
+    says = [f"leads to {device}" if leads else "", usb.title if usb else ""]
     says += [
         f"USB {usb.identity}" if usb else "",
         f"serial {usb.serial}" if usb and usb.serial else "",

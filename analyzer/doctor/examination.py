@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
-from bilprov.analyzer.client.wire import PortWire
+from bilprov.analyzer.client.wire import PortWire, stops
 from bilprov.analyzer.doctor.asking import asked, told
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
 from bilprov.analyzer.doctor.listening import heard, listened
@@ -58,6 +58,11 @@ def of_line(
 def _of_answers(
     protocol: Protocol, port: Port, rates: Sequence[int], stopper: Stopper
 ) -> Iterator[Finding]:
+    def halt() -> None:
+        with suppress(LinkError):
+            port.write(stops(protocol))
+
+    stopper.before_suspending(halt)
     try:
         found = asked(protocol, PortWire(port), port.set_baud, rates, lambda: stopper.stopped)
     except LinkError as error:

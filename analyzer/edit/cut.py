@@ -26,7 +26,7 @@ from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
-from bilprov.analyzer.edit.new_capture import Progress, Stopped, write_resumption
+from bilprov.analyzer.edit.new_capture import write_resumption
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
     batched,
@@ -40,6 +40,7 @@ from bilprov.analyzer.edit.recorded_values import (
 from bilprov.analyzer.edit.selection import Selection
 from bilprov.analyzer.edit.steps import Stepper
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
+from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
@@ -58,8 +59,8 @@ def write_window(
 ) -> int:
     """Write what was recorded in a window, and return how many raw bytes that is.
 
-    `opened` stands at any place before the window. Raises Stopped if `progress` says so, and
-    CaptureError as `Capture.events` and the writer do.
+    `opened` stands at any place before the window. Raises CaptureError as `Capture.events` and the
+    writer do.
     """
     settings = capture_settings(opened.capture, protocol)
     decoder = opened.decoder
@@ -85,7 +86,7 @@ def write_window(
         made = checkpoints.made(batch[-1].now, kept, lambda: saved_text(decoder))
         if made:
             out.write(made, made.t)
-        _told(progress, batch)
+        progress(size_of(batch))
     end = decoder.saved()
     if behind and end and _cuts_through(protocol, settings, end, chain(behind, values)):
         out.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
@@ -147,7 +148,7 @@ def write_selected(
                 missed = [one for one in since if window.has(one.now)]
                 selection.passed(saved, size_of(missed))
                 state, since = saved, []
-        _told(progress, batch)
+        progress(size_of(batch))
     if stepper is not None and not behind:
         for step in stepper.finish():
             selection.step(step)
@@ -204,7 +205,7 @@ def _selected_times(
     behind: list[Timed] = []
     for batch in batched(_before(timed(opened.recorded(), 0), end, behind)):
         _note(near, shown, decoder.feed(events_in(batch)))
-        _told(progress, batch)
+        progress(size_of(batch))
     if not behind:
         _note(near, shown, decoder.finish())
     return near
@@ -241,7 +242,7 @@ def _state_at(
         if batch[-1].now >= start:
             break
         decoder.feed(events_in(batch))
-        _told(progress, batch)
+        progress(size_of(batch))
         saved = decoder.saved()
         if saved is not None:
             state, since = saved, []
@@ -296,8 +297,3 @@ def _seen(record: Record) -> object:
         return record.kind, record.data
     assert isinstance(record, DeviceRecord)
     return record.byte, record.instruction
-
-
-def _told(progress: Progress, batch: list[Timed]) -> None:
-    if not progress(size_of(batch)):
-        raise Stopped

@@ -14,11 +14,9 @@ from bilprov.analyzer.decode.records import (
     Record,
 )
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.edit.new_capture import Progress, Stopped
-from bilprov.analyzer.replay.capture_session import capture_decoder, heard
-from bilprov.analyzer.replay.playback import batches
+from bilprov.analyzer.replay.capture_parts import Progress, decoded_parts
+from bilprov.analyzer.replay.capture_session import heard
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 
 
@@ -50,20 +48,13 @@ class Exchange:
 def exchanges(capture: Capture, protocol: Protocol, progress: Progress) -> Iterator[Exchange]:
     """Yield the exchanges of a capture in order.
 
-    Raises Stopped if `progress` says so, and CaptureError as `Capture.events` does.
+    Raises CaptureError as `Capture.events` does.
     """
     pairs = _Pairs(paired=heard(capture) >= BOTH)
-    decoder = capture_decoder(capture, protocol)
-    for events in batches(capture.events(), at_once=True):
-        for part in decoder.feed(events):
-            for record in part.records():
-                pairs.record(record)
-            yield from pairs.settled()
-        if not progress(sum(len(event.data) for event in events if isinstance(event, Chunk))):
-            raise Stopped
-    for part in decoder.finish():
+    for part in decoded_parts(capture, protocol, progress):
         for record in part.records():
             pairs.record(record)
+        yield from pairs.settled()
     pairs.give_up()
     yield from pairs.rest
 

@@ -22,12 +22,7 @@ from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
-from bilprov.analyzer.edit.new_capture import (
-    Progress,
-    Stopped,
-    decoding_metadata,
-    said_of,
-)
+from bilprov.analyzer.edit.new_capture import decoding_metadata, said_of
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
     batched,
@@ -38,6 +33,7 @@ from bilprov.analyzer.edit.recorded_values import (
     timed,
     write_values,
 )
+from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.version import kit_version
@@ -130,7 +126,7 @@ class Joined:
 def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress: Progress) -> int:
     """Write the captures as one, and return how many raw bytes they hold.
 
-    Raises Stopped if `progress` says so, and CaptureError as `Capture.events` and the writer do.
+    Raises CaptureError as `Capture.events` and the writer do.
     """
     for source in joined.sources:
         for file in source.capture.attachments():
@@ -151,8 +147,7 @@ def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress
         made = checkpoints.made(batch[-1].now, size, lambda: saved_text(decoder))
         if made:
             out.write(made, made.t)
-        if not progress(size_of(batch)):
-            raise Stopped
+        progress(size_of(batch))
     return size
 
 

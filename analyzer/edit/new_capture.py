@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded
 from bilprov.analyzer.decode.session import SessionSettings
-from bilprov.analyzer.files import replaced_whole, why_not_writable
+from bilprov.analyzer.files import replaced_whole
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.recorder import CHECKPOINT_STATE, RecordWriter
 from bilprov.analyzer.version import kit_version
@@ -19,30 +19,6 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Checkpoint, Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
-
-Progress = Callable[[int], bool]
-"""Is told how many raw bytes were read since it was last called; false ends the work."""
-
-
-class Stopped(Exception):
-    """The user has asked for an end; nothing is written."""
-
-
-def require_new(out: Path, sources: list[Path], *, force: bool) -> None:
-    """Raise CaptureError unless `out` may be written: a new file, or with `force` an old one."""
-    name = printable(out)
-    for source in sources:
-        if _same(out, source):
-            raise CaptureError(
-                f"{name} is {printable(source)} itself, which would be lost: name another file"
-            )
-    if out.exists() and not force:
-        raise CaptureError(f"{name} exists: name another file, or say --force to replace it")
-    if out.exists() and not out.is_file():
-        raise CaptureError(f"{name} is no regular file: name a file to write to")
-    why_not = why_not_writable(out)
-    if why_not:
-        raise CaptureError(f"{name} cannot be written: {why_not}")
 
 
 @contextmanager
@@ -145,10 +121,3 @@ def said_of(name: Path) -> str:
 def _milliseconds(t: int) -> str:
     short = f"{t / MS:g}"
     return short if float(short) * MS == t else repr(t / MS)
-
-
-def _same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except OSError:
-        return one.absolute() == other.absolute()

@@ -253,9 +253,20 @@ class Selection:
             self._left_out += isinstance(step.event, Chunk) and self._counts(step.t)
             return
         self.frames += sum(is_frame(record) for record in step.records)
-        if not self._in_step:
-            self._resume(step.state, step.t)
+        passed_over = _passed_over(entry)
+        if passed_over or not self._in_step:
+            self._resume(self._without(step.state, passed_over), step.t)
         self._write_event(step)
+
+    def _without(self, state: DecoderState, count: int) -> DecoderState:
+        """A state in which the first instructions, so many, wait no more."""
+        waiting = list(state.waiting)
+        for _ in range(count):
+            first = waiting.pop(0)
+            rest = b"".join(list(first.split(self._protocol))[1:])
+            if rest:
+                waiting.insert(0, replace(first, frames=rest))
+        return replace(state, waiting=tuple(waiting))
 
     def _write_moment(self, step: Step, wanted: bool, tells: bool) -> None:
         """Nothing is written of a moment, but the part's decoder may have to come to it."""
@@ -301,6 +312,15 @@ class Selection:
         write_resumption(self._out, self._protocol, state, t, gap)
         self._in_step, self._left_out = True, 0
         self._now = t
+
+
+def _passed_over(entry: _Entry) -> int:
+    """How many instructions that are left out a byte shows to be unanswered, as it answers one.
+
+    A decoder of the part that waited for them would say so too.
+    """
+    told = zip(entry.step.records, entry.told, strict=True)
+    return sum(isinstance(record, FaultRecord) and not one.keep for record, one in told)
 
 
 def _said_of(size: int) -> str:

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.export.decoding import Progress, decoded_parts
 from bilprov.analyzer.output.csv_text import usual_columns
-from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.row_columns import AS_USUAL, COLUMNS, Column, RowStyle
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_parts
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
@@ -65,7 +65,9 @@ def write_parquet(
     schema = pa.schema([pa.field(one.name, _type(pa, one.name, wide)) for one in columns])
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
         table = _Table(pa, writer, columns, capture.start)
-        for part in decoded_parts(capture, protocol, test, window, progress):
+        shown = Shown(NoOutput(), test, window=window)
+        for decoded in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
+            part = shown.show(decoded)
             try:
                 table.add(part)
             except (OverflowError, pa.ArrowInvalid) as error:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import re
 import struct
-import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -31,13 +30,12 @@ from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.export.decoding import BATCH, Progress
 from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, event_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
-from bilprov.analyzer.replay.playback import batches, played
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -115,11 +113,9 @@ def write_pcapng(
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
-    events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
-    for batch in batches(events, at_once=True, largest=BATCH):
+    for batch in event_batches(capture, progress, window, TEXT_BATCH):
         packets.take(decoder.feed(batch))
         stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
-        progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, BinaryIO
 
 from bilprov.analyzer.columns.decoder import Records
-from bilprov.analyzer.export.decoding import Progress, decoded_parts
 from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.outputs import TextForm, Window
+from bilprov.analyzer.output.outputs import NoOutput, Shown, TextForm, Window
 from bilprov.analyzer.output.row_columns import AS_USUAL, RowStyle
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_parts
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
@@ -63,6 +63,8 @@ def _write(
     window: Window,
     progress: Progress,
 ) -> None:
-    for part in decoded_parts(capture, protocol, test, window, progress):
+    shown = Shown(NoOutput(), test, window=window)
+    for decoded in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
+        part = shown.show(decoded)
         text = form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
         stream.write(text.encode("utf-8", "backslashreplace"))

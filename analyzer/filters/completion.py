@@ -27,7 +27,8 @@ class Completion(NamedTuple):
 _BEGUN = re.compile(
     r"""(?P<quoted> (?P<quote>['"]) (?P<inside>[^'"]*))
       | (?P<word> (?<![\w.]) [^\W\d][\w.]*)
-      | (?P<number> (?: (?<![\w.]) | (?<=\.\.) ) [-+]? (?: \d+(?:\.\d+)? | \.\d+))
+      | (?P<number> (?: (?<![\w.]) | (?<=\.\.) ) [-+]? (?: \d+(?:\.\d+)? | \.\d+)
+                    (?P<unit> [umµμs]*))
       | (?P<sign> [=!|&])
     """,
     re.VERBOSE,
@@ -56,7 +57,9 @@ def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
     if place is None:
         return []
     if begun and begun["number"]:
-        return [Completion(begun[0] + unit, start, says) for unit, says in _units(place, protocol)]
+        unit, plain = begun["unit"], begun[0].removesuffix(begun["unit"])
+        units = [pair for pair in _units(place, protocol) if pair[0].startswith(unit)]
+        return [Completion(plain + found, start, says) for found, says in units]
     quote, typed = _typed(begun)
     same = folded(typed)
     # What joins needs a blank before it, what closes does not.

@@ -23,125 +23,107 @@ class FilterError(UserError, ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
-    """A bare word: the name of a field, or of a value. `start` and `end` are places in the text."""
+class _Placed:
+    """Stands in the text from `start` up to, not including, `end`."""
 
     start: int
     end: int
+
+
+@dataclass(frozen=True, slots=True)
+class Word(_Placed):
+    """A bare word: the name of a field, or of a value."""
+
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Quoted:
+class Quoted(_Placed):
     """Text in quotes."""
 
-    start: int
-    end: int
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class Number(_Placed):
     """A number as it is written, and its unit, empty if it has none."""
 
-    start: int
-    end: int
     text: str
     unit: str
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(_Placed):
     """A time of day or a date, as it is written."""
 
-    start: int
-    end: int
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Octets:
+class Octets(_Placed):
     """Bytes that were written in hex."""
 
-    start: int
-    end: int
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class Item(_Placed):
     """One byte of a field: `data[0]`."""
 
-    start: int
-    end: int
     of: Word
     index: Number
 
 
 @dataclass(frozen=True, slots=True)
-class Bits:
+class Bits(_Placed):
     """The bits that both have: `rgb & 4`."""
 
-    start: int
-    end: int
     left: Part
     right: Part
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class Range(_Placed):
     """All from `low` to `high`, both included."""
 
-    start: int
-    end: int
     low: Part
     high: Part
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class Listed(_Placed):
     """A set of values and ranges."""
 
-    start: int
-    end: int
     parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Sign:
+class Sign(_Placed):
     """What compares two operands: one of COMPARING, `in`, `contains`, `not in`, `not contains`."""
 
-    start: int
-    end: int
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class Compared(_Placed):
     """A chain of comparisons: `first`, then each sign with what stands behind it."""
 
-    start: int
-    end: int
     first: Part
     steps: tuple[tuple[Sign, Part], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Joined:
+class Joined(_Placed):
     """Conditions with `and` between them, or (`every` is false) with `or`."""
 
-    start: int
-    end: int
     every: bool
     parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Negated:
+class Negated(_Placed):
     """A condition behind `not`."""
 
-    start: int
-    end: int
     part: Part
 
 

@@ -313,14 +313,6 @@ def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:
     ]
 
 
-def row_values(line: JsonLine, columns: Sequence[Column], times: Times) -> list[Value]:
-    """The values of a row for programs, one for each column; the time as `cells` has it."""
-    return [
-        times.shown(nanoseconds(line.t)) if column is TIME else column.value(line)
-        for column in columns
-    ]
-
-
 class ColumnLines:
     """Renders records as lines of chosen columns; what has no row has no line.
 

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency, RateCounts, Stats
-from bilprov.analyzer.output.charts import Charts, means
+from bilprov.analyzer.output.charts import Charts
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.captures.text import printable, quantity
 
@@ -94,8 +94,7 @@ def _rate(
     name: str, counts: Sequence[int], step: float, duration: float, charts: Charts
 ) -> tuple[str, ...]:
     mean = sum(counts) / duration if duration else 0
-    columns = means(counts, _SPARK)
-    return name, charts.spark(columns, _SPARK), _number(mean), _number(max(counts) / step)
+    return name, charts.spark(counts, _SPARK), _number(mean), _number(max(counts) / step)
 
 
 def _instructions(counts: Counts) -> Iterator[RenderableType]:

@@ -64,8 +64,11 @@ def capture_line(capture: Capture, protocol: Protocol) -> LineSettings:
     return line_named(protocol, capture.metadata.get("line", ""))
 
 
-def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
-    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other."""
+def said_about(capture: Capture, protocol: Protocol, start: int | None = None) -> Iterator[str]:
+    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other.
+
+    So is a `start` (ns since the capture's) from which on it is shown, and which is behind its end.
+    """
     name = printable(capture.path)
     if capture.unfinished:
         yield f"{name} was never finished: all that is whole is shown"
@@ -75,6 +78,9 @@ def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
         first = printable(capture.damage[0])
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
         yield f"{name} is damaged: {first}{more}; the rest is shown"
+    end = max(0, capture.contents.last - capture.start)
+    if start is not None and start > end:
+        yield f"{name} ends at {end / 1e9:.3f} s, which is before --start {start / 1e9:g}"
     recorded = capture.metadata.get("grammar_sha256")
     if recorded and recorded != protocol.sha256:
         known = printable(capture.metadata.get("grammar_name", "another grammar"))

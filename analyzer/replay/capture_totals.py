@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.columns.totals import Chosen, Totals
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.analyzer.replay.playback import batches
+from bilprov.analyzer.replay.capture_parts import Progress, decoded_parts
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 def capture_totals(
     capture: Capture,
     protocol: Protocol,
-    progress: Callable[[int], object] = lambda size: None,
+    progress: Progress = lambda size: None,
     test: Filter | None = None,
 ) -> Totals:
     """Decode a capture as `replay` does, and count what passes the filter.
@@ -33,17 +30,6 @@ def capture_totals(
     for part in decoded_parts(capture, protocol, progress):
         totals.add(part, None if test is None else chosen(part, test))
     return totals
-
-
-def decoded_parts(
-    capture: Capture, protocol: Protocol, progress: Callable[[int], object]
-) -> Iterator[Part]:
-    """Yield all that is decoded from a capture, part by part; see `capture_totals`."""
-    decoder = capture_decoder(capture, protocol)
-    for events in batches(capture.events(), at_once=True):
-        yield from decoder.feed(events)
-        progress(sum(len(event.data) for event in events if isinstance(event, Chunk)))
-    yield from decoder.finish()
 
 
 def chosen(part: Part, test: Filter) -> Chosen | list[bool]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from bilprov.analyzer.client.wire import PortWire, home, home_once
+from bilprov.analyzer.client.wire import PortWire, home, home_once, stops
 from bilprov.analyzer.decode.records import Record, written_state
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
@@ -23,6 +23,8 @@ from bilprov.spec.protocol import Protocol
 
 class Target(Closing):
     """One device on an open port; a context manager that homes it on every way out.
+
+    Before Ctrl-Z suspends the process it is stopped, which is also a request to `stopper`.
 
     `timeout` (ns) is the longest pause inside a frame as it is sent here. `heard` is called with
     each record. `state` is what the instructions so far predict. `answered_stops` tells whether the
@@ -46,6 +48,8 @@ class Target(Closing):
         self._stopper = stopper
         self._session = Session(protocol, timeout=timeout, skew=0)
         self._start = time.monotonic_ns()
+        self._halted = False  # by stops that the session does not know of
+        stopper.before_suspending(self._halt)
 
     def begin(self) -> None:
         """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
@@ -72,6 +76,8 @@ class Target(Closing):
         waited = [self._stopper.fileno(), *also]
         _, ready = wait_readable([self._port], max(0.0, seconds), waited)
         data = self._port.read()
+        if self._halted:  # these are answers to the stops
+            data = b""
         records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
         self._show([*records, *self._session.advance(now)])
         return [descriptor for descriptor in also if descriptor in ready]
@@ -100,6 +106,7 @@ class Target(Closing):
         """Stop the device in mid-run; what follows is decoded as after a stop. Raises LinkError."""
         self._show(self._session.finish())
         self.answered_stops = home_once(self._protocol, self._wire)
+        self._halted = False
         was = self.state
         before = State(Motion(was.motion), was.speed, was.steering, was.led)
         self.state = written_state(self._protocol.stop.effect.apply(before))
@@ -115,6 +122,11 @@ class Target(Closing):
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
             self.answered_stops = home_once(self._protocol, self._wire)
         self._port.close()
+
+    def _halt(self) -> None:
+        self._halted = True
+        with contextlib.suppress(LinkError):
+            self._port.write(stops(self._protocol))
 
     def _show(self, records: Iterable[Record]) -> None:
         for record in records:

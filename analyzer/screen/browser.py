@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from threading import Event, Thread
-from typing import Any, ClassVar, TypeVar
+from threading import Thread
+from typing import Any, TypeVar
 
 from rich.text import Text
 from textual.app import App, ComposeResult
-from textual.binding import Binding, BindingType
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.events import Resize
@@ -21,44 +20,24 @@ from textual.widgets import Static
 from bilprov.analyzer.filters.filter import Filter
 from bilprov.analyzer.output.row_columns import RowStyle, Times, TimeStyle, columns_of
 from bilprov.analyzer.screen.arrangement import SIDE_WIDTH, arranged
+from bilprov.analyzer.screen.bars import head_line, status_line
 from bilprov.analyzer.screen.car import car
 from bilprov.analyzer.screen.detail_panes import FieldTree, HexPane
 from bilprov.analyzer.screen.dialogs import AskName, Choice, ColumnChoice, Help
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.figures import figures
+from bilprov.analyzer.screen.filtering import Filtering
 from bilprov.analyzer.screen.frame_list import WHAT, FaultList, FrameList
+from bilprov.analyzer.screen.keys import ABOUT, BINDINGS, KEYS
 from bilprov.analyzer.screen.prompt import LINES, FilterPrompt
-from bilprov.analyzer.screen.recording import View
 from bilprov.analyzer.screen.row_export import RowExport, new_file_refusal, refusal
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import FINE, Signs
 from bilprov.captures.schemas import State
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import quantity
 
 Answer = TypeVar("Answer")
 
-KEYS = {
-    "arrows, k j": "the row before or after",
-    "PgUp PgDn": "a screenful",
-    "Home End, g G": "the first, the last row",
-    "/": "filter; Tab completes, Enter filters, nothing shows all rows",
-    "n N": "the next, the previous fault",
-    "Tab": "the next pane",
-    "Enter": "the fields of a frame; in a tree, fold; in the faults, go there",
-    "Space": "pause the view, and go on; the capture goes on meanwhile",
-    "f": "follow what comes",
-    "m '": "mark a row; go to the next mark",
-    "t": "how times are shown: since the start, since the row before, clock, UTC",
-    "c": "which columns are shown",
-    "x": "export what the filter shows, as CSV or JSON lines",
-    "Esc": "go back; stop a filter or an export that takes long",
-    "?": "this help",
-    "q": "quit",
-}
-_ABOUT = (
-    "A row begins with ! where something is wrong with it, and with a mark where you set one. "
-    "The mouse chooses rows, fields and bits, and the wheel moves a pane."
-)
 _SOON = 20_000  # rows that are filtered at once; more take a thread
 _FIGURES_EVERY = 0.5  # s
 _DRAWING_SHARE = 0.08  # of the time, at most, that drawing what comes may take
@@ -78,16 +57,6 @@ class Told:
     rows: RowStyle = field(default_factory=RowStyle)
     expression: str = ""
     test: Filter | None = None
-
-
-@dataclass(slots=True)
-class _Filtering:
-    """A filter whose rows are being looked for."""
-
-    view: View
-    text: str
-    cancelled: Event
-    thread: Thread
 
 
 class Browser(App[str | None]):
@@ -111,24 +80,10 @@ class Browser(App[str | None]):
     .plain #frames, .plain #tree, .plain #faults, .plain #hex, .plain #car, .plain #figures {
         border-top: ascii ansi_blue;
     }
+    #car, #figures { text-wrap: nowrap; }
     #frames:focus, #tree:focus, #faults:focus { border-title-style: bold reverse; }
     """
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("slash", "filter", show=False),
-        Binding("n", "fault(1)", show=False),
-        Binding("N", "fault(-1)", show=False),
-        Binding("space", "pause", show=False),
-        Binding("f", "follow", show=False),
-        Binding("m", "mark", show=False),
-        Binding("apostrophe", "next_mark", show=False),
-        Binding("t", "times", show=False),
-        Binding("c", "columns", show=False),
-        Binding("x", "export", show=False),
-        Binding("question_mark,f1", "keys", show=False),
-        Binding("q", "leave", show=False),
-        Binding("ctrl+c,ctrl+q", "end", show=False, priority=True),
-        Binding("escape", "go_back", show=False),
-    ]
+    BINDINGS = BINDINGS
 
     def __init__(
         self,
@@ -149,8 +104,8 @@ class Browser(App[str | None]):
         self.filter_text = ""
         self.said = ""
         self._recording = feed.recording
-        self._filtering: _Filtering | None = None
-        self._export: RowExport | None = None
+        self.filtering: Filtering | None = None
+        self.export: RowExport | None = None
         self._catching_up: Thread | None = None
         self._zoomed = False
         self._figures_at = 0.0
@@ -196,10 +151,9 @@ class Browser(App[str | None]):
 
     def on_unmount(self) -> None:
         """End what still runs."""
-        if self._filtering:
-            self._filtering.cancelled.set()
-        if self._export:
-            self._export.cancel()
+        for work in (self.filtering, self.export):
+            if work:
+                work.cancel()
 
     def on_resize(self, event: Resize) -> None:
         """Show the panes that fit the new size, which the app does not have yet."""
@@ -218,8 +172,8 @@ class Browser(App[str | None]):
         if time.monotonic() >= self._figures_at:
             self._figures_at = time.monotonic() + _FIGURES_EVERY
             self._show_figures()
-        if self._export and self._export.ended:
-            self.said, self._export = self._export.said, None
+        if self.export and self.export.ended:
+            self.said, self.export = self.export.said, None
         self._show_bars()
 
     def show_rows(self) -> None:
@@ -252,10 +206,10 @@ class Browser(App[str | None]):
 
     def _catch_up(self) -> None:
         """Filter the rows that are new: a few here, many in a thread."""
-        filtering = self._filtering
-        if filtering and not filtering.thread.is_alive():
-            self._filtering = None
-            if not filtering.cancelled.is_set():
+        filtering = self.filtering
+        if filtering and filtering.ended:
+            self.filtering = None
+            if not filtering.cancelled:
                 self.filter_text = filtering.text
                 self.frames.look_at(filtering.view)
                 self._show_row()
@@ -318,56 +272,17 @@ class Browser(App[str | None]):
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
-        width = self.size.width
-        place, title = self._place(), self._title()
-        title.truncate(max(0, width - place.cell_len), overflow="crop")
-        self._write(self.head, _spread(title, place, width))
-        self._write(self.status, _spread(self._status(), Text("? help  q quit", "dim"), width))
+        feed, width = self.feed, self.size.width
+        title, work = self.told.title, self.filtering or self.export
+        self._write(self.head, head_line(title, feed, self.frames, self.follows, width))
+        doing = work.doing if work else ""
+        self._write(self.status, status_line(doing, feed, self.said, self.filter_text, width))
 
     def _write(self, pane: Static, text: Text) -> None:
         """Write a text into a pane, where it is another one than before: drawing takes time."""
         if self._written.get(pane) != text:
             self._written[pane] = text
             pane.update(text)
-
-    def _title(self) -> Text:
-        captured = (
-            f"  {self.signs.lit} {printable(self.feed.captured)}" if self.feed.captured else ""
-        )
-        return Text.assemble(("bilprov ", "bold"), printable(self.told.title), captured)
-
-    def _place(self) -> Text:
-        frames = self.frames
-        if frames.held is not None:
-            waiting = frames.view.count - frames.held
-            return Text(f"  paused, {waiting:,} waiting", "bold reverse")
-        share = self.feed.progress
-        doing = f"reading {share:.0%}  " if share is not None else ""
-        doing += "following  " if self.follows else ""
-        at = min(frames.cursor - frames.start + 1, frames.count - frames.start)
-        return Text(f"  {doing}{at:,} of {frames.count - frames.start:,}")
-
-    def _status(self) -> Text:
-        if self._filtering:
-            share = self._filtering.view.seen / max(1, self._recording.rows)
-            return Text(f"filtering {share:.0%}, Esc stops it", "bold")
-        if self._export:
-            return Text(f"exporting {self._export.share:.0%}, Esc stops it", "bold")
-        if self.feed.said:
-            return Text(printable(self.feed.said), "bold red")
-        said = self.said or self.feed.notice
-        if self.feed.let_go and not said:
-            (oldest,) = self._recording.records([self._recording.first]) or (None,)
-            since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
-            said = f"no room for all: the oldest rows went, the rest begins at {since}"
-        if said:
-            return Text.assemble(
-                f"{self._filtered()}  " if self.filter_text else "", (said, "bold")
-            )
-        return Text(self._filtered())
-
-    def _filtered(self) -> str:
-        return f"filter: {printable(self.filter_text)}" if self.filter_text else ""
 
     # What people do.
 
@@ -416,14 +331,11 @@ class Browser(App[str | None]):
 
     def _filter(self, text: str, test: Filter | None) -> None:
         """Show the rows that pass, once they are found."""
-        if self._filtering:
-            self._filtering.cancelled.set()
-        view, cancelled = View(self._recording, test), Event()
-        thread = Thread(target=view.catch_up, args=(cancelled,), name="filter", daemon=True)
-        self._filtering = _Filtering(view, text, cancelled, thread)
+        if self.filtering:
+            self.filtering.cancel()
         self.said = ""
-        thread.start()
-        thread.join(0.05)  # mostly it is done by then, and shown at once
+        self.filtering = Filtering(self._recording, text, test)
+        self.filtering.join(0.05)  # mostly it is done by then, and shown at once
         self.tick()
 
     def action_fault(self, step: int) -> None:
@@ -433,25 +345,27 @@ class Browser(App[str | None]):
         if row is None:
             return
         found = view.next_fault(row) if step > 0 else view.fault_before(row)
-        limit = None if self.frames.held is None else self.frames.held
-        if found is None or (limit is not None and view.position(found) >= limit):
+        if found is None or view.position(found) >= self.frames.count:
             self._say("no fault comes after this" if step > 0 else "no fault comes before this")
         else:
             self._go_to(found)
 
     def action_pause(self) -> None:
         """Hold the view still, or go on."""
-        frames = self.frames
         self.show_rows()
-        frames.held = frames.view.count if frames.held is None else None
+        self._hold(self._recording.rows if self.frames.held is None else None)
         self.show_rows()
 
     def action_follow(self) -> None:
         """Follow what comes, or stop to."""
         self.follows = not self.follows or self.frames.held is not None
         if self.follows:
-            self.frames.held = None
+            self._hold(None)
         self.show_rows()
+
+    def _hold(self, rows: int | None) -> None:
+        """Show the first rows of the recording, so many of them; all if None."""
+        self.frames.held = self.faults.held = rows
 
     def action_mark(self) -> None:
         """Mark the chosen row, or take its mark away."""
@@ -489,11 +403,12 @@ class Browser(App[str | None]):
                 self.frames.changed()
 
         shown = [column.name for column in chosen] if chosen else ["time", "hex", "what", "reason"]
-        self._ask(ColumnChoice({name: c.says for name, c in known.items()}, shown), choose)
+        says = {name: column.says for name, column in known.items()}
+        self._ask(ColumnChoice(says, shown, self.signs), choose)
 
     def action_export(self) -> None:
         """Ask for a file, and write the rows of the view into it."""
-        if self._export:
+        if self.export:
             return
         rows = self.frames.view.count - self.frames.view.first
 
@@ -503,27 +418,27 @@ class Browser(App[str | None]):
                 known = tuple(c for c in columns if c is not WHAT) if columns else None
                 times = Times(self.frames.time_style, self.told.start_wall)
                 view = self.frames.view
-                self._export = RowExport(self._recording, view, name, known, times)
+                self.export = RowExport(self._recording, view, name, known, times)
 
         question = f"Export {quantity(rows, 'row')} to a new file, NAME.csv or NAME.jsonl:"
         self._ask(AskName(question, "rows.csv", refusal), write)
 
     def action_keys(self) -> None:
         """Show the help."""
-        self._ask(Help(KEYS, _ABOUT), lambda answer: None)
+        self._ask(Help(KEYS, ABOUT), lambda answer: None)
 
     def action_go_back(self) -> None:
         """Go back from where one is, or stop what takes long."""
+        self.said = ""
         if self.prompt.display:
             self.prompt.leave()
-        elif self._filtering:
-            self._filtering.cancelled.set()
+        elif self.filtering:
+            self.filtering.cancel()
             self._say("the filter was stopped: the rows are those from before")
-        elif self._export:
-            self._export.cancel()
+        elif self.export:
+            self.export.cancel()
         elif self._zoomed:
             self._zoom(False)
-        self.said = "" if not self._export else self.said
         self.frames.focus()
 
     def action_leave(self) -> None:
@@ -584,16 +499,3 @@ _TIMES = {
     TimeStyle.ABSOLUTE: "date and time of day here",
     TimeStyle.UTC: "date and time of day in UTC",
 }
-
-
-def _spread(left: Text, right: Text, width: int) -> Text:
-    """Two texts at the ends of a line; where both do not fit, the left one has all of it."""
-    if left.cell_len + right.cell_len > width:
-        right = Text()
-    room = width - right.cell_len
-    left = left.copy()
-    left.truncate(room, overflow="crop", pad=True)
-    line = left + right
-    line.no_wrap = True
-    line.truncate(width, overflow="crop")
-    return line

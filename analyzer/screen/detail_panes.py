@@ -14,6 +14,7 @@ from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.screen.details import Detail, details, record_bytes
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import Signs
+from bilprov.captures.text import escape_controls
 from bilprov.spec.explain import BitGroup
 from bilprov.spec.protocol import Protocol
 
@@ -89,11 +90,11 @@ class FieldTree(Rows):
         text = Text()
         if detail.depth:
             text.append(f"{'!' if detail.bad else ' '}  ", f"bold {bad}")
-            text.append(f"{detail.label}  ", bad or "cyan")
+            text.append(f"{escape_controls(detail.label)}  ", bad or "cyan")
         else:
             text.append(f"{sign if folds else ' '} ")
-            text.append(f"{detail.label}  ", "bold")
-        return text.append(detail.text, bad)
+            text.append(f"{escape_controls(detail.label)}  ", "bold")
+        return text.append(escape_controls(detail.text), bad)
 
     def _unfold(self) -> None:
         below = [*(detail.depth for detail in self._all[1:]), 0]

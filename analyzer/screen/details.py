@@ -1,6 +1,6 @@
 """What is known about one record, as lines of a tree: bits and their meaning, answer, times, state.
 
-The meanings are those of `spec.explain`. Foreign text is made printable here.
+The meanings are those of `spec.explain`. The pane escapes control characters.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def details(protocol: Protocol, record: Record) -> tuple[Detail, ...]:
     elif isinstance(record, LineRecord):
         lines = _line(record)
     else:
-        lines = iter([Detail(0, "Missing", printable(record.fault.kind), bad=True)])
+        lines = iter([Detail(0, "Missing", record.fault.kind, bad=True)])
     return *lines, *_faults(record), *_times(record), *_state(record)
 
 
@@ -108,9 +108,9 @@ def _device(protocol: Protocol, record: DeviceRecord) -> Iterator[Detail]:
 
 def _line(record: LineRecord) -> Iterator[Detail]:
     line = record.value
-    yield Detail(0, "Line", printable(line.event), bad=bool(record.faults))
+    yield Detail(0, "Line", line.event, bad=bool(record.faults))
     if line.tap:
-        yield Detail(1, "tap", printable(line.tap))
+        yield Detail(1, "tap", line.tap)
     if line.detail:
         yield Detail(1, "detail", printable(line.detail))
 
@@ -122,8 +122,8 @@ def _bits(group: BitGroup) -> Detail:
 
 def _faults(record: Record) -> Iterator[Detail]:
     for fault in record.faults:
-        yield Detail(0, "Fault", printable(fault.kind), bad=True)
-        yield Detail(1, "because", printable(fault.reason), bad=True)
+        yield Detail(0, "Fault", fault.kind, bad=True)
+        yield Detail(1, "because", fault.reason, bad=True)
 
 
 def _times(record: Record) -> Iterator[Detail]:

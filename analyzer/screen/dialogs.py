@@ -11,9 +11,12 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
-from textual.widgets import Input, OptionList, SelectionList, Static
+from textual.widgets import Input, OptionList, Static
 from textual.widgets.option_list import Option
-from textual.widgets.selection_list import Selection
+
+from bilprov.analyzer.screen.rows import Rows
+from bilprov.analyzer.screen.signs import Signs
+from bilprov.captures.text import escape_controls
 
 
 class Dialog(ModalScreen[str | None]):
@@ -26,11 +29,10 @@ class Dialog(ModalScreen[str | None]):
         width: 64; max-width: 100%; height: auto; max-height: 100%; padding: 0 1;
     }
     Dialog.plain > Vertical, Dialog.plain > VerticalScroll { border: ascii ansi_blue; }
-    Dialog Input, Dialog OptionList, Dialog SelectionList {
+    Dialog Input, Dialog OptionList {
         border: none; height: auto; padding: 0; background: ansi_default;
     }
     Dialog Input { height: 1; }
-    Dialog SelectionList { height: auto; max-height: 20; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", show=False)]
 
@@ -128,38 +130,71 @@ class ColumnChoice(ModalScreen[list[str] | None]):
 
     DEFAULT_CSS = """
     ColumnChoice { align: center middle; }
-    ColumnChoice SelectionList {
+    ColumnChoice Rows {
         width: 64; max-width: 100%; height: auto; max-height: 100%;
         border: round ansi_blue; background: ansi_default;
     }
-    ColumnChoice.plain SelectionList { border: ascii ansi_blue; }
+    ColumnChoice.plain Rows { border: ascii ansi_blue; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "leave", show=False),
-        Binding("enter", "take", show=False, priority=True),
         Binding("c", "take", show=False),
     ]
 
-    def __init__(self, columns: Mapping[str, str], chosen: Iterable[str]) -> None:
+    def __init__(self, columns: Mapping[str, str], chosen: Iterable[str], signs: Signs) -> None:
         super().__init__()
-        self._columns = columns
-        self._chosen = set(chosen)
+        self._listed = _Columns(columns, chosen, signs)
 
     def compose(self) -> ComposeResult:
         """The columns, each with what it says."""
-        selections = (
-            Selection(Text(f"{name:<15}{says}", no_wrap=True), name, name in self._chosen)
-            for name, says in self._columns.items()
-        )
-        listed = SelectionList[str](*selections)
-        listed.border_title = "columns: Space chooses, Enter shows them"
-        yield listed
+        yield self._listed
+
+    def on_rows_entered(self, event: Rows.Entered) -> None:
+        """Show the columns that are chosen now."""
+        event.stop()
+        self.action_take()
 
     def action_take(self) -> None:
         """Give the names of the chosen columns, in the order of the list."""
-        selected = set(self.query_one(SelectionList).selected)
-        self.dismiss([name for name in self._columns if name in selected])
+        self.dismiss(self._listed.chosen)
 
     def action_leave(self) -> None:
         """Leave without a change."""
         self.dismiss(None)
+
+
+class _Columns(Rows):
+    """The columns that there are, each with a sign that tells whether it is chosen."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("space", "choose", show=False)]
+
+    def __init__(self, columns: Mapping[str, str], chosen: Iterable[str], signs: Signs) -> None:
+        super().__init__("columns: Space chooses, Enter shows", signs, "columns")
+        self._columns = {name: name in set(chosen) for name in columns}
+        room = max(map(len, columns)) + 1
+        self._words = [escape_controls(f"{name:<{room}}{columns[name]}") for name in columns]
+
+    @property
+    def count(self) -> int:
+        """How many columns there are."""
+        return len(self._columns)
+
+    @property
+    def chosen(self) -> list[str]:
+        """The names of those that are chosen."""
+        return [name for name, chosen in self._columns.items() if chosen]
+
+    def lines(self, first: int, stop: int, width: int) -> list[Text]:
+        """The columns from `first` to before `stop`."""
+        signs = [self.signs.lit if on else self.signs.unlit for on in self._columns.values()]
+        return [Text(f"{signs[at]} {self._words[at]}") for at in range(first, stop)]
+
+    def action_choose(self) -> None:
+        """Choose the column, or no longer."""
+        name = list(self._columns)[self.cursor]
+        self._columns[name] = not self._columns[name]
+        self.changed()
+
+    def clicked(self, x: int) -> None:
+        """A click chooses, as Space does."""
+        self.action_choose()

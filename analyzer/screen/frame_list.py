@@ -31,7 +31,10 @@ _SIGNED = "!"
 
 
 class FrameList(Rows):
-    """The rows of a view. `held` is how many there were when the view was paused, None else."""
+    """The rows of a view.
+
+    `held` is how many rows the recording had when the view was paused, None where it is not.
+    """
 
     def __init__(
         self, recording: Recording, style: RowStyle, start_wall: int, signs: Signs
@@ -48,7 +51,7 @@ class FrameList(Rows):
     @property
     def count(self) -> int:
         """How many rows are shown."""
-        return self.view.count if self.held is None else self.held
+        return self.view.count if self.held is None else self.view.position(self.held)
 
     @property
     def start(self) -> int:
@@ -75,7 +78,7 @@ class FrameList(Rows):
     def look_at(self, view: View) -> None:
         """Show another view, with the same row chosen if it has it."""
         row = self.row
-        self.view, self.held = view, None
+        self.view = view
         self.top = view.first
         self.go_to(row or 0)
 
@@ -127,7 +130,7 @@ class FrameList(Rows):
         line = json_line(record)
         if line is None:
             assert isinstance(record, LineRecord)
-            return text.append(f"{times.shown(record.t)} {event_words(record)}", "dim")
+            return text.append(f"{times.padded(record.t)} {event_words(record)}", "dim")
         for column, room in self._widths(width):
             cell = _words(record) if column is WHAT else cells(line, (column,), times)[0]
             dim = column is TIME or column.name == "reason"
@@ -146,16 +149,18 @@ class FrameList(Rows):
 
 
 class FaultList(Rows):
-    """The rows of a recording that have an anomaly, in one line each."""
+    """The rows of a recording that have an anomaly, in one line each; `held` as in FrameList."""
 
     def __init__(self, recording: Recording, signs: Signs) -> None:
         super().__init__("faults", signs, "faults")
+        self.held: int | None = None
         self._recording = recording
 
     @property
     def count(self) -> int:
         """How many there are."""
-        return self._recording.faults.members
+        faults = self._recording.faults
+        return faults.members if self.held is None else faults.before(self.held)
 
     @property
     def start(self) -> int:

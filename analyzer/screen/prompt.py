@@ -127,7 +127,7 @@ class FilterPrompt(Vertical):
             self._under.update(Text("Tab completes, Enter filters, Esc goes back", "dim"))
             return
         offered = completions(text, self._input.cursor_position, self._protocol)
-        words = Text("  ".join(one.text for one in offered), "dim", no_wrap=True)
+        words = Text(printable("  ".join(one.text for one in offered)), "dim", no_wrap=True)
         begun = any(one.start < len(text) for one in offered)  # a word that can be gone on with
         try:
             self._compiled(text)

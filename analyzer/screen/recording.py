@@ -72,7 +72,8 @@ class Recording:
             return
         self.totals.add(part)
         if isinstance(part, Records):
-            self._add_records(part.listed)
+            for at in range(0, part.rows, TOGETHER):
+                self._add_records(part.listed[at : at + TOGETHER])
             return
         whole = PackedStretch.of(part)
         faulty = StretchPage(part, whole.order).faulty()

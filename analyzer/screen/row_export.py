@@ -43,7 +43,7 @@ def new_file_refusal(name: str) -> str:
 
 
 class RowExport:
-    """Writes the rows that a view has now. `said` tells how far it is, and how it ended."""
+    """Writes the rows that a view has now. `said` tells how it ended."""
 
     def __init__(
         self,
@@ -59,15 +59,15 @@ class RowExport:
         self._first, self._count = view.first, view.count
         self._columns, self._times = columns, times
         self._cancelled = Event()
-        self.written = 0
+        self._done = self._written = 0
         self.said = ""
         self._thread = Thread(target=self._run, name="export", daemon=True)
         self._thread.start()
 
     @property
-    def share(self) -> float:
-        """How much is written, 0 to 1."""
-        return self.written / max(1, self._count - self._first)
+    def doing(self) -> str:
+        """How much is written, in words."""
+        return f"exporting {self._done / max(1, self._count - self._first):.0%}"
 
     @property
     def ended(self) -> bool:
@@ -93,7 +93,7 @@ class RowExport:
             self.said = "the export was stopped: nothing is written"
             self._leave_nothing()
         else:
-            self.said = f"{quantity(self.written, 'row')} written to {printable(self._path)}"
+            self.said = f"{quantity(self._written, 'row')} written to {printable(self._path)}"
 
     def _write(self, write: Callable[[str], object]) -> None:
         form = self._form(self._recording.protocol, write)
@@ -101,8 +101,10 @@ class RowExport:
             if self._cancelled.is_set():
                 return
             rows = self._view.rows(at, min(at + _TOGETHER, self._count))
-            write(form.records(self._recording.records(rows)))
-            self.written += len(rows)
+            text = form.records(self._recording.records(rows))
+            write(text)
+            self._written += text.count("\n")  # events of the line are rows only on the screen
+            self._done += len(rows)
 
     def _form(self, protocol: Protocol, write: Callable[[str], object]) -> TextForm:
         if self._path.suffix == ".jsonl":

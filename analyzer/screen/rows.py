@@ -28,7 +28,7 @@ _CHOSEN, _CHOSEN_ELSEWHERE = Style(reverse=True), Style(bold=True, underline=Tru
 class Rows(Widget, can_focus=True):
     """Lines 0 to `count`, of which `cursor` is chosen; `top` is the first one on the screen.
 
-    A subclass says how many there are (`count`) and what they look like (`line`), and may have a
+    A subclass says how many there are (`count`) and what they look like (`lines`), and may have a
     `heading` above them.
     """
 

@@ -10,7 +10,7 @@ from bilprov.spec.motion import Motion
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """One set of signs; `border` and `focused` are Textual's names of border lines."""
+    """One set of signs."""
 
     to_device: str
     to_host: str
@@ -31,8 +31,6 @@ class Signs:
     body: tuple[str, str, str]
     scroll: str
     motions: Mapping[Motion, str]
-    border: str
-    focused: str
 
 
 FINE = Signs(
@@ -61,8 +59,6 @@ FINE = Signs(
         Motion.ROTATE_RIGHT: "↻",
         Motion.ROTATE_LEFT: "↺",
     },
-    border="solid",
-    focused="heavy",
 )
 PLAIN = Signs(
     to_device=">",
@@ -90,21 +86,13 @@ PLAIN = Signs(
         Motion.ROTATE_RIGHT: ")",
         Motion.ROTATE_LEFT: "(",
     },
-    border="ascii",
-    focused="ascii",
 )
 
 
 def signs_for(encoding: str | None) -> Signs:
     """The fine signs, where an encoding has them all; else the plain ones."""
-    texts = [value for value in _texts(FINE) if value]
     try:
-        "".join(texts).encode(encoding or "ascii")
+        f"{FINE}─━".encode(encoding or "ascii")  # its representation has all of its signs
     except (UnicodeEncodeError, LookupError):
         return PLAIN
     return FINE
-
-
-def _texts(signs: Signs) -> list[str]:
-    plain = [getattr(signs, name) for name in Signs.__slots__ if name not in ("body", "motions")]
-    return [*plain, *signs.body, *signs.motions.values(), "─━"]

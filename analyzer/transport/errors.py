@@ -8,6 +8,7 @@ from pathlib import Path
 from shlex import quote
 from urllib.parse import urlsplit
 
+from bilprov.analyzer.settings import SIM
 from bilprov.analyzer.transport.machine import Held, Machine, Process
 from bilprov.spec.errors import UserError
 
@@ -59,6 +60,11 @@ class LinkError(UserError):
 
 def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError:
     """Return a LinkError that says that there is no such port, and which there are."""
+    if name == SIM:
+        return LinkError(
+            "sim is no port, but the simulator inside bilprov conform and bilprov shell; "
+            "`bilprov simulate` serves one at a port, whose name it prints"
+        )
     name = name or "port ''"
     taken = machine.taken_for_braille()
     if taken:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import termios
@@ -9,7 +10,6 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -167,7 +167,7 @@ def same_line(one: str, other: str) -> bool:
     """Whether two names of ports mean the same line, also through a symbolic link."""
     if one == other:
         return True
-    return "://" not in one + other and Path(one).resolve() == Path(other).resolve()
+    return "://" not in one + other and os.path.realpath(one) == os.path.realpath(other)
 
 
 def _require_address(name: str) -> None:

@@ -1,4 +1,4 @@
-"""Handling of SIGINT (Ctrl-C), SIGTERM and SIGHUP: a select loop can wait for them."""
+"""Handling of SIGINT (Ctrl-C), SIGTERM, SIGHUP and SIGTSTP (Ctrl-Z), for who drives a robot."""
 
 from __future__ import annotations
 
@@ -65,6 +65,24 @@ class Stopper(Closing):
             self.stop(next(iter(self._causes)))
         return True
 
+    @property
+    def suspended(self) -> bool:
+        """Whether the process was suspended after `before_suspending`, and not withdrawn since."""
+        return signal.SIGTSTP in self._causes
+
+    def before_suspending(self, halt: Callable[[], object]) -> None:
+        """Let SIGTSTP (Ctrl-Z) request a stop and call `halt` before it suspends the process.
+
+        So nothing drives on while the process is suspended; once it is continued, it finds the
+        request. Only for the main thread, until `close`.
+        """
+
+        def stop_first() -> None:
+            self.stop(signal.SIGTSTP)  # before it: another thread may be driving
+            halt()
+
+        self._handlers.enter_context(suspending(stop_first))
+
     def close(self) -> None:
         """Restore the old handlers and close; further calls do nothing."""
         self._handlers.close()
@@ -107,6 +125,28 @@ def ending_in_order() -> Iterator[None]:
     numbers = (signal.SIGTERM, signal.SIGHUP)
     unhandled = (number for number in numbers if signal.getsignal(number) is signal.SIG_DFL)
     with _handled(unhandled, _exit):
+        yield
+
+
+@contextmanager
+def suspending(
+    halt: Callable[[], object], continued: Callable[[], object] = lambda: None
+) -> Iterator[None]:
+    """Let SIGTSTP (Ctrl-Z) call `halt` before it suspends the process, inside the block.
+
+    `continued` is called once the process goes on. A SIGTSTP that is ignored or handled already
+    stays so. Without effect outside the main thread; SIGSTOP cannot be handled.
+    """
+
+    def suspend(number: int, frame: FrameType | None) -> None:
+        halt()
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)  # returns once the process is continued
+        signal.signal(number, suspend)
+        continued()
+
+    unhandled = signal.getsignal(signal.SIGTSTP) is signal.SIG_DFL
+    with _handled([signal.SIGTSTP] if unhandled else [], suspend):
         yield
 
 

@@ -16,10 +16,12 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.options import (
+    asked_here,
     confirm_motion,
     line_options,
     note,
     note_hindrances,
+    note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -92,19 +94,25 @@ class RobotOptions:
             return line_settings(protocol, None, None, None)
         return line_settings(protocol, self.baud, self.parity, self.stopbits)
 
-    def require_fitting(self, name: TargetName) -> None:
-        """Raise UsageError for an option that is not for this kind of target."""
-        if name.own_probe and self.probe not in (None, SIM):
+    def fitting(self, name: TargetName) -> RobotOptions:
+        """The options without the settings that are for ports only, if this is none.
+
+        Raises UsageError for an option of the command line that is not for this kind of target.
+        """
+        probe = self.probe if asked_here("probe") or not name.own_probe else None
+        power = self.power if asked_here("power") or name.kind == PORT else None
+        if name.own_probe and probe not in (None, SIM):
             raise click.UsageError(
-                f"the target {name.text} brings its own probe; --probe {self.probe} is for ports"
+                f"the target {name.text} brings its own probe; --probe {probe} is for ports"
             )
         if name.kind != SIM and (self.fault or self.variant):
             option = "--fault" if self.fault else "--variant"
             raise click.UsageError(
                 f"{option} is for the target sim; start `bilprov simulate {option}`"
             )
-        if self.power is not None and (name.kind != PORT or not self.power.startswith("exec:")):
-            raise click.UsageError(f"--power {self.power}: it takes exec:COMMAND, and is for ports")
+        if power is not None and (name.kind != PORT or not power.startswith("exec:")):
+            raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
+        return replace(self, probe=probe, power=power)
 
 
 def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
@@ -230,7 +238,7 @@ def conform(
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
-    robot.require_fitting(name)
+    robot = robot.fitting(name)
     fresh = profile_path if not given else None
     require_writable(outputs)
     known = expected_file(protocol, options, expect_failures, settings, update=update_expected)
@@ -294,6 +302,8 @@ def _tested(
             note(f"{quantity(count, 'case')}, about {seconds:.0f} s; what goes wrong may add a few")
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
+        if target.moves:
+            stopper.before_suspending(target.halt)
         listeners: list[RunListener] = []
         if record is not None:
             from bilprov.conformance.runner.listeners.recorder import open_recorder
@@ -305,6 +315,7 @@ def _tested(
         report = run_suite(target, options, listeners)
         if target.remark():
             note(target.remark())
+    note_suspension(stopper)
     broken = next((listener.broken for listener in listeners if listener.broken), None)
     return _dated(report, start), broken
 

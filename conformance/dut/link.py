@@ -85,25 +85,30 @@ class Link(Protocol):
 def drive(procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str]) -> T:
     """Run a procedure over a link to its end and return what it returns.
 
-    `interrupted` is called before each operation. The first time that it returns True (the user's
-    wish) or a sentence (what of the kit failed), Ended is thrown into the procedure, which then
-    only homes the robot.
+    `interrupted` is called before and after each operation. The first time that it returns True
+    (the user's wish) or a sentence (what of the kit failed), Ended is thrown into the procedure,
+    which then only homes the robot. What the operation brought is not judged: it was cut short.
     """
     reply: Any = None
     error: BaseException | None = None
     told = False
+
+    def end_if_interrupted() -> None:
+        nonlocal told
+        if not told and (why := interrupted()):
+            told = True
+            raise interruption(why)
+
     while True:
         try:
             operation = procedure.throw(error) if error else procedure.send(reply)
         except StopIteration as end:
             return end.value  # type: ignore[no-any-return]  # what the generator's type says
         error = None
-        if not told and (why := interrupted()):
-            told = True
-            error = interruption(why)
-            continue
         try:
+            end_if_interrupted()
             reply = link.do(operation)
+            end_if_interrupted()
         except Ended as ended:
             error = ended
 

@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bilprov.analyzer.client.wire import stops
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.port import Port
@@ -75,9 +76,9 @@ class Target:
 
     `connect` makes a link to it, whose clock begins then, and which tells a listener all that
     passes. `interrupted` tells whether the user wants the run to end or, in a sentence, what of the
-    kit failed. `halt` is the last resort where the kit itself fails during a run: it stops a robot
-    at a port as far as the line allows. `remark` gives what the user should know after a run.
-    `moves` is true where a real robot will move, to which the user must agree first.
+    kit failed. `halt` is the last resort where the kit itself fails during a run, or is suspended:
+    it stops a robot at a port as far as the line allows. `remark` gives what the user should know
+    after a run. `moves` is true where a real robot will move, to which the user must agree first.
     """
 
     protocol: Protocol
@@ -190,7 +191,7 @@ def _port_target(
 
     def halt() -> None:
         with suppress(LinkError):
-            port.write(bytes([protocol.pad_byte]) * protocol.longest_frame)
+            port.write(stops(protocol))
 
     return Target(
         protocol,

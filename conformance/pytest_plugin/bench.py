@@ -108,6 +108,7 @@ class SuiteThread(RunListener):
         self._port = self._stack.enter_context(self._open_target())
         if self._port.moves:
             confirm()
+            self._stopper.before_suspending(self._port.halt)
 
     def _opened(self) -> AbstractContextManager[Target]:
         """The robot at the port; a target in virtual time is opened anew, just after power-on."""

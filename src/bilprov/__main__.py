@@ -35,20 +35,11 @@ COMMANDS = {
     "decode": Row(
         "Analyze", "bilprov.analyzer.cli.decode", "decode", "Decode bytes from hex or a file."
     ),
-    "info": Row(
-        "Analyze", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
-    ),
     "stats": Row(
         "Analyze",
         "bilprov.analyzer.cli.stats",
         "stats",
         "Count what captures hold: frames, answers.",
-    ),
-    "export": Row(
-        "Analyze",
-        "bilprov.analyzer.cli.export",
-        "export",
-        "Write a capture for other programs.",
     ),
     "plot": Row(
         "Analyze",
@@ -56,32 +47,42 @@ COMMANDS = {
         "plot",
         "Draw a capture along its time, as a page.",
     ),
+    "info": Row(
+        "Files", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
+    ),
+    "export": Row(
+        "Files",
+        "bilprov.analyzer.cli.export",
+        "export",
+        "Write a capture for other programs.",
+    ),
+    "cut": Row("Files", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
+    "join": Row("Files", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
+    "compare": Row(
+        "Files", "bilprov.analyzer.cli.edit", "compare", "Tell where two captures differ."
+    ),
     "convert": Row(
-        "Analyze",
+        "Files",
         "bilprov.analyzer.cli.convert",
         "convert",
         "Write a capture anew, all of it decoded.",
     ),
-    "cut": Row("Analyze", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
-    "join": Row("Analyze", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
-    "compare": Row(
-        "Analyze", "bilprov.analyzer.cli.compare", "compare", "Tell where two captures differ."
-    ),
-    "send": Row(
-        "Analyze", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
-    ),
-    "shell": Row(
-        "Analyze", "bilprov.conformance.cli.shell.command", "shell", "Drive a device by hand."
-    ),
     "ports": Row(
-        "Analyze",
+        "Ports",
         "bilprov.analyzer.cli.text_commands",
         "ports",
         "List the serial ports of this machine.",
     ),
     "doctor": Row(
-        "Analyze", "bilprov.analyzer.cli.doctor", "doctor", "Find what keeps a port from use."
+        "Ports", "bilprov.analyzer.cli.doctor", "doctor", "Find what keeps a port from use."
     ),
+    "send": Row(
+        "Ports", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
+    ),
+    "shell": Row(
+        "Ports", "bilprov.conformance.cli.shell.command", "shell", "Drive a device by hand."
+    ),
+    "line": Row("Ports", "bilprov.analyzer.cli.line", "line", "Join two ends by a bad line."),
     "conform": Row(
         "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
     ),
@@ -94,7 +95,6 @@ COMMANDS = {
     "emulate": Row(
         "Conform", "bilprov.conformance.cli.emulate", "emulate", "Serve a board's firmware."
     ),
-    "line": Row("Conform", "bilprov.analyzer.cli.line", "line", "Join two ends by a bad line."),
     "score": Row(
         "Conform",
         "bilprov.conformance.cli.score",
@@ -123,10 +123,10 @@ COMMANDS = {
         "Protocol", "bilprov.analyzer.cli.spec", "spec", "Show protocol, readings and errata."
     ),
     "config": Row(
-        "Protocol", "bilprov.analyzer.cli.config", "config", "Show settings and where they are set."
+        "Settings", "bilprov.analyzer.cli.config", "config", "Show settings and where they are set."
     ),
     "completion": Row(
-        "Protocol", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
+        "Settings", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
     ),
 }
 
@@ -179,7 +179,9 @@ class FrontDoor(Group):
         grammar = settings.values_of(name).get("grammar")
         if grammar is not None and ctx.params.get("grammar") is None:
             ctx.params["grammar"] = str(grammar.value)
-        command, ctx.default_map = with_settings(command, name, settings, rest)
+        command, ctx.default_map = with_settings(
+            command, name, settings, rest, ctx.params.get("grammar")
+        )
         return name, command, rest
 
 

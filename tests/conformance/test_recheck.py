@@ -375,7 +375,7 @@ def test_a_killed_run_leaves_what_can_be_judged(tmp_path: Path, protocol: Protoc
     calls = iter(range(10_000))
 
     def interrupted() -> bool:
-        if next(calls) > 300:
+        if next(calls) > 600:  # two for each operation
             raise Killed
         return False
 

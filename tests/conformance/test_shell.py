@@ -24,7 +24,17 @@ from tests.support.commands import Done, command
 from tests.support.grammars import wide_grammar
 from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here
 from tests.support.signals import ignoring
-from tests.support.terminals import CTRL_C, CTRL_D, TAB, UP, Terminal, on_terminal
+from tests.support.terminals import (
+    CONTINUE,
+    CTRL_C,
+    CTRL_D,
+    CTRL_Z,
+    TAB,
+    UP,
+    Terminal,
+    as_job,
+    on_terminal,
+)
 
 SAYS_MORE = b"\x81\x07"
 
@@ -333,6 +343,71 @@ def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol:
             assert terminal.end() == 0
 
         assert device.state.speed == 80
+
+
+SHELL = ("-m", "bilprov", "shell", "--yes")
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("line", ["", "LED 5; pause=60000; Speed 1"])
+def test_ctrl_z_stops_the_robot_and_then_suspends_and_the_shell_goes_on(
+    protocol: Protocol, line: str
+) -> None:
+    with car(protocol) as (device, port, _), as_job(*SHELL, port) as terminal:
+        driving(terminal, device)
+        if line:
+            terminal.type(f"{line}\r")
+            until(lambda: device.state.led == 5)
+        terminal.type(CTRL_Z)
+        terminal.wait_for("Stopped")
+        until(lambda: not device.state.moving)
+        terminal.type(CONTINUE)
+        terminal.wait_for("stopped: the program was suspended")
+        terminal.wait_for("stopped speed 80 led")
+        terminal.type("LED 7\r")
+        terminal.wait_for("← 00")
+        terminal.wait_for("stopped speed 80 led 7>")
+        terminal.type(CTRL_D)
+        terminal.wait_for("ended with 0")
+        assert device.state.speed == 80
+
+
+ROBOT = """
+import sys
+from bilprov.analyzer.client.robot import Robot
+with Robot(sys.argv[1]) as robot:
+    robot.speed(80)
+    robot.forward()
+    robot.wait(60_000)
+"""
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    ("words", "after", "told"),
+    [
+        (
+            ("-m", "bilprov", "send"),
+            ("Speed 80", "Forward", "pause=60000", "Stop", "--yes"),
+            "ended with 1",
+        ),
+        (("-m", "bilprov", "conform"), ("--yes",), "ended with 3"),
+        (("-c", ROBOT), (), "ended with 1"),
+    ],
+)
+def test_ctrl_z_stops_the_robot_before_any_program_that_drives_it_is_suspended(
+    protocol: Protocol, words: tuple[str, ...], after: tuple[str, ...], told: str
+) -> None:
+    with car(protocol) as (device, port, _), as_job(*words, port, *after) as terminal:
+        until(lambda: device.state.moving)
+        terminal.type(CTRL_Z)
+        terminal.wait_for("Stopped")
+        until(lambda: not device.state.moving)
+        terminal.type(CONTINUE)
+        terminal.wait_for("the program was suspended")
+        terminal.wait_for(told)
+        assert "came without an instruction" not in terminal.shown
+        assert not device.state.moving
 
 
 @pytest.mark.waits

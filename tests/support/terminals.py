@@ -6,6 +6,7 @@ import fcntl
 import os
 import re
 import select
+import shlex
 import struct
 import subprocess
 import sys
@@ -17,8 +18,9 @@ from contextlib import contextmanager, suppress
 from tests.support import ROOT
 from tests.support.signals import ignoring
 
+CONTINUE = "fg; echo ended with $?\n"
 PATIENCE = 30.0  # s; a test that waits longer hangs
-CTRL_C, CTRL_D, UP, TAB = "\x03", "\x04", "\x1b[A", "\t"
+CTRL_C, CTRL_D, CTRL_Z, UP, TAB = "\x03", "\x04", "\x1a", "\x1b[A", "\t"
 _ESCAPE = re.compile(r"\x1b(\[[0-?]*[ -/]*[@-~]|\][^\x07]*\x07|[()][A-Z0-9]|.)")
 
 
@@ -72,13 +74,32 @@ def on_terminal(
     *arguments: str, rows: int = 24, columns: int = 100, **more: str
 ) -> Iterator[Terminal]:
     """Start the command on a new terminal; `more` are environment variables."""
+    words = [sys.executable, "-m", "bilprov", *arguments]
+    with _terminal(words, rows, columns, more) as terminal:
+        yield terminal
+
+
+@contextmanager
+def as_job(*words: str) -> Iterator[Terminal]:
+    """Start Python so in a shell on a new terminal; CTRL_Z suspends it, CONTINUE goes on."""
+    shell = ["bash", "--norc", "--noprofile", "-i"]
+    with _terminal(shell, 24, 200, {"PS1": "$ "}) as terminal:
+        terminal.wait_for("$ ")
+        terminal.type(f"{shlex.join([sys.executable, *words])}\n")
+        yield terminal
+
+
+@contextmanager
+def _terminal(
+    words: list[str], rows: int, columns: int, more: dict[str, str]
+) -> Iterator[Terminal]:
     master, slave = os.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     # Nothing here answers when a program asks where the cursor is.
     variables = {"TERM": "xterm", "PROMPT_TOOLKIT_NO_CPR": "1"} | more
     with ignoring():
         process = subprocess.Popen(
-            [sys.executable, "-m", "bilprov", *arguments],
+            words,
             stdin=slave,
             stdout=slave,
             stderr=slave,

@@ -13,10 +13,12 @@ import click
 
 from bilprov.analyzer.cli.options import (
     Finite,
+    asked_here,
     confirm_motion,
     line_options,
     note,
     note_hindrances,
+    note_suspension,
     timeout_option,
 )
 from bilprov.analyzer.grammar_file import load_protocol
@@ -62,8 +64,8 @@ def shell(
 
     A line holds instructions as for `send` (Forward, Speed 255, LED rgb=5), bytes in hex (93 00),
     pauses (pause=500) or words (help lists them), with ; between them. Tab completes, the arrows
-    recall earlier lines. Ctrl-C stops the robot, at rest it leaves; Ctrl-D leaves. The device is
-    homed first and on every way out.
+    recall earlier lines. Ctrl-C stops the robot, at rest it leaves; Ctrl-D leaves; Ctrl-Z stops
+    the robot and suspends. The device is homed first and on every way out.
 
     Without a terminal the lines come from standard input. Exit code there: as for `send`, and 1
     where a line was not done to its end, 2 for a line that says nothing.
@@ -84,7 +86,7 @@ def shell(
     with ExitStack() as stack:
         port = target
         if target == SIM:
-            if probe not in (None, SIM):
+            if probe not in (None, SIM) and asked_here("probe"):
                 raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
             port, probe = stack.enter_context(_simulator(protocol))
         opened = stack.enter_context(open_port(port, settings))
@@ -109,6 +111,7 @@ def shell(
 
                 done = do_lines(driving, stopper)
                 driving.target.finish()
+            note_suspension(stopper)
     told = [] if driving.target.answered_stops else [UNANSWERED_STOPS]
     if not interactive:
         check = driving.check

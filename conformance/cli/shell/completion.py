@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from bilprov.analyzer.cli.typed_input import PAUSE
-from bilprov.conformance.cli.shell.driving import SEPARATOR
+from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
 from bilprov.spec.codec import bit_names
 from bilprov.spec.protocol import FieldSpec, Protocol
 

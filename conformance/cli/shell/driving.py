@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from bilprov.analyzer.cli.options import note
-from bilprov.analyzer.cli.typed_input import PAUSE, bytes_or_pause, fields_in_words
+from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
 from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
@@ -23,7 +23,6 @@ from bilprov.conformance.dut.probes import Probe, ProbeError
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
-SEPARATOR = ";"
 COMMENT = "#"
 
 _STEP = 0.5  # s of waiting at most: a signal that came just before it began is noticed then

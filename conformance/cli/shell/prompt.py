@@ -27,6 +27,11 @@ from bilprov.spec.protocol import Protocol
 
 _TURN = 0.05  # s between two looks at the port
 _MENU = 5  # lines
+# Signals after which the shell goes on: the robot is stopped, and why is told.
+_STOPS = {
+    signal.SIGINT: "Ctrl-C",
+    signal.SIGTSTP: "the program was suspended, and the robot stopped before that",
+}
 
 
 class Prompt:
@@ -39,6 +44,7 @@ class Prompt:
             self._message,
             completer=_Completer(protocol, driving),
             complete_while_typing=False,
+            enable_suspend=True,
             history=_history(),
             reserve_space_for_menu=_MENU,
         )
@@ -53,8 +59,7 @@ class Prompt:
                 self._driving.do(line)
             except ValueError as error:
                 note(f"{error}; see help")
-            if self._stopper.withdraw(signal.SIGINT):
-                self._driving.halt("Ctrl-C")
+            self._halt_for(*_STOPS)
 
     def _line(self) -> str | None:
         """Ask for a line; None at the end of the input."""
@@ -71,6 +76,12 @@ class Prompt:
             # Ctrl-C that came as a signal: just before the prompt, or from another program.
             return self._interrupted() if self._stopper.withdraw(signal.SIGINT) else None
 
+    def _halt_for(self, *signals: signal.Signals) -> None:
+        """Stop the robot if one of these has come, and go on."""
+        for number in signals:
+            if self._stopper.withdraw(number):
+                self._driving.halt(_STOPS[number])
+
     def _interrupted(self) -> str | None:
         """Ctrl-C at the prompt stops the robot; where nothing drives or is typed, it leaves."""
         if self._driving.target.state.motion != Motion.STOPPED:
@@ -86,7 +97,10 @@ class Prompt:
         app = get_app()
         ended: BaseException
         try:
-            while not self._stopper.stopped:
+            while True:
+                self._halt_for(signal.SIGTSTP)
+                if self._stopper.stopped:
+                    break
                 before = self._driving.target.state
                 self._driving.attend()
                 if self._driving.target.state != before:

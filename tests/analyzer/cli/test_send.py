@@ -88,6 +88,13 @@ def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
     assert state["speed"] == 0
 
 
+@pytest.mark.parametrize("item", ["Forward;Stop", "Speed 80;", "?;", ";", "pause=1;"])
+def test_a_separator_of_the_shell_is_told_as_such(item: str) -> None:
+    told = sentence(command("send", "/dev/nothing", item, "--yes"))
+
+    assert told.startswith(f"bilprov: '{item}' holds a ;, which stands between instructions")
+
+
 def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
     device = Simulator(protocol)
     with (

@@ -10,8 +10,10 @@ import pytest
 from bilprov import __main__ as front_door
 from bilprov.analyzer.cli.settings import PORTS
 from bilprov.analyzer.settings import COMMON, DEVICE_KEYS, read_settings
-from tests.support import commands
+from tests.support import ROOT, commands
 from tests.support.commands import Done
+
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 
 
 @pytest.fixture
@@ -104,6 +106,48 @@ def test_show_says_where_each_value_comes_from_and_which_are_not_used(
         assert all(str(part) in command("config", "show").stdout.decode() for part in row[:3])
 
 
+def test_the_users_file_is_in_the_home_where_no_other_place_is_set(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (place / ".config" / "bilprov").mkdir(parents=True)
+    (place / ".config" / "bilprov" / "config.toml").write_text("baud = 9600")
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setenv("HOME", str(place))
+    source = str(place / ".config" / "bilprov" / "config.toml")
+    assert shown()["all", "baud"] == (9600, source, True)
+
+
+def test_keys_are_the_long_spellings_of_options_with_dashes_or_underscores(place: Path) -> None:
+    theirs(place, "truncation_timeout = 70\n[sniff]\nwrite = 'x.mcap'\n[replay]\nto = '/dev/x'")
+    assert shown("replay")["replay", "truncation-timeout"][0] == 70
+    assert shown("sniff")["sniff", "write"][0] == "x.mcap"
+    assert shown("replay")["replay", "to"][0] == "/dev/x"  # a port may be outside of the folder
+
+    for key in ("w", "help", "version"):
+        theirs(place, f"[sniff]\n{key} = 'x.mcap'")
+        assert f"sniff has no option {key}" in refused("config", "show")
+
+
+def test_several_values_are_a_list_or_stand_side_by_side_in_the_environment(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = ("conform", "sim", "--list")
+    both = command(*listed, "--only", "valid/Stop*", "--only", "bad-data/LED/9").stdout
+    assert both.count(b"bad-data/LED/9") == 1
+
+    theirs(place, "[conform]\nonly = ['valid/Stop*', 'bad-data/LED/9']")
+    assert command(*listed).stdout == both
+    theirs(place, "")
+    monkeypatch.setenv("BILPROV_CONFORM_ONLY", "valid/Stop* bad-data/LED/9")
+    assert command(*listed).stdout == both
+
+
+def test_the_option_comes_before_the_grammar_of_the_settings(place: Path, horn_text: str) -> None:
+    (place / "horn.py").write_text(horn_text)
+    mine(place, "grammar = 'nowhere.py'")
+    assert b"Horn" in command("--grammar", "horn.py", "decode", "9100").stdout
+
+
 def test_show_of_a_command_has_all_its_options(place: Path) -> None:
     theirs(place, "[conform]\nlevel = 'smoke'")
 
@@ -117,12 +161,34 @@ def test_show_refuses_what_a_command_would_refuse(place: Path) -> None:
     assert "bilprov.toml [decode]: format = xml" in refused("config", "show")
 
 
+def test_a_command_of_commands_has_no_settings(place: Path) -> None:
+    theirs(place, "[spec]\nformat = 'json'")
+    for arguments in (("config", "show"), ("spec", "show")):
+        assert "bilprov.toml [spec]: spec has no option format" in refused(*arguments)
+
+
+def test_show_says_that_a_later_place_comes_before_a_commands_own_table(place: Path) -> None:
+    mine(place, "baud = 9600\n[sniff]\nbaud = 1200\nparity = 'E'\n[send]\nbaud = 300")
+    theirs(place, "[sniff]\nbaud = 2400")
+
+    found = command("config", "show", "--format", "json").stdout
+    rows = [(row["command"], row["value"], row["used"]) for row in json.loads(found)]
+    assert rows == [
+        ("all", 9600, True),
+        ("sniff", 1200, False),
+        ("sniff", "E", True),
+        ("send", 300, True),
+        ("sniff", 2400, True),
+    ]
+
+
 def test_nothing_set_is_said(place: Path) -> None:
     assert command("config", "show").stdout.startswith(b"nothing is set")
 
 
 def test_a_named_device_stands_for_its_port_and_brings_its_options(place: Path) -> None:
-    mine(place, "baud = 1200\n[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'")
+    device = "[device.car]\nport = '/nowhere/tty7'\nprobe = 'tcp:never:x'\npower = 'exec:true'"
+    mine(place, f"baud = 1200\n{device}")
 
     assert "/nowhere/tty7" in refused("send", "car", "00", "--yes")
     assert "/nowhere/tty7" in refused("conform", "car", "--yes")
@@ -162,6 +228,7 @@ DANGEROUS = [
     ("grammar = 'evil.py'", "grammar = evil.py"),
     ("probe = 'exec:rm -r x'", "exec:rm -r x"),
     ("[conform]\npower = 'exec:reboot'", "power"),
+    ("[plot]\nforce = true", "force = True"),
     ("[conform]\nprobe = 'EXEC:x'", "EXEC:x"),
     ("[conform]\nyes = false", "yes = False"),
     ("[device.car]\nport = '/dev/x'\nprobe = 'exec:x'", "[device.car]"),
@@ -240,6 +307,93 @@ def test_what_is_no_setting_is_one_sentence_with_its_place(
 def test_a_value_that_its_option_does_not_take_is_one_sentence(place: Path) -> None:
     theirs(place, "[decode]\nformat = 'xml'")
     assert "bilprov.toml [decode]: format = xml: 'xml' is not one of" in refused("decode", "00")
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[stats]\nfilter = 'speed > 3s'", " [stats]: filter = speed > 3s: filter column 10: 's'"),
+        ("columns = 'time,nam'", ": columns = time,nam: there is no column 'nam'"),
+    ],
+)
+def test_a_name_that_the_grammar_does_not_have_is_told_with_its_file(
+    place: Path, text: str, part: str
+) -> None:
+    name = "stats" if "stats" in text else "replay"
+    mine(place, text)
+    user = place.parent / "home" / "bilprov" / "config.toml"
+    for arguments in ((name, str(SAMPLE)), ("config", "show")):
+        assert refused(*arguments).startswith(f"{user}{part}")
+
+    mine(place, "")
+    theirs(place, text)
+    assert refused(name, str(SAMPLE)).startswith(f"bilprov.toml{part}")
+
+
+def test_a_filter_of_the_settings_is_checked_by_the_grammar_that_is_in_use(
+    place: Path, monkeypatch: pytest.MonkeyPatch, horn_text: str
+) -> None:
+    (place / "horn.py").write_text(horn_text)
+    monkeypatch.setenv("BILPROV_DECODE_FILTER", "name == Horn")
+
+    assert refused("decode", "00").startswith("BILPROV_DECODE_FILTER: filter = name == Horn: ")
+    assert command("--grammar", "horn.py", "decode", "9100").stdout.count(b"Horn") == 1
+    mine(place, "grammar = 'horn.py'")
+    assert command("decode", "9100").stdout.count(b"Horn") == 1
+
+
+def test_settings_are_left_alone_where_a_command_has_no_use_for_them(place: Path) -> None:
+    mine(place, "time = 'absolute'\ncolumns = 'time,name'")
+
+    jsonl = ("replay", str(SAMPLE), "--rate", "0", "--format", "jsonl")
+    assert json.loads(command(*jsonl, "--count", "1").stdout)["kind"] == "instruction"
+    export = ("export", str(SAMPLE), "-o", "-", "--format", "jsonl")
+    assert command(*export).returncode == 0
+    lines = command("replay", str(SAMPLE), "--rate", "0", "--count", "1", "--columns", "name")
+    assert (lines.returncode, lines.stdout) == (0, b"Forward\n")
+
+    for asked in ("--time", "utc"), ("--columns", "name"):
+        assert "are for lines and csv" in refused(*jsonl, *asked)
+        assert "not for jsonl" in refused(*export, *asked)
+    assert "name it in --columns too" in refused(
+        "replay", str(SAMPLE), "--format", "lines", "--time", "utc", "--columns", "name"
+    )
+
+
+@pytest.mark.waits
+def test_settings_for_ports_are_left_alone_where_the_target_is_none(place: Path) -> None:
+    mine(place, "probe = 'tcp:127.0.0.1:9'\n[conform]\npower = 'exec:false'")
+
+    sim = ("conform", "sim", "--only", "valid/Stop*")
+    assert command(*sim).returncode == 0
+    assert "is for ports" in refused(*sim, "--probe", "tcp:127.0.0.1:9")
+    assert "is for ports" in refused(*sim, "--power", "exec:true")
+    shell = commands.command("shell", "sim", stdin=b"Stop\n", cwd=place)
+    assert (shell.returncode, b"Stop" in shell.stdout) == (0, True)
+
+
+def test_a_device_at_another_port_has_not_what_was_allowed_for_the_first(place: Path) -> None:
+    mine(place, "[device.car]\nport = '/nowhere/mine'\nbaud = 9600\nyes = true")
+    theirs(place, "[device.car]\nbaud = 1200")
+    assert "/nowhere/mine" in refused("send", "car", "00")
+
+    theirs(place, "[device.car]\nport = '/nowhere/theirs'")
+    device = read_settings(front_door.COMMANDS).device("car")
+    assert device is not None
+    assert {key: value.value for key, value in device.items()} == {"port": "/nowhere/theirs"}
+    assert [used for *_, used in shown().values()] == [True, False, False]
+
+
+@pytest.mark.waits
+def test_a_ring_of_links_and_a_nul_are_no_bug(place: Path) -> None:
+    (place / "a").symlink_to("b")
+    (place / "b").symlink_to("a")
+    theirs(place, "[conform]\nhtml = 'a'")
+    assert command("encode", "Stop").stdout == b"00\n"
+    assert command("conform", "sim", "--level", "smoke", "--only", "valid/Stop*").returncode == 0
+
+    theirs(place, '[conform]\nhtml = "x\\u0000"')
+    assert "bilprov.toml [conform]: html holds a NUL character" in refused("encode", "Stop")
 
 
 def test_a_device_without_a_port_is_one_sentence(place: Path) -> None:

@@ -45,6 +45,8 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov decode --filter 'faulty", ["faulty"]),
         ("bilprov sniff --filter 'name in", ["name in {"]),
         ("bilprov sniff --filter 'latency > 20", ["latency > 20us", "latency > 20ms"]),
+        ("bilprov sniff --filter 'latency > 20m", ["latency > 20ms"]),
+        ("bilprov config show snif", ["sniff"]),
         ("bilprov conform s", ["sim"]),
         ("bilprov conform em", ["emulator:simavr:", "emulator:qemu:"]),
         ("bilprov conform sim --fault no-stop-on-bad-d", ["no-stop-on-bad-data"]),

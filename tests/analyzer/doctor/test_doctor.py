@@ -23,10 +23,10 @@ from bilprov.analyzer.doctor.asking import RATES, Reply, asked, rates_of, told
 from bilprov.analyzer.doctor.examination import of_line
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
 from bilprov.analyzer.doctor.listening import heard
-from bilprov.analyzer.doctor.system import examined, notes, subject
+from bilprov.analyzer.doctor.system import Subject, examined, notes, subject
 from bilprov.analyzer.transport.errors import LinkError, denied
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.machine import Machine
+from bilprov.analyzer.transport.machine import Held, Machine
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Line
@@ -116,6 +116,17 @@ def test_a_holder_that_would_be_started_anew_is_ended_by_its_service(
     port = machine.adapter()
     machine.run(42, name, port)
     assert findings(machine, port)["holder"].command == ends
+
+
+@pytest.mark.parametrize(("count", "words"), [(1, "1 process is"), (2, "2 processes are")])
+def test_processes_that_cannot_be_looked_into_are_no_verdict(
+    machine: FakeMachine, count: int, words: str
+) -> None:
+    port = Subject(machine.adapter(), machine, (), Held(unseen=count))
+    (found,) = [one for one in examined(port) if one.check == "holder"]
+    assert found.grade is Grade.UNSEEN
+    assert f"; {words} other users' and cannot be looked into" in found.sentence
+    assert found.command == "sudo fuser -v /dev/ttyUSB0"
 
 
 def test_a_lock_file_is_stale_once_its_program_has_ended(machine: FakeMachine) -> None:
@@ -380,9 +391,39 @@ def test_asking_that_is_given_up_still_homes_the_device(protocol: Protocol) -> N
     assert [set(data) for _, data in wire.said] == [{protocol.pad_byte}]
 
 
+def test_a_line_that_echoes_at_one_rate_is_asked_at_no_other(protocol: Protocol) -> None:
+    class Echo(Simulator):
+        def receive(self, data: bytes, now: int) -> None:
+            for byte in data:
+                self.answer(byte, now)
+
+    wire = Line8N1(Echo(protocol), 9600, lambda data: b"")
+    found = asked(protocol, wire, wire.tune, rates_of("/dev/ttyUSB0", 115200))
+    assert [(one.baud, one.reply) for one in found] == [(9600, Reply.ECHO)]
+    assert wire.tuned == 9600
+
+
 def test_a_line_without_baud_rates_is_asked_once() -> None:
     assert rates_of("socket://127.0.0.1:5000", 115200) == (115200,)
     assert rates_of("/dev/ttyUSB0", 31250)[0] == 31250
+
+
+@pytest.mark.parametrize("baud", [*RATES, 31250])
+def test_each_rate_is_asked_at_once_a_round(baud: int) -> None:
+    rates = rates_of("/dev/ttyUSB0", baud)
+    assert sorted(rates) == sorted({*RATES, baud})
+    assert rates[0] == baud
+
+
+def test_a_rate_at_which_garbage_comes_is_told_once(protocol: Protocol) -> None:
+    wire = Line8N1(Simulator(protocol), 1, lambda data: b"\xf8" * len(data))
+    rates = (115200, 9600)
+    found = asked(protocol, wire, wire.tune, rates)
+    assert [one.baud for one in found] == [115200, 9600, 115200, 9600]
+    assert wire.tuned == 115200
+    (garbage,) = told(protocol, "/dev/ttyUSB0", rates, found)
+    assert garbage.grade is Grade.BLOCKS
+    assert garbage.sentence.startswith("something comes back at 115200, 9600 baud, but no answers")
 
 
 def test_a_device_that_answers_otherwise_is_advised_to_be_tested(protocol: Protocol) -> None:
@@ -438,6 +479,14 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
     result = command("doctor", str(file))
     assert (result.returncode, result.stdout) == (2, b"")
     assert f"{file} is a file and no port".encode() in result.stderr
+
+
+@pytest.mark.parametrize("arguments", [["doctor"], ["doctor", "/dev/ptmx"], ["sniff"]])
+def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
+    result = command(*arguments, "sim", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, b"")
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(b"bilprov: sim is no port")
 
 
 @pytest.mark.parametrize(
@@ -511,6 +560,7 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
         result = command("--grammar", str(grammar), *asks)
         assert result.returncode == 2
         said = result.stdout.decode()
+        assert b"and 10 other rates" in result.stderr
         assert "a device answers at 9600 baud, not at 115200;" in said
         assert f"bilprov conform {pty.name} --baud 9600\n" in said
         assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0

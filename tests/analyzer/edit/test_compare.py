@@ -119,7 +119,7 @@ def test_people_see_a_table_and_files_get_the_json(tmp_path: Path) -> None:
     assert json.loads(out.read_text())["differences"] == {"only_a": 4}
     again = shown(SAMPLE, part, "--json", part)
     assert (again.returncode, again.stdout) == (2, b"")
-    assert b"would overwrite a capture" in again.stderr
+    assert b"would overwrite the input" in again.stderr
 
 
 @pytest.mark.waits

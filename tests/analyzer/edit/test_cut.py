@@ -17,13 +17,15 @@ from bilprov.analyzer.cli.options import compiled
 from bilprov.analyzer.decode.anomalies import UNCLEAR
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import (
+    FaultRecord,
     HostRecord,
+    LineRecord,
     Record,
     is_frame,
 )
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.edit.cut import write_selected, write_window
-from bilprov.analyzer.edit.new_capture import Stopped, edited_metadata, new_capture
+from bilprov.analyzer.edit.cut import CUT_THROUGH, write_selected, write_window
+from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures.reader import open_capture
@@ -222,6 +224,39 @@ SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 OLDER = ROOT / "captures" / "samples" / "older" / "conform.mcap.gz"
 
 
+def gaps_of(path: Path) -> list[str]:
+    events = open_capture(path).events()
+    return [e.detail for e in events if isinstance(e, Line) and e.event == "gap" and e.detail]
+
+
+def test_an_instruction_that_is_left_out_is_not_told_to_be_unanswered(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    unused, stop = b"\x90", b"\x20"  # an answer that is right for the second alone is the second's
+    events = [Chunk(0, "host", unused), Chunk(1, "host", unused), Chunk(150 * MS, "host", stop)]
+    events += [Chunk(151 * MS, "device", b"\1"), Chunk(152 * MS, "device", b"\0")]
+    how = {"skew": 0, "attached": False, "heard": ["host", "device"], "timeout": None}
+    path = written(tmp_path / "a.mcap", events, how)
+    assert [type(r) for r in read_capture(path, protocol)].count(FaultRecord) == 1
+    part = read_capture(cut(path, protocol, ALL, "direction == host and t > 0.1"), protocol)
+    told = [r for r in part if not isinstance(r, LineRecord)]
+    assert all(is_frame(r) for r in told)
+    assert [json_line(r).hex for r in told] == [stop.hex(), "00"]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("end", "gaps"), [(10.5, 1), (11, 0)])
+def test_a_gap_is_where_the_end_cuts_through_a_frame(
+    tmp_path: Path, protocol: Protocol, end: float, gaps: int
+) -> None:
+    events = [Chunk(10 * MS, "host", b"\x11"), Chunk(int(10.9 * MS), "host", b"\x05")]
+    how = {"skew": 0, "attached": False, "heard": ["host", "device"], "timeout": None}
+    path = written(tmp_path / "a.mcap", events, how)
+    part = cut(path, protocol, Window(None, int(end * MS)))
+    assert gaps_of(part) == [CUT_THROUGH] * gaps
+    kinds = [r.kind for r in read_capture(part, protocol) if isinstance(r, HostRecord)]
+    assert kinds == ["garbage" if gaps else "instruction"]
+
+
 def lines_of(path: Path, *options: str) -> list[str]:
     done = command("replay", "--rate", "0", "--format", "jsonl", *options, str(path))
     assert done.returncode == 0
@@ -300,7 +335,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     old.write_text("precious")
     for out in (copy, link):
         said = done("cut", copy, out, "--end", "1", "--force", code=2)
-        assert "itself, which would be lost" in said
+        assert "would overwrite the input" in said
     assert "exists: name another file, or say --force" in done(
         "cut", copy, old, "--end", "1", code=2
     )
@@ -329,11 +364,15 @@ def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
     metadata = edited_metadata(capture, protocol, "cut")
     out = tmp_path / "out.mcap"
     opened = opened_at(SAMPLE, protocol, 0)
+
+    def stop(size: int) -> None:
+        raise KeyboardInterrupt
+
     with (
-        pytest.raises(Stopped),
+        pytest.raises(KeyboardInterrupt),
         new_capture(out, capture.start, metadata, force=False) as writer,
     ):
-        write_window(opened, protocol, writer, Window(0, 1 << 40), lambda size: False)
+        write_window(opened, protocol, writer, Window(0, 1 << 40), stop)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -17,7 +17,6 @@ from bilprov.analyzer.output.row_columns import (
     cells,
     chosen_columns,
     columns_of,
-    row_values,
 )
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol
@@ -84,7 +83,18 @@ def test_cells_are_for_people_and_values_for_programs(protocol: Protocol) -> Non
     assert cells(answered, columns, Times()) == [
         *("0.021000", "21000000", "OK", "", "", "", "", "1.000 ms", "false", "true")
     ]
-    assert row_values(answered, columns, Times())[-3:] == [0.001, False, True]
+    assert [column.value(answered) for column in columns[-3:]] == [0.001, False, True]
+
+
+def test_each_kind_of_row_has_the_columns_of_its_kind_and_no_others(protocol: Protocol) -> None:
+    columns = chosen_columns("kind,id,len,data,response,judgement", protocol)
+    lines = rows(protocol, (b"\x81\x05", b"\0"), (b"\x11", b""))  # the second is cut short
+
+    assert [[column.value(line) for column in columns] for line in lines] == [
+        ["instruction", 8, 1, "05", None, "OK"],
+        ["response", None, None, None, "OK", "OK"],
+        ["truncated", 1, 1, "", None, "TOO_FEW_DATA"],
+    ]
 
 
 def test_each_kind_of_row_has_a_text_in_each_column(each_protocol: Protocol) -> None:

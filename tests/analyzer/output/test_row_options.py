@@ -137,7 +137,8 @@ def test_duration_is_seconds_of_the_recording_from_where_it_begins(talk: Path) -
 
     assert times("--duration", "0.03") == [0.02, 0.021]
     assert times("--start", "0.03", "--duration", "0.03") == [0.04, 0.041]
-    assert times("--duration", "9", "--end", "0.03") == times("--duration", "0.03", "--end", "9")
+    for both in ("--duration", "9", "--end", "0.03"), ("--duration", "0.03", "--end", "9"):
+        assert times(*both) == [0.02, 0.021]
 
 
 @pytest.mark.waits

@@ -94,6 +94,43 @@ def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
     assert counts["latency"]["median"] == pytest.approx(latencies[len(latencies) // 2], abs=1e-6)
 
 
+def test_load_percentiles_and_time_moving_are_those_worked_out_by_hand(tmp_path: Path) -> None:
+    # 200 instructions of two bytes, 30 ms apart, at 9600 bit/s with 10 bits a byte.
+    latencies = [1] * 197 + [5, 5, 9]  # ms
+    events: list[Event] = []
+    for place, latency in enumerate(latencies):
+        sent = b"\x11\x7f" if place else b"\x20"  # the first one is Forward
+        events += [
+            Chunk(30 * place * MS, "host", sent),
+            Chunk((30 * place + latency) * MS, "device", b"\0"),
+        ]
+    long = written(tmp_path / "long.mcap", events, line="9600 8N1")
+    short = written(tmp_path / "short.mcap", events[:40], line="9600 8N1")
+
+    found = counted(long, short)
+
+    first, second = (file["counts"] for file in found["files"])
+    assert (first["duration"], second["duration"]) == (pytest.approx(5.979), pytest.approx(0.571))
+    assert first["moving"] == pytest.approx(5.949)  # from the first Speed to the last answer
+    assert first["load"] == {
+        "host": pytest.approx(399 / 960 / 5.979),
+        "device": pytest.approx(200 / 960 / 5.979),
+    }
+    together = found["total"]
+    assert together["moving"] == pytest.approx(5.949 + 0.541)
+    assert together["load"] == {
+        "host": pytest.approx((399 + 39) / 960 / 6.55),
+        "device": pytest.approx((200 + 20) / 960 / 6.55),
+    }
+    spread = {"min": 0.001, "median": 0.001, "p95": 0.001, "p99": 0.005, "max": 0.009}
+    assert first["latency"] == {"count": 200, **spread}
+    assert (first["peak"], together["peak"]) == (34, 34)
+    assert found["files"][0]["rates"]["frames"] == [34, 33, 33, 34, 33, 33]
+    shown = " ".join(command("stats", long).stdout.decode().split())
+    assert "load: host 7 %, device 3.5 %" in shown
+    assert re.search(r"frames \S+ 33.45 34 ", shown)  # the mean is by the duration
+
+
 def test_every_key_is_explained() -> None:
     found = counted(EXAMPLES)
     file, total = found["files"][0], found["total"]

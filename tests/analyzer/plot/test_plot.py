@@ -462,3 +462,45 @@ def test_a_long_recording_and_one_of_nothing_are_shown_without_a_complaint(
         assert page.complaints == []
         page.requests.clear()
     assert " to " in told(page, "speed")
+
+
+@needs_chromium
+@pytest.mark.usefixtures("little_room")  # so that what is told is as long as it gets
+@pytest.mark.parametrize("width", [1280, 900, 400])
+def test_the_read_out_covers_nothing_cuts_nothing_and_moves_nothing(
+    protocol: Protocol, page: Page, show: Open, tmp_path: Path, width: int
+) -> None:
+    page.size(width)
+    show(written(tmp_path / "c.mcap", drive(protocol, 1500)))
+
+    def layout() -> dict[str, Any]:
+        found: dict[str, Any] = page.eval(
+            "(() => { const box = document.querySelector('#readout').getBoundingClientRect();"
+            "const canvas = document.querySelector('#plot').getBoundingClientRect();"
+            "const cells = [...document.querySelectorAll('#readout dd')];"
+            "return { left: box.left, right: box.right, height: box.height,"
+            " over: canvas.top - box.bottom, down: canvas.top + scrollY,"
+            " words: cells.map(c => c.textContent).join(' | '),"
+            " wide: cells.filter(c => c.scrollWidth > c.clientWidth).map(c => c.dataset.of),"
+            " high: cells.filter(c => c.scrollHeight > c.clientHeight &&"
+            " getComputedStyle(c).overflowY != 'auto').map(c => c.dataset.of),"
+            " reaches: cells.every(c => c.getBoundingClientRect().bottom <= box.bottom) } })()"
+        )
+        return found
+
+    seen = [layout()]
+    for place in range(5):
+        mouse(page, "mouseMoved", spot(page, 0.2 + place / 7))
+        seen.append(layout())
+    page.eval("document.querySelector('#plot').focus()")
+    for _ in range(5):
+        page.press("n", 78, "n")
+        settle(page)
+        seen.append(layout())
+
+    assert len({one["words"] for one in seen}) > 5
+    for one in seen:
+        assert 0 <= one["left"] < one["right"] <= width
+        assert one["over"] >= 0
+        assert (one["wide"], one["high"], one["reaches"]) == ([], [], True), one["words"]
+    assert len({(one["height"], one["down"]) for one in seen}) == 1

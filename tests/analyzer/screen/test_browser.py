@@ -7,17 +7,19 @@ from typing import Any
 
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import Input, SelectionList
+from textual.widgets import Input
 
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen.arrangement import arranged
-from bilprov.analyzer.screen.browser import KEYS, Browser
+from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.keys import KEYS
+from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event
 from tests.support.screens import browser, operated, text_of
 from tests.support.traffic import told
@@ -102,7 +104,7 @@ def test_a_filter_shows_what_passes_and_export_writes_it(
         await pilot.press("x")
         screen.screen.query_one(Input).value = "out.csv"
         await pilot.press("enter")
-        while screen._export:
+        while screen.export:
             await pilot.pause(0.01)
             screen.tick()
         assert "9 rows written to out.csv" in text_of(screen)[-1]
@@ -129,13 +131,14 @@ def test_jsonl_is_exported_with_its_keys_and_no_file_is_overwritten(
             assert any(words in line for line in text_of(screen))
         screen.screen.query_one(Input).value = "out.jsonl"
         await pilot.press("enter")
-        while screen._export:
+        while screen.export:
             await pilot.pause(0.01)
             screen.tick()
 
     operated(screen, steps)
     assert (tmp_path / "there.csv").read_text() == "precious"
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
+    assert screen.said == "120 rows written to out.jsonl"  # the line's event is none of them
 
 
 def test_a_wrong_filter_says_so_under_it_and_escape_leaves_all_rows(screen: Browser) -> None:
@@ -187,7 +190,16 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
         await pilot.pause()
         assert "paused, 21 waiting" in text_of(screen)[0]
         assert (screen.frames.count, screen.frames.row) == (121, 120)
-        await pilot.press("space")
+        faults = screen.faults.count
+        await type_filter(pilot, "direction == host")  # which does not end the pause
+        await pilot.press("enter")
+        await pilot.pause()
+        assert "paused, 10 waiting" in text_of(screen)[0]
+        assert (screen.frames.count, screen.faults.count) == (60, faults)
+        await pilot.press("n")
+        assert "no fault comes after" in text_of(screen)[-1]
+        await pilot.press("slash", *["backspace"] * 17, "enter", "space")
+        assert screen.faults.count == faults + 1
         assert (screen.frames.count, screen.frames.row) == (142, 141)
 
     operated(screen, steps)
@@ -250,11 +262,17 @@ def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
 
 def test_c_chooses_columns(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("c", "space", "escape")
+        assert screen.frames.columns is None
         await pilot.press("c")
-        listed = screen.screen.query_one(SelectionList)
-        listed.deselect_all()
-        listed.select("time")
-        listed.select("state.speed")
+        shown = text_of(screen)
+        assert any("● what " in line for line in shown)
+        assert any("○ kind " in line for line in shown)
+        listed = screen.screen.query_one(Rows)
+        names = [str(line).split()[1] for line in listed.lines(0, listed.count, 60)]
+        for name in ("what", "hex", "reason", "state.speed"):
+            listed.choose(names.index(name))
+            await pilot.press("space")
         await pilot.press("enter")
         assert screen.frames.columns is not None
         assert [column.name for column in screen.frames.columns] == ["time", "state.speed"]
@@ -366,10 +384,11 @@ def test_a_long_filter_can_be_stopped(screen: Browser, protocol: Protocol) -> No
             await pilot.pause()
             assert "Esc stops it" in text_of(screen)[-1]
             await pilot.press("escape")
-        assert screen._filtering is None or screen._filtering.cancelled.is_set()
-        while screen._filtering:
+        assert screen.filtering is None or screen.filtering.cancelled
+        while screen.filtering:
             await pilot.pause(0.01)
             screen.tick()
+        assert "the filter was stopped" in text_of(screen)[-1]
         assert screen.frames.count == 121
 
     operated(screen, steps)
@@ -427,12 +446,30 @@ def test_bytes_from_a_port_are_escaped_and_never_markup(protocol: Protocol) -> N
     operated(screen, steps)
 
 
+def test_control_characters_of_a_grammar_are_escaped(horn_text: str) -> None:
+    protocol = load(horn_text.replace('9: "Horn"', '9: "Ho\\x1b[31m\\u202ern"'))
+    screen = browser(protocol, decoded(protocol, [Chunk(0, "host", b"\x91\x03")]))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await type_filter(pilot, "name == Ho")
+        await pilot.pause()
+        shown = "\n".join(text_of(screen))
+        assert sum(r"Ho\x1b[31m" in line for line in text_of(screen)) >= 3  # list, fields, prompt
+        assert all(sign.isprintable() or sign == "\n" for sign in shown)
+
+    operated(screen, steps)
+
+
 def test_plain_signs_are_ascii(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), signs=PLAIN)
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("n", "m", "enter")
         assert "\n".join(text_of(screen)).isascii()
+        for key in ("c", "x"):
+            await pilot.press(key)
+            assert "\n".join(text_of(screen)).isascii()
+            await pilot.press("escape")
         await pilot.press("escape", "q")
 
     operated(screen, steps)

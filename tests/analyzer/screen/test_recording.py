@@ -145,6 +145,16 @@ def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
     assert view.fault_before(recording.first) is None
 
 
+def test_a_part_of_many_records_is_packed_in_blocks_that_are_read_quickly(
+    protocol: Protocol,
+) -> None:
+    records = records_of(conversation(protocol, 6000))
+    recording = recorded(protocol, [Records(records)])
+
+    pages = [page for page, _ in recording.pages(0)]
+    assert [len(page.faulty()) for page in pages] == [4096, 4096, len(records) - 2 * 4096]
+
+
 def test_filtering_can_be_cancelled(protocol: Protocol) -> None:
     recording = recorded(protocol, conversation(protocol, 3000))
     view = View(recording, compile_filter("faulty", protocol))

@@ -23,8 +23,8 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import parse_address
-from tests.support.commands import command, process
-from tests.support.robots import sentence, simulate
+from tests.support.commands import Done, command, process
+from tests.support.robots import sentence, simulate, unwell
 from tests.support.wires import PATIENCE, Running, running
 
 pytestmark = pytest.mark.waits
@@ -464,43 +464,42 @@ def test_the_help_is_enough_to_use_it() -> None:
 # the suite over the line
 
 
-def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[int, str, str]:
-    """Run the suite over a line with these faults; gives its exit code, its words, the account."""
+def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[Done, str]:
+    """Run the suite over a line with these faults; gives its end, and the account."""
     with simulate(*robot) as served, running("line", *faults, served.port, "pty") as line:
         (path,) = served_by(line)
         globs = [word for glob in only for word in ("--only", glob)]
-        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
+        probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]
         result = process("conform", path, *probe, *globs)
         _, _, account = line.end()
-    told = (result.stdout + result.stderr).decode()
-    return result.returncode, told, account.decode()
+    return result, account.decode()
 
 
 def test_the_reference_conforms_over_a_clean_line() -> None:
-    code, told, account = conform_over([], [], "valid/*", "bad-data/*")
-    assert code == 0, told
+    result, account = conform_over([], [], "valid/*", "bad-data/*")
+    assert set(unwell(result).values()) == {"skipped"}  # it has no power switch
     assert account.count("0 dropped, 0 flipped, 0 doubled, 0 delayed") == 2
 
 
 def test_the_reference_conforms_over_a_slow_line() -> None:
-    code, told, _ = conform_over([], ["--delay", "5ms"], "valid/*", "bad-data/*")
-    assert code == 0, told
+    result, _ = conform_over([], ["--delay", "5ms"], "valid/*", "bad-data/*")
+    assert set(unwell(result).values()) == {"skipped"}  # it has no power switch
 
 
 def test_a_line_with_strong_drops_never_fails_the_reference() -> None:
-    code, told, account = conform_over([], ["--drop", "5e-3"], "valid/LED/*")
-    assert code in (2, 3), told
+    result, account = conform_over([], ["--drop", "5e-3"], "valid/LED/*")
+    assert result.returncode in (2, 3), result.stderr
     assert "0 dropped, 0 flipped, 0 doubled, 0 delayed; B to A" not in account
 
 
 def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
-    code, told, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
-    assert code == 2, told
-    assert "nobody answered" in told
+    result, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
+    assert result.returncode == 2, result.stderr
+    assert b"nobody answered" in result.stdout + result.stderr
 
 
 @pytest.mark.parametrize("fault", ["no-stop-on-bad-data", "ok-to-bad-data"])
 def test_a_bad_line_never_lets_a_faulty_robot_pass(fault: str) -> None:
     faults = ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"]
-    code, told, _ = conform_over(["--fault", fault], faults, "bad-data/LED/8")
-    assert code in (1, 3), told
+    result, _ = conform_over(["--fault", fault], faults, "bad-data/LED/8")
+    assert result.returncode in (1, 3), result.stderr

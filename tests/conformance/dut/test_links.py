@@ -194,10 +194,16 @@ def test_a_link_that_ends_is_told_to_the_script_where_it_asked() -> None:
 
 
 def test_an_interrupt_is_told_once_and_before_the_next_ask_is_done() -> None:
-    link, asked = Echo(), iter([False, True, True, True])
+    link, asked = Echo(), iter([False, False, True, True])
 
     assert drive(talk(4), link, lambda: next(asked)) == [1, "interrupted", 2, 3]
     assert len(link.asks) == 3
+
+
+def test_what_an_interrupted_operation_brought_is_not_judged() -> None:
+    link = Echo()
+
+    assert drive(talk(3), link, lambda: len(link.asks) == 2) == [1, "interrupted", 3]
 
 
 # -- ports ----------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, CountingLink
+from tests.support.robots import ALL_SEEING, CountingLink, cases_of
 
 FEW = Options(only=("wrong-length/Stop/*",))
 
@@ -145,12 +145,12 @@ class Other(Simulator):
 
     def __init__(self, protocol: Protocol, text: bytes, each: int = 1) -> None:
         super().__init__(protocol)
-        self._text, self._each, self._said = text, each, 0
+        self._text, self._each, self.said = text, each, 0
 
     def answer(self, code: int, at: int) -> None:
         for offset in range(self._each):
-            super().answer(self._text[self._said % len(self._text)], at + offset * MS // 10)
-            self._said += 1
+            super().answer(self._text[self.said % len(self._text)], at + offset * MS // 10)
+            self.said += 1
 
 
 def on_a_port(device: Device, protocol: Protocol) -> Runner:
@@ -181,7 +181,7 @@ def test_a_device_that_falls_silent_is_told_by_the_few_answers_that_came(
 ) -> None:
     class Tiring(Other):
         def answer(self, code: int, at: int) -> None:
-            if self._said < 9:
+            if self.said < 9:
                 super().answer(code, at)
 
     runner = on_a_port(Tiring(protocol, b"0"), protocol)
@@ -199,7 +199,10 @@ def test_one_code_among_the_first_answers_is_a_device_to_be_judged(protocol: Pro
 
 
 def test_a_code_that_comes_after_the_first_answers_does_not_count(protocol: Protocol) -> None:
-    runner = on_a_port(Other(protocol, b"\xff" * 400 + b"\x00"), protocol)
+    other = Other(protocol, b"\xff")
+    on_a_port(other, protocol)
+    last = other.said - protocol.longest_frame - 1  # before the stops that home it
+    runner = on_a_port(Other(protocol, b"\xff" * last + b"\x00" + b"\xff" * 99), protocol)
 
     assert "none of the first 40 answers" in runner.unusable
 
@@ -234,10 +237,22 @@ def test_a_slow_device_is_told_with_its_time_and_an_estimate_before_the_cases(
     ((before, sentence),) = notes.told
     assert before < len(report.results) - len(select_cases(protocol, FEW))
     assert sentence.startswith("an answer takes 150 ms and is due after 100 ms: slow, non-strict")
-    assert "about" in sentence
+    about = int(sentence.partition("the run takes about ")[2].removesuffix(" s more"))
+    assert 0.15 * report.counts["non-strict"] + 0.15 * 60 < about < 60
     assert {r.verdict for r in report.results if r.id.startswith("wrong-length/")} == {
         Verdict.NON_STRICT
     }
+
+
+def test_a_slow_device_that_the_budget_does_not_hold_is_told_so(protocol: Protocol) -> None:
+    told: list[str] = []
+    slow = Simulator(protocol, variants(protocol)["R-answer-deadline=150-ms"].fault)
+    config = RunConfig(protocol, Timers(run_budget=20_000 * MS), ALL_SEEING)
+    cases = cases_of(protocol, *FEW.only)
+    drive(Runner(Run(config, note=told.append), cases).execute(), CountingLink(slow), lambda: False)
+
+    (sentence,) = told
+    assert sentence.endswith(" s and get 20 s: --budget S gives them more")
 
 
 def test_nothing_is_told_of_a_device_that_answers_in_time(protocol: Protocol) -> None:

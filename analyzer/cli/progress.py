@@ -1,0 +1,52 @@
+"""Shows how far a command has come in reading captures, and ends it at Ctrl-C."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from bilprov.analyzer.cli.options import note
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.replay.capture_parts import Progress
+    from bilprov.captures.reader import Capture
+
+_LONG = 1 << 20  # raw bytes from which on a bar is drawn
+
+
+@contextmanager
+def reading(captures: Sequence[Capture], *, times: int = 1) -> Iterator[Progress]:
+    """Give a function that is told how many raw bytes of the captures were read more.
+
+    On a terminal a bar shows how much of it is done, if there is much; the captures are read so
+    many times. After Ctrl-C or SIGTERM the function raises click's Abort.
+    """
+    from bilprov.analyzer.transport.signals import Stopper
+    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+
+    total = times * sum(
+        capture.contents.sizes.get(topic, 0)
+        for capture in captures
+        for topic in (HOST_RAW, DEVICE_RAW)
+    )
+    with ExitStack() as stack:
+        stopper = stack.enter_context(Stopper())
+        bar = None
+        if total >= _LONG and sys.stderr.isatty():
+            bar = stack.enter_context(click.progressbar(length=total, file=sys.stderr))
+
+        def progress(size: int) -> None:
+            if stopper.stopped:
+                raise click.Abort
+            if bar:
+                bar.update(size)
+
+        try:
+            yield progress
+        except click.Abort:
+            note("stopped before the end")
+            raise
