@@ -1,0 +1,74 @@
+"""The inputs of learning: every instruction with representative data, every kind of fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+from bilprov.conformance.cases.frame_source import fill
+from bilprov.conformance.cases.steps import (
+    Step,
+    bad_data_frame,
+    open_frames,
+    unused_id_frame,
+    valid_frame,
+    wrong_length_frame,
+)
+from bilprov.spec.codec import all_data, bad_data, judge, spaced
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import InstructionSpec, Protocol
+
+
+@lru_cache(maxsize=1 << 3)
+def alphabet(protocol: Protocol) -> tuple[Step, ...]:
+    """Every input that is learned, each frame once; a machine's inputs are their indices.
+
+    An instruction with data comes with its first and its last; a bad value is the first and the
+    last that is out of range. Each instruction is also sent with a data byte too many and one too
+    few. A truncated frame is a header without its data, followed by the time-out.
+    """
+    steps = [step for spec in protocol.instructions for step in _valid(protocol, spec)]
+    for turn, spec in enumerate(protocol.instructions):
+        steps += _faulty(protocol, spec, turn)
+    if protocol.unused_ids:
+        steps.append(unused_id_frame(protocol, protocol.unused_ids[0], 0, b""))
+        last = protocol.unused_ids[-1]
+        steps.append(unused_id_frame(protocol, last, 1, fill(protocol, 1, 1)))
+    steps += open_frames(protocol).values()
+    return tuple({step.frame: step for step in steps}.values())
+
+
+def _valid(protocol: Protocol, spec: InstructionSpec) -> Iterator[Step]:
+    data = list(all_data(spec))
+    for some in dict.fromkeys((data[0], data[-1])):
+        yield valid_frame(protocol, spec, spec.decode(some))
+
+
+def _faulty(protocol: Protocol, spec: InstructionSpec, turn: int) -> Iterator[Step]:
+    for length in (spec.length - 1, spec.length + 1):
+        if length in protocol.data_lengths:
+            data = fill(protocol, length, turn)
+            yield wrong_length_frame(protocol, spec, length, data)
+    bad = list(bad_data(spec))
+    for some in dict.fromkeys((*bad[:1], *bad[-1:])):
+        yield bad_data_frame(protocol, spec, some)
+
+
+def name_of(protocol: Protocol, step: Step) -> str:
+    """An input in words: `Speed speed=255`, `unused 9, 2 data bytes (92 00 00)`."""
+    words = judge(protocol, step.frame).describe()
+    return f"{words} ({spaced(step.frame)})" if step.faulty and len(step.frame) > 1 else words
+
+
+def item_of(protocol: Protocol, frame: bytes) -> str:
+    """A frame as `bilprov send` takes it: an instruction with its values, else hex."""
+    judged = judge(protocol, frame)
+    if not judged.valid:
+        return frame.hex()
+    return " ".join((judged.name, *(str(value) for _, value in judged.fields)))
+
+
+def rest(protocol: Protocol) -> State:
+    """The state before each sequence of inputs: at rest, each variable at its lowest value."""
+    low = {name: max(ends[0], min(0, ends[1])) for name, ends in protocol.limits.items()}
+    return State(**low)  # type: ignore[arg-type]  # never the motion
