@@ -137,7 +137,7 @@ def learn(
             shown.update(task, completed=frames, description=quantity(states, "state"))
 
         try:
-            learned = learn_target(target, seed=seed, progress=progress)
+            learned = learn_target(target, seed=seed, lossless=name.virtual, progress=progress)
         except Unusable as why:
             raise NotUsable(str(why)) from why
         if target.remark():
@@ -211,7 +211,9 @@ def _told(learned: Learned) -> Iterator[str]:
         yield f"learned {states} over {inputs}, from {sent}"
         looks = ", ".join(learned.seen) or "nothing of the robot: no probe"
         yield f"seen beside the answers: {looks}"
-        yield f"the Protocol's machine has {quantity(learned.expected_states, 'state')} over these"
+        if learned.differences:
+            expected = quantity(learned.expected_states, "state")
+            yield f"the Protocol's machine has {expected} over these inputs"
     for point, word, label in learned.choices:
         yield f"another reading, taken into account: {point} = {word} ({label})"
     for case, reason in learned.before:
@@ -220,7 +222,10 @@ def _told(learned: Learned) -> Iterator[str]:
     for number, one in enumerate(learned.differences[:_SHOWN], 1):
         names = [learned.names[letter] for letter in one.word]
         after = f" after {', '.join(names[:-1])}" if names[:-1] else ""
-        yield f"{number}. {names[-1]}{after}"
+        step = learned.steps[one.word[-1]]
+        reading = step.point or step.reading
+        about = f" [{reading}]" if reading else ""
+        yield f"{number}. {names[-1]}{after}{about}"
         yield f"     due: {one.expected.words(protocol)}"
         yield f"     got: {one.actual.words(protocol)}"
         yield f"     {learned.send_line(one)}"
@@ -238,6 +243,10 @@ def _conclusion(learned: Learned) -> str:
         return "not the Protocol's machine"
     if learned.before:
         return "the Protocol's machine, but it does not conform: run bilprov conform"
+    if learned.flaky:
+        times = quantity(learned.flaky, "outcome")
+        why = "the device does not always do the same" if learned.lossless else "noise, or a rhythm"
+        return f"the Protocol's machine, but {times} came once and not again: {why}"
     if not learned.seen:
         return "by its answers the Protocol's machine; whether it stops was not seen, see --probe"
     return "the Protocol's machine"
@@ -269,6 +278,7 @@ def _as_json(learned: Learned) -> dict[str, Any]:
             "frames": learned.frames,
             "sequences": learned.sequences,
             "repeated": learned.repeated,
+            "flaky": learned.flaky,
         },
         "inputs": inputs,
         "states": None if machine is None else _states(learned),

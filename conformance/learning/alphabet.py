@@ -23,9 +23,9 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 def alphabet(protocol: Protocol) -> tuple[Step, ...]:
     """Every input that is learned, each frame once; a machine's inputs are their indices.
 
-    An instruction with data comes with its first and its last; a bad value is the first and the
-    last that is out of range. Each instruction is also sent with a data byte too many and one too
-    few. A truncated frame is a header without its data, followed by the time-out.
+    An instruction with data comes with its first and its last, bits with names with the last but
+    one; bad data are the first and the last out of range. Each instruction is also sent with a data
+    byte too many and one too few. A truncated frame is a header without its data, followed by the time-out.
     """
     steps = [step for spec in protocol.instructions for step in _valid(protocol, spec)]
     for turn, spec in enumerate(protocol.instructions):
@@ -40,7 +40,9 @@ def alphabet(protocol: Protocol) -> tuple[Step, ...]:
 
 def _valid(protocol: Protocol, spec: InstructionSpec) -> Iterator[Step]:
     data = list(all_data(spec))
-    for some in dict.fromkeys((data[0], data[-1])):
+    # Of bits with names not all are set: their order shows, and a bit that is stuck.
+    bits = any(part.bits for part in spec.fields) and len(data) > 2
+    for some in dict.fromkeys((data[0], data[-2 if bits else -1])):
         yield valid_frame(protocol, spec, spec.decode(some))
 
 

@@ -42,7 +42,8 @@ def dot_text(
 
     `names` are the inputs in words. A state is named after what is seen in it. Transitions with the
     same source, target and look are one arrow, with the number of its inputs and answers. A tooltip
-    tells each input of an arrow, and a shortest way to a state. `differing` are the transitions (state, input) to be drawn in red.
+    tells each input of an arrow, and a shortest way to a state. `differing` are the transitions
+    (state, input) to be drawn in red.
     """
     labels = state_words(machine)
     lines = [

@@ -10,7 +10,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.link import Link, drive
-from bilprov.conformance.dut.operations import Ended, Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure, send
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, rest
 from bilprov.conformance.learning.comparison import Difference
@@ -26,11 +26,12 @@ from bilprov.conformance.oracle.timers import timers_of
 from bilprov.conformance.oracle.verdicts import Label, Verdict, exit_code
 from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
-from bilprov.conformance.runner.homing import home, leave, see_motions
+from bilprov.conformance.runner.homing import home, leave, see_motions, set_up, watch
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
 
 FACETS = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels", "led": "led"}
@@ -47,7 +48,8 @@ class Learned:
     first; `more` tells that there are others. `choices` are the open points at which the device
     chooses otherwise than the kit, with its word and the verdict of that. `before` are failures
     found before anything was learned: case and reason. `broken` is true where the kit or the port
-    failed. `seen` are facets of the look, in words.
+    failed. `seen` are facets of the look, in words. `flaky` counts outcomes that came once and not
+    again; on a line that loses nothing (`lossless`) they are the device's.
     """
 
     protocol: Protocol
@@ -55,6 +57,7 @@ class Learned:
     link: dict[str, object]
     seed: int
     steps: tuple[Step, ...]
+    lossless: bool
     machine: Machine | None = None
     expected_states: int = 0
     differences: tuple[Difference, ...] = ()
@@ -67,6 +70,7 @@ class Learned:
     frames: int = 0
     sequences: int = 0
     repeated: int = 0
+    flaky: int = 0
     verdict: Verdict = field(init=False, default=Verdict.PASS)
 
     @property
@@ -81,11 +85,11 @@ class Learned:
 
     def judge(self) -> None:
         """Set the verdict, from what was found. What was never seen is no pass."""
-        if self.differences or self.before:
+        if self.differences or self.before or (self.flaky and self.lossless):
             self.verdict = Verdict.FAIL
         elif self.broken:
             self.verdict = Verdict.ERROR
-        elif self.trouble or not self.seen:
+        elif self.trouble or self.flaky or not self.seen:
             self.verdict = Verdict.INCONCLUSIVE
 
     def send_line(self, difference: Difference) -> str:
@@ -113,16 +117,18 @@ def learn_target(
     target: Target,
     *,
     seed: int = 1,
+    lossless: bool = False,
     progress: Callable[[int, int], None] = lambda states, frames: None,
 ) -> Learned:
     """Learn a target and compare it with the Protocol's machine; the robot is stopped at the end.
 
-    `seed` makes the random sequences that the machine must pass. `progress` is called with the
+    `seed` makes the random sequences that the machine must pass; `lossless` says that nothing gets
+    lost or changed between kit and device. `progress` is called with the
     states known and the frames sent so far. Raises Unusable, and NoAALpy where it is missing.
     """
     protocol, environment = target.protocol, target.environment
     steps = alphabet(protocol)
-    told = Learned(protocol, environment.device, environment.link, seed, steps)
+    told = Learned(protocol, environment.device, environment.link, seed, steps, lossless)
     timers = timers_of(environment, protocol)
     deadline = int(protocol.timing.answer_deadline * MS)
     config = RunConfig(
@@ -174,7 +180,24 @@ def _opening(run: Run) -> Procedure[str]:
     yield from see_motions(run)
     yield from measure_timeout(run)
     yield from discover(run)
+    yield from _measure_stop(run)
     return ""
+
+
+def _measure_stop(run: Run) -> Procedure[None]:
+    """Measure how long after its answer to a fault the robot stops, where that can be seen."""
+    if not (run.config.observable and run.profile.moves):
+        return
+    fault = next(step for step in alphabet(run.protocol) if step.faulty and not step.truncated)
+    _, fast = run.protocol.limits.get("speed", (0, 0))
+    yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+    yield from send(fault.frame)
+    heard = yield from run.waiting.answers(1)
+    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    late = seen.now - heard.now
+    if seen.look.moving is False and late > run.timers.grace:
+        run.profile.stop_latency = late
+    yield from home(run)
 
 
 def _learn(
@@ -212,7 +235,7 @@ def _learn(
         if told.machine is None and system.deviation:
             told.differences = (system.deviation,)
         told.frames, told.sequences = system.frames, system.sequences
-        told.repeated = system.repeated
+        told.repeated, told.flaky = system.repeated, system.flaky
 
 
 def _shows(machine: Machine, facet: str) -> bool:
