@@ -223,7 +223,7 @@ def _told(learned: Learned) -> Iterator[str]:
         names = [learned.names[letter] for letter in one.word]
         after = f" after {', '.join(names[:-1])}" if names[:-1] else ""
         step = learned.steps[one.word[-1]]
-        reading = step.point or step.reading
+        reading = "" if one.actual.codes == one.expected.codes else step.point or step.reading
         about = f" [{reading}]" if reading else ""
         yield f"{number}. {names[-1]}{after}{about}"
         yield f"     due: {one.expected.words(protocol)}"

@@ -25,7 +25,8 @@ def alphabet(protocol: Protocol) -> tuple[Step, ...]:
 
     An instruction with data comes with its first and its last, bits with names with the last but
     one; bad data are the first and the last out of range. Each instruction is also sent with a data
-    byte too many and one too few. A truncated frame is a header without its data, followed by the time-out.
+    byte too many and one too few. A truncated frame is a header without its data, followed by the
+    time-out.
     """
     steps = [step for spec in protocol.instructions for step in _valid(protocol, spec)]
     for turn, spec in enumerate(protocol.instructions):

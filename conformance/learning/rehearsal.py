@@ -53,9 +53,9 @@ class _Rehearsal:
             return (len(frame) + 1) * byte_time + _LATENCY
 
         timeout = int(protocol.timing.truncation_timeout * MS)
+        after = _LATENCY if looks else timers.settle
         self._steps = [
-            exchange(step.frame) + timers.settle + step.truncated * timeout + looks * _LATENCY
-            for step in alphabet(protocol)
+            exchange(step.frame) + step.truncated * timeout + after for step in alphabet(protocol)
         ]
         # Each stop of homing is answered while the next ones are sent.
         homing = (protocol.longest_frame + 1) * byte_time + _LATENCY + timers.settle

@@ -62,6 +62,9 @@ class System:
         self._steps = steps
         self._reference = reference
         self._told = sent
+        # In real time a look takes as long as an answer that follows another at once.
+        looks = run.config.observable and not run.config.virtual
+        self._settle = 0 if looks else run.timers.settle
         self._root = _Node(Output(()))
         self.frames = self.sequences = self.repeated = self.flaky = 0
         self.deviation: Difference | None = None
@@ -166,7 +169,7 @@ class System:
             heard = yield from run.waiting.left_alone(heard, sent)
         # One that discards what follows a fault does so until the line is idle.
         idle = step.faulty and not run.keeps_all
-        more = yield from listen(None, run.waiting.silence if idle else run.timers.settle)
+        more = yield from listen(None, run.waiting.silence if idle else self._settle)
         return heard.codes + more.codes
 
     def _seen(
@@ -190,10 +193,11 @@ class System:
                 settled = before is not None and output.look != before.look
             else:
                 settled = expected.fits(output)
-            if settled or seen.now - start >= patience:
-                return output
-            late = yield from listen(None, _PAUSE)
+            done = settled or seen.now - start >= patience
+            late = yield from listen(None, 0 if done else _PAUSE)
             codes += late.codes
+            if done:
+                return output._replace(codes=codes)
 
 
 def _first_difference(due: Sequence[Output], got: Sequence[Output]) -> int | None:
