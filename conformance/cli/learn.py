@@ -216,8 +216,8 @@ def _told(learned: Learned) -> Iterator[str]:
             yield f"the Protocol's machine has {expected} over these inputs"
     for point, word, label in learned.choices:
         yield f"another reading, taken into account: {point} = {word} ({label})"
-    for case, reason in learned.before:
-        yield f"failed before it was learned: {case}: {reason}"
+    for case, reason in learned.beside:
+        yield f"failed beside it: {case}: {reason}"
     protocol = learned.protocol
     for number, one in enumerate(learned.differences[:_SHOWN], 1):
         names = [learned.names[letter] for letter in one.word]
@@ -241,7 +241,7 @@ def _conclusion(learned: Learned) -> str:
         return f"{begun}it was not learned to the end: {learned.trouble}"
     if learned.differences:
         return "not the Protocol's machine"
-    if learned.before:
+    if learned.beside:
         return "the Protocol's machine, but it does not conform: run bilprov conform"
     if learned.flaky:
         times = quantity(learned.flaky, "outcome")
@@ -287,7 +287,7 @@ def _as_json(learned: Learned) -> dict[str, Any]:
             {"point": point, "choice": word, "verdict": label}
             for point, word, label in learned.choices
         ],
-        "failed_before": [{"id": case, "reason": reason} for case, reason in learned.before],
+        "failed_beside": [{"id": case, "reason": reason} for case, reason in learned.beside],
         "differences": [_difference(learned, one) for one in learned.differences],
         "more_differences": learned.more,
     }

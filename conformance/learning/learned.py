@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from bilprov.captures.schemas import MS
@@ -23,7 +23,7 @@ from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import timers_of
-from bilprov.conformance.oracle.verdicts import Label, Verdict, exit_code
+from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict, exit_code
 from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
 from bilprov.conformance.runner.homing import home, leave, see_motions, set_up, watch
@@ -46,8 +46,8 @@ class Learned:
     `trouble` says why in a sentence. `expected_states` is how many the Protocol's machine has over
     the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
     first; `more` tells that there are others. `choices` are the open points at which the device
-    chooses otherwise than the kit, with its word and the verdict of that. `before` are failures
-    found before anything was learned: case and reason. `broken` is true where the kit or the port
+    chooses otherwise than the kit, with its word and the verdict of that. `beside` are failures
+    found before and after learning, as case and reason. `broken` is true where the kit or the port
     failed. `seen` are facets of the look, in words. `flaky` counts outcomes that came once and not
     again; on a line that loses nothing (`lossless`) they are the device's.
     """
@@ -63,7 +63,7 @@ class Learned:
     differences: tuple[Difference, ...] = ()
     more: bool = False
     choices: tuple[tuple[str, str, Label], ...] = ()
-    before: tuple[tuple[str, str], ...] = ()
+    beside: tuple[tuple[str, str], ...] = ()
     trouble: str = ""
     broken: bool = False
     seen: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ class Learned:
 
     def judge(self) -> None:
         """Set the verdict, from what was found. What was never seen is no pass."""
-        if self.differences or self.before or (self.flaky and self.lossless):
+        if self.differences or self.beside or (self.flaky and self.lossless):
             self.verdict = Verdict.FAIL
         elif self.broken:
             self.verdict = Verdict.ERROR
@@ -146,6 +146,7 @@ def learn_target(
             unusable = drive(_opening(run), link, target.interrupted)
             if unusable:
                 raise Unusable(unusable)
+            told.beside = _failures(run.results)
             _learn(run, link, target.interrupted, told, progress)
         except (GaveUp, NotLearned) as why:
             told.trouble = str(why)
@@ -153,16 +154,21 @@ def learn_target(
             told.trouble, told.broken, works = str(ended), ended.error, ended.line_works
         finally:
             if works:
+                done = len(run.results)
                 ended_again = drive(leave(run), link, target.interrupted)
                 if ended_again and ended_again.error and not told.trouble:
                     told.trouble, told.broken = str(ended_again), True
+                told.beside += _failures(run.results[done:])
     except BaseException:
         target.halt()
         raise
-    failed = [result for result in run.results if result.verdict is Verdict.FAIL]
-    told.before = tuple((result.id, result.reason) for result in failed)
     told.judge()
     return told
+
+
+def _failures(results: Sequence[CaseResult]) -> tuple[tuple[str, str], ...]:
+    """The cases that failed, with their reasons."""
+    return tuple((one.id, one.reason) for one in results if one.verdict is Verdict.FAIL)
 
 
 def _opening(run: Run) -> Procedure[str]:

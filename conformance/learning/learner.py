@@ -1,17 +1,25 @@
 """Learns a Mealy machine by queries: AALpy's KV algorithm, with an equivalence oracle of our own.
 
 The algorithm of Kearns and Vazirani identifies the target of each transition by a classification
-tree. Its hypothesis is first compared with the machine that is expected, which gives most of the
-counterexamples, each checked on the device, and then tried by seeded random sequences.
+tree. Its hypothesis is compared with the machine that is expected, which gives the counterexamples:
+where outputs differ, and where one state stands for several of the expected ones, the device is
+asked who is right. What then is left is tried by seeded random sequences.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from itertools import chain
 from typing import Any, Protocol
 
-from bilprov.conformance.learning.comparison import Difference, differences
+from bilprov.conformance.learning.comparison import (
+    Difference,
+    differences,
+    distinguishing,
+    joint_states,
+)
 from bilprov.conformance.learning.machine import Machine, Word, explored
 from bilprov.conformance.learning.output import Output
 from bilprov.spec.errors import UserError
@@ -63,6 +71,8 @@ class Learner:
     ) -> None:
         self._teacher = teacher
         self._reference = reference
+        self._minimal = reference.minimal()
+        self._apart = cache(partial(distinguishing, self._minimal))
         self._seed = seed
         self._told = hypothesis
         self._machine: Machine | None = None
@@ -101,13 +111,23 @@ class Learner:
             if wrong:
                 return wrong
             self.differences.append(difference)
+        suspects = chain(self._several(machine), self._walks(machine))
+        return next(filter(None, (self._wrong(machine, word) for word in suspects)), None)
+
+    def _several(self, machine: Machine) -> Iterator[Word]:
+        """Sequences that would tell the expected states apart which one state stands for."""
+        first: dict[int, tuple[int, Word]] = {}
+        for (due, given), word in joint_states(self._minimal, machine).items():
+            other, access = first.setdefault(given, (due, word))
+            if other != due:
+                apart = self._apart(other, due)
+                yield access + apart
+                yield word + apart
+
+    def _walks(self, machine: Machine) -> Iterator[Word]:
         draw = random.Random(f"walks {self._seed}")
         for _ in range(WALKS):
-            word = tuple(draw.choices(machine.inputs, k=STRIDE))
-            wrong = self._wrong(machine, word)
-            if wrong:
-                return wrong
-        return None
+            yield tuple(draw.choices(machine.inputs, k=STRIDE))
 
     def _wrong(self, machine: Machine, word: Word) -> Word | None:
         """The sequence up to where the teacher's outputs are not the machine's, None if all are."""

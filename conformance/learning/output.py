@@ -30,6 +30,16 @@ class Output(NamedTuple):
             for mine, theirs in zip(self[1:], other[1:], strict=True)
         )
 
+    def beside(self, other: Output) -> Output:
+        """This output with only those facets that the other has too."""
+        return Output(
+            self.codes,
+            None if other.moving is None else self.moving,
+            None if other.motion is None else self.motion,
+            None if other.ahead is None else self.ahead,
+            None if other.led is None else self.led,
+        )
+
     @property
     def look(self) -> tuple[bool | None, str | None, str | None, int | None]:
         """The facets of the look."""
