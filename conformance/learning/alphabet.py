@@ -14,8 +14,9 @@ from bilprov.conformance.cases.steps import (
     valid_frame,
     wrong_length_frame,
 )
-from bilprov.spec.codec import all_data, bad_data, judge, spaced
-from bilprov.spec.motion import State
+from bilprov.conformance.oracle.state_model import VARIABLES
+from bilprov.spec.by_effect import setting
+from bilprov.spec.codec import all_data, bad_data, build, judge, spaced
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
@@ -71,7 +72,24 @@ def item_of(protocol: Protocol, frame: bytes) -> str:
     return " ".join((judged.name, *(str(value) for _, value in judged.fields)))
 
 
-def rest(protocol: Protocol) -> State:
-    """The state before each sequence of inputs: at rest, each variable at its lowest value."""
-    low = {name: max(ends[0], min(0, ends[1])) for name, ends in protocol.limits.items()}
-    return State(**low)  # type: ignore[arg-type]  # never the motion
+@lru_cache(maxsize=1 << 3)
+def reset(protocol: Protocol) -> tuple[bytes, ...]:
+    """The frames before each sequence of inputs: they bring every variable to its lowest value.
+
+    Homing keeps what a stop keeps. A variable that only a motion instruction sets is set by that,
+    and a stop follows.
+    """
+    stop = bytes([protocol.pad_byte])
+    driving: list[bytes] = []
+    settings: list[bytes] = []
+    for variable in VARIABLES:
+        if variable not in protocol.limits:
+            continue
+        low, high = protocol.limits[variable]
+        frame = setting(protocol, variable, max(low, min(0, high)))
+        setters = (s for s in protocol.instructions if s.fields and s.effect.sets(variable))
+        if frame:
+            settings.append(frame)
+        elif spec := next(setters, None):
+            driving += [build(protocol, spec.name, {f.name: f.low for f in spec.fields}), stop]
+    return (*driving, *settings)

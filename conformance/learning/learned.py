@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.link import Link, drive
 from bilprov.conformance.dut.operations import Ended, Procedure, send
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, rest
+from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.learner import Learner
 from bilprov.conformance.learning.machine import Machine, Word
@@ -99,7 +98,7 @@ class Learned:
         """
         protocol = self.protocol
         named = [] if protocol.origin == "grammar.py" else ["--grammar", protocol.origin]
-        frames = (*frames_to(protocol, rest(protocol)), *self.frames_of(difference.word))
+        frames = (*reset(protocol), *self.frames_of(difference.word))
         port = self.device if self.link["kind"] == "port" else "PORT"
         items = [item_of(protocol, frame) for frame in frames]
         return shlex.join(["bilprov", *named, "send", port, *items])

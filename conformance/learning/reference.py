@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
+from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.learning.alphabet import rest
+from bilprov.conformance.learning.alphabet import reset
 from bilprov.conformance.learning.machine import Machine, explored
 from bilprov.conformance.learning.output import Output, output_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
@@ -22,7 +22,7 @@ def reference_machine(model: Model, steps: Sequence[Step]) -> Machine:
     """
     protocol = model.protocol
     start = model.homed(model.found())
-    for frame in frames_to(protocol, rest(protocol)):
+    for frame in reset(protocol):
         start = model.after(start, frame_effect_of(protocol, frame))
 
     def step(before: ExpectedState, letter: int) -> tuple[ExpectedState, Output]:

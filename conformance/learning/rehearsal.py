@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.preamble import frames_to
-from bilprov.conformance.learning.alphabet import alphabet, rest
+from bilprov.conformance.learning.alphabet import alphabet, reset
 from bilprov.conformance.learning.learner import Learner
 from bilprov.conformance.learning.machine import Machine, Transition, Word
 from bilprov.conformance.learning.output import Output
@@ -59,7 +58,7 @@ class _Rehearsal:
         ]
         # Each stop of homing is answered while the next ones are sent.
         homing = (protocol.longest_frame + 1) * byte_time + _LATENCY + timers.settle
-        self._reset = homing + sum(map(exchange, frames_to(protocol, rest(protocol))))
+        self._reset = homing + sum(map(exchange, reset(protocol)))
 
     def outputs(self, word: Word) -> list[Output]:
         """The outputs of the machine; a sequence that is known already takes no time."""

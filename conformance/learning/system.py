@@ -11,14 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.link import Link, drive
 from bilprov.conformance.dut.operations import Procedure, listen, observe, send
-from bilprov.conformance.learning.alphabet import rest
+from bilprov.conformance.learning.alphabet import reset
 from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.machine import Machine, Word
 from bilprov.conformance.learning.output import Output, output_of
-from bilprov.conformance.runner.homing import home, set_up
+from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
 
 MOST_FRAMES = 400_000
@@ -132,16 +133,16 @@ class System:
 
     def _sequence(self, word: Word, due: list[Output | None]) -> Procedure[list[Output]]:
         run = self._run
-        before = ""
+        frames, answers = reset(run.protocol), -1
         for _ in range(_TRIES):
             yield from home(run)
-            missing = (yield from set_up(run, rest(run.protocol))).missing
-            if missing in ("", before):  # twice the same: it is the device's way, and no noise
+            before, answers = answers, (yield from self._reset(frames))
+            if answers in (len(frames), before):  # twice the same is the device's way, and no noise
                 break
-            before = missing
             run.waiting.require_budget()
         else:
-            raise NotLearned(f"the settings before a sequence are not taken: {missing}")
+            words = f"{quantity(answers, 'answer')} to {quantity(len(frames), 'setting')}"
+            raise NotLearned(f"what comes before a sequence is not taken: {words}")
         got: list[Output] = []
         last: Output | None = None
         in_step = True
@@ -156,6 +157,14 @@ class System:
                 yield from listen(None, 2 * run.profile.stop_latency)
             in_step = expected is not None and expected.fits(last)
         return got
+
+    def _reset(self, frames: Sequence[bytes]) -> Procedure[int]:
+        """Bring every variable of a homed robot to its lowest value; returns the answers."""
+        answers = 0
+        for frame in frames:
+            yield from send(frame)
+            answers += len((yield from self._run.waiting.answers(1)).answers)
+        return answers
 
     def _exchange(self, step: Step, expected: Output | None) -> Procedure[tuple[int, ...]]:
         """Send a frame and receive its answers, and those that follow them at once."""

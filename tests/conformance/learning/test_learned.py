@@ -9,14 +9,13 @@ import pytest
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.learning.alphabet import rest
+from bilprov.conformance.learning.alphabet import reset
 from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.learned import Learned, learn_target
 from bilprov.conformance.learning.output import Output, output_of
@@ -46,7 +45,7 @@ def outputs(protocol: Protocol, device: Device, learned: Learned, word: Any) -> 
     """What a device does from power-on when it is sent a sequence, behind the settings of rest."""
     link = VirtualLink(device, BYTE_TIME)
     seen = []
-    for frame in (*frames_to(protocol, rest(protocol)), *learned.frames_of(word)):
+    for frame in (*reset(protocol), *learned.frames_of(word)):
         link.do(Send(frame))
         heard, look = link.do(Listen(None, 100 * MS)), link.do(Observe())
         assert isinstance(heard, Received)
@@ -150,6 +149,15 @@ def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
     assert learned.machine is not None
     assert (len(learned.machine.states), learned.expected_states) == (1, 1)
     assert (learned.exit, learned.seen, learned.differences) == (3, (), ())
+
+
+@pytest.mark.slow
+def test_another_grammar_is_learned_too_though_a_motion_alone_sets_its_led(wide: Protocol) -> None:
+    learned = learn(wide, Simulator(wide))
+
+    assert (learned.exit, learned.trouble) == (0, "")
+    assert learned.machine is not None
+    assert len(learned.machine.states) == learned.expected_states > 10
 
 
 def test_without_a_probe_a_wrong_code_is_a_difference(protocol: Protocol) -> None:

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.cases.preamble import frames_to
-from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, rest
+from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.comparison import Difference, differences
 from bilprov.conformance.learning.drawing import dot_text
 from bilprov.conformance.learning.learner import Learner
@@ -104,7 +103,7 @@ def test_the_machine_of_the_protocol_does_what_a_robot_of_two_rules_does(
     each_protocol: Protocol, drive: Drive
 ) -> None:
     steps, due = alphabet(each_protocol), reference(each_protocol)
-    setup = frames_to(each_protocol, rest(each_protocol))
+    setup = reset(each_protocol)
     draw = random.Random("two rules")
 
     for _ in range(60):
