@@ -2,6 +2,7 @@
 
 smoke: some of everything in a few seconds. standard: every single frame and every pair, in every
 way of delivery. deep: every truncation of every frame, and almost four times as many tours.
+complete: a look at single frames, and the words that prove the byte machine (`proof`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, proof_sequences
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
@@ -47,17 +49,22 @@ class Level:
 SMOKE = Level("smoke", "a look at everything", cuts=0, singles="few", idle=300)
 STANDARD = Level("standard", "every frame and pair", cuts=1, singles="headers", idle=1200)
 DEEP = Level("deep", "every cut", cuts=2, singles="all", idle=5000)
-LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP)}
+COMPLETE = Level("complete", "a proof for all machines of so many states", 0, "few", idle=300)
+LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP, COMPLETE)}
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What the sequences of one level are made from; the tours remember what they have covered."""
+    """What the sequences of one level are made from; the tours remember what they have covered.
+
+    `extra` is how many states more than the machine a device may have that is found by a proof.
+    """
 
     protocol: Protocol
     level: Level
     seed: int
     tours: Tours
+    extra: int
 
 
 Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
@@ -66,18 +73,27 @@ Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
 class Generator(NamedTuple):
     """A generator of sequences: its group, with which their ids begin, and how they are made.
 
-    `amounts` are how many sequences, or faults, each level of `LEVELS` holds of it; a level with 0
-    leaves it out. `make` gets that amount.
+    `amounts` are how many sequences, or faults, each level of `LEVELS` holds of it; a level with 0,
+    or for which there is none, leaves it out. `make` gets that amount.
     """
 
     group: str
-    amounts: tuple[int, int, int]
+    amounts: tuple[int, ...]
     make: Make
+
+    def amount(self, level: Level) -> int:
+        """How many a level holds."""
+        return dict(zip(LEVELS, self.amounts, strict=False)).get(level.name, 0)
 
 
 def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
     """Make as many sequences as a level holds, one for each number from 1."""
     return lambda source, amount: (make(source, number) for number in range(1, amount + 1))
+
+
+def _proving(proof: Proof) -> Make:
+    """Make the sequences of a proof."""
+    return lambda of, _: proof_sequences(of.protocol, proof, of.seed, of.extra)
 
 
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
@@ -117,6 +133,7 @@ GENERATORS = (
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
     ),
+    *(Generator(f"{GROUP}/{one.name}", (0, 0, 0, 1), _proving(one)) for one in PROOFS),
 )
 
 SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for row in GENERATORS))
@@ -124,14 +141,17 @@ SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for ro
 
 
 @lru_cache(maxsize=8)
-def level_cases(protocol: Protocol, name: str, seed: int, soaked: int = 0) -> tuple[AnyCase, ...]:
+def level_cases(
+    protocol: Protocol, name: str, seed: int, soaked: int = 0, extra: int = 0
+) -> tuple[AnyCase, ...]:
     """All cases of a level, in the order in which they run.
 
-    `soaked` is how many faults more to send at the end.
+    `soaked` is how many faults more to send at the end, `extra` how many states more than the
+    machine the level `complete` allows a device. Raises UserError where that takes too many.
     """
     return (
         *single_cases(protocol, name, seed),
-        *_sequences(protocol, LEVELS[name], seed),
+        *_sequences(protocol, LEVELS[name], seed, extra),
         *(soak(protocol, seed, soaked) if soaked else ()),
     )
 
@@ -155,10 +175,9 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
             yield case
 
 
-def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
-    source = Source(protocol, level, seed, Tours(protocol, seed))
-    place = list(LEVELS).index(level.name)
+def _sequences(protocol: Protocol, level: Level, seed: int, extra: int) -> Iterator[SequenceCase]:
+    source = Source(protocol, level, seed, Tours(protocol, seed), extra)
     for generator in GENERATORS:
-        amount = generator.amounts[place]
+        amount = generator.amount(level)
         if amount:
             yield from generator.make(source, amount)

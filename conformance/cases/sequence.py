@@ -53,7 +53,9 @@ class SequenceCase:
     """A test case of many frames.
 
     `setup`, the preamble, brings the robot to a known state, one instruction at a time, before the
-    first burst.
+    first burst. `facets` are what a probe must tell of the robot for the sequence to be of use. One
+    that is `brief` is made again from its seed, so that the report leaves out its bytes if it
+    passed: there are very many of them.
     """
 
     id: str
@@ -62,6 +64,8 @@ class SequenceCase:
     setup: tuple[Step, ...]
     bursts: tuple[Burst, ...]
     reading: str = ""
+    facets: tuple[str, ...] = ()
+    brief: bool = False
 
     @property
     def sent(self) -> tuple[bytes, ...]:

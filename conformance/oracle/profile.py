@@ -38,7 +38,8 @@ class Profile:
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
     was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
     the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
-    `moves` are the kinds of motion in which it was seen moving.
+    `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
+    probe told each time.
     `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
     device has shown where the document is silent.
     """
@@ -56,6 +57,7 @@ class Profile:
     stop_latency: int = 0
     one_by_one: bool = False
     moves: set[Motion] | None = None
+    facets: frozenset[str] = frozenset()
     choices: Choices = field(default_factory=Choices)
 
     def measured(self, heard: Received, sent: int) -> None:

@@ -49,9 +49,12 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
         axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
         return Attempt(result_of(case, {"answer": axis}))
+    if isinstance(case, SequenceCase) and (missing := set(case.facets) - run.profile.facets):
+        why = f"no probe tells the robot's {' and '.join(sorted(missing))}"
+        return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
-        return first
+        return _brief(first) if isinstance(case, SequenceCase) and case.brief else first
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
         return Attempt(_named(case, first))
     known = first.result
@@ -72,6 +75,13 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         last = stopped.last
         return replace(last, result=known) if isinstance(last.stopped, Ended) else last
     return Attempt(known)
+
+
+def _brief(passed: Attempt) -> Attempt:
+    """The attempt without its bytes if it passed; else as it is."""
+    if passed.result.verdict is not Verdict.PASS:
+        return passed
+    return replace(passed, result=msgspec.structs.replace(passed.result, sent=(), received=()))
 
 
 def _retry(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
