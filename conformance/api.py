@@ -13,6 +13,7 @@ from bilprov.conformance.cases.budget import before_the_cases, dropped, seconds,
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
     LEVELS,
+    PROOF_GROUPS,
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
@@ -87,7 +88,14 @@ def select_cases(
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
         cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
     else:
-        cases = level_cases(grammar, options.level, options.seed, options.soak, options.extra)
+        left_out = frozenset(
+            group
+            for group in PROOF_GROUPS
+            if options.only and not reaches(options.only, (f"{group}/",))
+        )
+        cases = level_cases(
+            grammar, options.level, options.seed, options.soak, options.extra, left_out
+        )
     if options.only:
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))

@@ -3,13 +3,13 @@
 The words of the Wp-method (`conformance.machines`) become frames. Each word begins with the reset:
 Stop instructions for a longest frame, as in homing, and the settings that the machine's first state
 needs. Many words make one sequence; the resets between them are frames of it and judged as such.
-Each byte class supplies all its values in turn, in a seeded order.
+The words come in a seeded order, and each byte class supplies all its values in turn.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Container, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import cycle
@@ -25,7 +25,8 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 GROUP = "complete"
-MOST_WORDS = 1_000_000
+MOST_WORDS = 100_000
+"""Beginnings of words that a proof may have: its sequences are held in memory."""
 _WORDS = 100  # of one sequence
 _PAUSES = 4  # of one frame: more could reach a time-out that counts over the whole frame
 
@@ -77,11 +78,11 @@ def _first_setting(protocol: Protocol, variable: str) -> bytes:
     return setting(protocol, variable, 0 if variable != "speed" else protocol.limits[variable][1])
 
 
-def announcement(protocol: Protocol, extra: int) -> str:
-    """What the proofs take, in one sentence. Raises UserError where they are too many."""
+def announcement(protocol: Protocol, extra: int, groups: Container[str]) -> str:
+    """What the proofs of these groups of sequences take, in one sentence."""
     told = []
     for proof in PROOFS:
-        if proof.applies(protocol):
+        if proof.applies(protocol) and f"{GROUP}/{proof.name}" in groups:
             machine, words = proof.machine(protocol), suite(protocol, proof, extra).words
             told.append(
                 f"{proof.seen}: {len(machine.machine)} states, {len(machine.classes)} byte classes "
@@ -98,8 +99,9 @@ def suite(protocol: Protocol, proof: Proof, extra: int) -> Suite:
     most = most_words(machine.machine, extra)
     if most > MOST_WORDS:
         raise UserError(
-            f"--extra {extra} takes more than {most:,} sequences ({proof.name}); at most "
-            f"{MOST_WORDS:,} are made: give a smaller N"
+            f"--extra {extra} takes {most:,} words or more for {proof.seen}, and at most "
+            f"{MOST_WORDS:,} are made; give a smaller N, or choose a smaller machine with "
+            f"--only '{GROUP}/{PROOFS[0].name}/*'"
         )
     pads = bytes([machine.input_of(protocol.pad_byte)]) * protocol.longest_frame
     return wp_suite(machine.machine, extra, Reset(pads, _seen_of_reset), [machine.silence])
@@ -129,8 +131,9 @@ def proof_sequences(
         return
     told = suite(protocol, proof, extra)
     frames = _Frames(protocol, proof.machine(protocol), f"{proof.name} {seed}")
-    for first in range(0, len(told.words), _WORDS):
-        words = told.words[first : first + _WORDS]
+    every = random.Random(f"words {seed}").sample(told.words, len(told.words))
+    for first in range(0, len(every), _WORDS):
+        words = every[first : first + _WORDS]
         bursts = frames.bursts((word, frozenset(told.places(word))) for word in words)
         yield SequenceCase(
             id=f"{GROUP}/{proof.name}/{1 + first // _WORDS:04}",
@@ -139,7 +142,7 @@ def proof_sequences(
             setup=(),
             bursts=tuple(bursts),
             facets=proof.facets,
-            brief=True,
+            proving=True,
         )
 
 
@@ -183,14 +186,16 @@ class _Frames:
                 made[-1] = replace(made[-1], idle_ms=made[-1].idle_ms + self._idle)
         return [*made, self._reset(held, pauses)]
 
-    def _reset(self, held: bytes, pauses: Iterable[int]) -> Burst:
+    def _reset(self, held: bytes, pauses: Sequence[int]) -> Burst:
         """The reset, the first bytes of which complete a frame that has begun."""
         count = self._protocol.longest_frame
         missing = 1 + self._protocol.lengths[held[0]] - len(held) if held else 0
         begun = (self._whole(held + self._pad * missing),) if held else ()
         return self._burst((*begun, *[self._whole(self._pad)] * (count - missing)), pauses)
 
-    def _burst(self, steps: tuple[Step, ...], pauses: Iterable[int]) -> Burst:
+    def _burst(self, steps: tuple[Step, ...], pauses: Sequence[int]) -> Burst:
+        if not pauses:
+            return Burst(steps)
         size = sum(len(step.frame) for step in steps)
         return Burst(steps, tuple(place for place in pauses if place < size)[-_PAUSES:])
 

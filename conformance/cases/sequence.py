@@ -54,8 +54,9 @@ class SequenceCase:
 
     `setup`, the preamble, brings the robot to a known state, one instruction at a time, before the
     first burst. `facets` are what a probe must tell of the robot for the sequence to be of use. One
-    that is `brief` is made again from its seed, so that the report leaves out its bytes if it
-    passed: there are very many of them.
+    that is `proving` is part of a proof: an answer must not come as late as a time-out, and the
+    report leaves out its bytes if it passed, because there are very many and the seed makes them
+    again.
     """
 
     id: str
@@ -65,7 +66,7 @@ class SequenceCase:
     bursts: tuple[Burst, ...]
     reading: str = ""
     facets: tuple[str, ...] = ()
-    brief: bool = False
+    proving: bool = False
 
     @property
     def sent(self) -> tuple[bytes, ...]:

@@ -34,6 +34,7 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
+from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.selection import matching, shard_named
@@ -298,7 +299,9 @@ def _tested(
         count = planned(target.protocol, options, cases)
         if options.level == COMPLETE.name:
             seconds = estimated_seconds(target.protocol, cases, options, target.line)
-            note(f"{announcement(target.protocol, options.extra)}; {_time(seconds)} on the line")
+            groups = {group(case.id) for case in cases}
+            said = announcement(target.protocol, options.extra, groups)
+            note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
         if target.moves:
             note_hindrances(robot.target)
             seconds = estimated_seconds(target.protocol, cases, options, target.line)

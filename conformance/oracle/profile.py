@@ -60,6 +60,10 @@ class Profile:
     facets: frozenset[str] = frozenset()
     choices: Choices = field(default_factory=Choices)
 
+    def tells_time_out(self, timeout: int) -> bool:
+        """Whether answers come so soon that one after the time-out (ns) is told from them."""
+        return 2 * self.slowest < timeout
+
     def measured(self, heard: Received, sent: int) -> None:
         """Add the latency of the first answer, if any, to a frame that had gone at `sent` (ns)."""
         for t, _ in heard.answers[:1]:

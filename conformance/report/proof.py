@@ -63,7 +63,8 @@ def _assumptions(protocol: Protocol) -> Iterator[str]:
         "(each class took all its values in turn, but not each value in each state)."
     )
     yield (
-        "Time has two classes: pauses inside a frame far below its time-out, and a silence "
+        "Time has two classes: pauses inside a frame, waiting for answers and looks, far below its "
+        "time-out, and a silence "
         f"longer than that (between frames {silence(protocol)} ms)."
     )
     yield (
@@ -95,8 +96,16 @@ def _missing(
             f"the device reads the document otherwise than the machine ({', '.join(others)}), so "
             "its sequences were a test, but no proof"
         )
-    of = sequences(protocol, proof, extra)
+    slowest, timeout = (profile.get(key) or 0 for key in ("slowest_ms", "truncation_timeout_ms"))
+    if timeout and 2 * slowest >= timeout:
+        return (
+            f"answers take up to {slowest:g} ms and the time-out is {timeout:g} ms, so a frame "
+            "that the device took for a longer one may have passed"
+        )
     own = [r for r in results if r.id.startswith(f"{GROUP}/{proof.name}/")]
+    if not own:
+        return "none of its sequences was run"
+    of = sequences(protocol, proof, extra)
     good = sum(_passed(proof, result) for result in own)
     return "" if good == of else f"{good} of its {quantity(of, 'sequence')} were run and passed"
 

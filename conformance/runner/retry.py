@@ -54,7 +54,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
-        return _brief(first) if isinstance(case, SequenceCase) and case.brief else first
+        return _brief(first) if isinstance(case, SequenceCase) and case.proving else first
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
         return Attempt(_named(case, first))
     known = first.result
