@@ -96,10 +96,10 @@ def _missing(
             f"the device reads the document otherwise than the machine ({', '.join(others)}), so "
             "its sequences were a test, but no proof"
         )
-    slowest, timeout = (profile.get(key) or 0 for key in ("slowest_ms", "truncation_timeout_ms"))
-    if timeout and 2 * slowest >= timeout:
+    usual, timeout = profile.get("all_but_two_answers_ms"), profile.get("truncation_timeout_ms")
+    if usual and timeout and 2 * usual >= timeout:
         return (
-            f"answers take up to {slowest:g} ms and the time-out is {timeout:g} ms, so a frame "
+            f"answers take up to {usual:g} ms and the time-out is {timeout:g} ms, so a frame "
             "that the device took for a longer one may have passed"
         )
     own = [r for r in results if r.id.startswith(f"{GROUP}/{proof.name}/")]

@@ -133,12 +133,12 @@ def _soon(trial: Trial, taken: list[Step], heard: Received, sent: int) -> Mismat
     for t, _ in heard.answers:
         slowest, last = max(slowest, t - last), max(t, last)
     proving = isinstance(trial.case, SequenceCase) and trial.case.proving
-    timed_out = 4 * slowest > 3 * run.waiting.timeout
+    timed_out = 3 * run.waiting.timeout < 4 * slowest < 8 * run.waiting.timeout
     if proving and timed_out and run.profile.tells_time_out(run.waiting.timeout):
         # The frame was not over for the device: silence would have ended a longer one just so.
         reason = f"answered only after {slowest / MS:.0f} ms, as a truncated frame is"
         return _wrong(run, taken[-1], "at once", heard.codes, reason)
-    run.profile.slowest = max(run.profile.slowest, slowest)
+    run.profile.delayed(slowest)
     reading = "R-answer-deadline"
     if slowest > run.timers.longest:
         reason = f"an answer came after {slowest / MS:.0f} ms"
