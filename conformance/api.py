@@ -13,6 +13,7 @@ from bilprov.conformance.cases.budget import before_the_cases, dropped, seconds,
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
     LEVELS,
+    PROOF_GROUPS,
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
@@ -49,7 +50,8 @@ class Options:
     suite's level, `soak` how many faults more are sent at its end. `allow` are the choices
     (NAME=VALUE) that would fail otherwise. `budget` (s) keeps the cases that add most a second,
     `profile` is the text of a device's profile, "" for none. `shard` (I, N) runs the I-th of N
-    shares of the cases.
+    shares of the cases. `extra` is how many states more than the Protocol's machine a device may
+    have that the level `complete` still finds.
     """
 
     only: tuple[str, ...] = ()
@@ -65,6 +67,7 @@ class Options:
     budget: float | None = None
     profile: str = ""
     shard: tuple[int, int] | None = None
+    extra: int = 0
 
 
 def select_cases(
@@ -85,7 +88,14 @@ def select_cases(
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
         cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
     else:
-        cases = level_cases(grammar, options.level, options.seed, options.soak)
+        left_out = frozenset(
+            group
+            for group in PROOF_GROUPS
+            if options.only and not reaches(options.only, (f"{group}/",))
+        )
+        cases = level_cases(
+            grammar, options.level, options.seed, options.soak, options.extra, left_out
+        )
     if options.only:
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))

@@ -58,6 +58,7 @@ ROOMS = (
     ("analyzer.cli",),
     ("conformance", "conformance.dut"),
     ("conformance.oracle",),
+    ("conformance.machines",),
     ("conformance.cases",),
     ("conformance.report",),
     ("conformance.runner",),

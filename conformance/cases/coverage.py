@@ -13,6 +13,7 @@ from functools import lru_cache
 from itertools import combinations
 
 from bilprov.conformance.cases.combinations import (
+    ARRAY,
     PIPELINED,
     SPLIT,
     STRENGTH,
@@ -137,8 +138,10 @@ def covered(protocol: Protocol, cases: Iterable[AnyCase]) -> dict[str, tuple[int
         met.update(facts(protocol, case))
     done = Counter(name for name, _ in met)
     found = {name: (done[name], of[name]) for name in of if of[name]}
-    seeded = [case for case in cases if isinstance(case, SequenceCase) and case.seeded]
-    return found | {COMBINED: _combined(protocol, seeded)} if seeded else found
+    combined = [
+        case for case in cases if isinstance(case, SequenceCase) and case.id.startswith(f"{ARRAY}/")
+    ]
+    return found | {COMBINED: _combined(protocol, combined)} if combined else found
 
 
 def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> tuple[int, int]:

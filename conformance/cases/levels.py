@@ -2,17 +2,19 @@
 
 smoke: some of everything in a few seconds. standard: every single frame and every pair, in every
 way of delivery. deep: every truncation of every frame, and almost four times as many tours.
+complete: what standard holds, and the words that prove the byte machine (`proof`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.combinations import CUT, DELIVERED, Combinations
+from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, proof_sequences
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
@@ -52,18 +54,23 @@ STANDARD = Level(
     "standard", "every frame and pair", cuts=1, cut_each=8, singles="headers", idle=1200
 )
 DEEP = Level("deep", "every cut", cuts=2, cut_each=2, singles="all", idle=5000)
-LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP)}
+COMPLETE = replace(STANDARD, name="complete", promise="standard and a proof")
+LEVELS = {level.name: level for level in (SMOKE, STANDARD, DEEP, COMPLETE)}
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What the sequences of one level are made from; the tours remember what they have covered."""
+    """What the sequences of one level are made from; the tours remember what they have covered.
+
+    `extra` is how many states more than the machine a device may have that is found by a proof.
+    """
 
     protocol: Protocol
     level: Level
     seed: int
     tours: Tours
     combinations: Combinations
+    extra: int
 
     def cut(self, number: int) -> bool:
         """Whether the tour of this number holds truncations."""
@@ -76,13 +83,18 @@ Make: TypeAlias = Callable[[Source, int], Iterable[SequenceCase]]
 class Generator(NamedTuple):
     """A generator of sequences: its group, with which their ids begin, and how they are made.
 
-    `amounts` are how many sequences, or faults, each level of `LEVELS` holds of it; a level with 0
-    leaves it out. `make` gets that amount.
+    `amounts` are how many sequences, or faults, each level of `LEVELS` holds of it, as many as
+    `standard` where there is none for it; a level with 0 leaves it out. `make` gets that amount.
     """
 
     group: str
-    amounts: tuple[int, int, int]
+    amounts: tuple[int, ...]
     make: Make
+
+    def amount(self, level: Level) -> int:
+        """How many a level holds."""
+        amounts = dict(zip(LEVELS, self.amounts, strict=False))
+        return amounts.get(level.name, amounts[STANDARD.name])
 
 
 def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
@@ -93,6 +105,11 @@ def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
 def _combined(word: str) -> Make:
     """Make the sequences of an array of combinations."""
     return lambda source, _: source.combinations.array(word)
+
+
+def _proving(proof: Proof) -> Make:
+    """Make the sequences of a proof."""
+    return lambda of, _: proof_sequences(of.protocol, proof, of.seed, of.extra)
 
 
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
@@ -138,21 +155,34 @@ GENERATORS = (
         (0, 130, 1300),
         _numbered(lambda of, n: of.combinations.random(n, _RANDOM_BURSTS)),
     ),
+    *(Generator(f"{GROUP}/{one.name}", (0, 0, 0, 1), _proving(one)) for one in PROOFS),
 )
+
+PROOF_GROUPS = tuple(f"{GROUP}/{one.name}" for one in PROOFS)
+"""The groups of sequences that do not depend on others, and take long to make."""
 
 SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for row in GENERATORS))
 """What the id of a sequence begins with."""
 
 
 @lru_cache(maxsize=8)
-def level_cases(protocol: Protocol, name: str, seed: int, soaked: int = 0) -> tuple[AnyCase, ...]:
+def level_cases(
+    protocol: Protocol,
+    name: str,
+    seed: int,
+    soaked: int = 0,
+    extra: int = 0,
+    left_out: frozenset[str] = frozenset(),
+) -> tuple[AnyCase, ...]:
     """All cases of a level, in the order in which they run.
 
-    `soaked` is how many faults more to send at the end.
+    `soaked` is how many faults more to send at the end, `extra` how many states more than the
+    machine the level `complete` allows a device. `left_out` are groups of `PROOF_GROUPS` that are
+    not made. Raises UserError where `extra` takes too many sequences.
     """
     return (
         *single_cases(protocol, name, seed),
-        *_sequences(protocol, LEVELS[name], seed),
+        *_sequences(protocol, LEVELS[name], seed, extra, left_out),
         *(soak(protocol, seed, soaked) if soaked else ()),
     )
 
@@ -176,10 +206,13 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
             yield case
 
 
-def _sequences(protocol: Protocol, level: Level, seed: int) -> Iterator[SequenceCase]:
-    source = Source(protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed))
-    place = list(LEVELS).index(level.name)
+def _sequences(
+    protocol: Protocol, level: Level, seed: int, extra: int, left_out: frozenset[str]
+) -> Iterator[SequenceCase]:
+    source = Source(
+        protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed), extra
+    )
     for generator in GENERATORS:
-        amount = generator.amounts[place]
-        if amount:
+        amount = generator.amount(level)
+        if amount and generator.group not in left_out:
             yield from generator.make(source, amount)

@@ -54,7 +54,9 @@ class SequenceCase:
 
     `setup`, the preamble, brings the robot to a known state, one instruction at a time, before the
     first burst. A `seeded` sequence can be made again from its id and the run's seed: where it
-    passes, a report keeps only how many frames it had.
+    passes, a report keeps only how many frames it had. `facets` are what a probe must tell of the
+    robot for the sequence to be of use. One that is `proving` is part of a proof: an answer must
+    not come as late as a time-out.
     """
 
     id: str
@@ -64,6 +66,8 @@ class SequenceCase:
     bursts: tuple[Burst, ...]
     reading: str = ""
     seeded: bool = False
+    facets: tuple[str, ...] = ()
+    proving: bool = False
 
     @property
     def sent(self) -> tuple[bytes, ...]:

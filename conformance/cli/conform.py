@@ -36,7 +36,9 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
-from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
+from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
+from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.selection import matching, shard_named
 from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import (
@@ -150,6 +152,13 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     show_default=True,
     help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
 )
+@click.option(
+    "--extra",
+    metavar="N",
+    type=click.IntRange(0),
+    default=0,
+    help="With --level complete: find devices of up to N more states than the Protocol's machine.",
+)
 @click.option("--soak", metavar="N", type=click.IntRange(0), default=0, help="And N faults more.")
 @click.option(
     "--budget",
@@ -225,6 +234,8 @@ def conform(
         name = target_named(robot.target)
         settings = robot.settings(protocol, name)
         parse_allowed(protocol, options.allow)
+        if options.extra and options.level != COMPLETE.name:
+            raise ValueError(f"--extra {options.extra} is for --level {COMPLETE.name}")
         shard = shard_named(share) if share is not None else None
         options = replace(options, profile=given, shard=shard)
         cases = select_cases(protocol, options, settings)
@@ -294,12 +305,19 @@ def _tested(
         stopper = stack.enter_context(closing(Stopper()))
         target = stack.enter_context(opened(stopper))
         count = planned(target.protocol, options, cases)
+        if options.level == COMPLETE.name:
+            seconds = estimated_seconds(target.protocol, cases, options, target.line)
+            groups = {group(case.id) for case in cases}
+            said = announcement(target.protocol, options.extra, groups)
+            note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
         if target.moves:
             note_hindrances(robot.target)
             seconds = estimated_seconds(target.protocol, cases, options, target.line)
-            what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
+            what = f"the robot at {robot.target} will drive and turn for about {_time(seconds)}"
             confirm_motion(what, yes=robot.yes)
-            note(f"{quantity(count, 'case')}, about {seconds:.0f} s; what goes wrong may add a few")
+            note(
+                f"{quantity(count, 'case')}, about {_time(seconds)}; what goes wrong may add a few"
+            )
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
         if target.moves:
@@ -318,6 +336,11 @@ def _tested(
     note_suspension(stopper)
     broken = next((listener.broken for listener in listeners if listener.broken), None)
     return _dated(report, start), broken
+
+
+def _time(seconds: float) -> str:
+    """A duration in words: in seconds, in hours where it is over one."""
+    return f"{seconds:.0f} s" if seconds <= 3600 else f"{seconds / 3600:.1f} hours"
 
 
 def _dated(report: Report, start: float) -> Report:

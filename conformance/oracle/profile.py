@@ -38,7 +38,9 @@ class Profile:
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
     was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
     the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
-    `moves` are the kinds of motion in which it was seen moving.
+    `slowest` is the longest time to an answer, `delays` the three longest.
+    `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
+    probe told each time.
     `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
     device has shown where the document is silent.
     """
@@ -47,6 +49,7 @@ class Profile:
     truncation_answered: bool | None = None
     latencies: list[int] = field(default_factory=list)
     slowest: int = 0
+    delays: list[int] = field(default_factory=list)
     flushes: bool = False
     whole_frame: bool = False
     watchdog: int | None = None
@@ -56,14 +59,29 @@ class Profile:
     stop_latency: int = 0
     one_by_one: bool = False
     moves: set[Motion] | None = None
+    facets: frozenset[str] = frozenset()
     choices: Choices = field(default_factory=Choices)
+
+    def tells_time_out(self, timeout: int) -> bool:
+        """Whether answers come so soon that one after the time-out (ns) is told from them."""
+        return 2 * self.all_but_two < timeout
+
+    @property
+    def all_but_two(self) -> int:
+        """Within what time (ns) all answers came but two, which a busy host may have taken late."""
+        return self.delays[2] if len(self.delays) > 2 else 0
+
+    def delayed(self, delay: int) -> None:
+        """Note how late (ns) an answer came."""
+        self.slowest = max(self.slowest, delay)
+        self.delays = sorted((*self.delays, delay), reverse=True)[:3]
 
     def measured(self, heard: Received, sent: int) -> None:
         """Add the latency of the first answer, if any, to a frame that had gone at `sent` (ns)."""
         for t, _ in heard.answers[:1]:
             if t >= sent:  # else it came by itself
                 self.latencies.append(t - sent)
-                self.slowest = max(self.slowest, t - sent)
+                self.delayed(t - sent)
 
 
 def profile_text(grammar: Mapping[str, str], profile: Mapping[str, Any]) -> str:

@@ -30,7 +30,7 @@ _SAME = (
     *("kit", "device", "link", "options", "seed", "exit", "timing", "dropped", "profile"),
     *("took_s", "versions"),
 )
-_NULLED = ("unusable", "ended", "ended_by", "begun", "host")
+_NULLED = ("unusable", "ended", "ended_by", "proof", "begun", "host")
 _MOST = 1 << 28  # bytes of a report
 
 

@@ -83,6 +83,8 @@ def _report(report: Report) -> Iterator[str]:
         yield ", ".join(f"{prose(name)} {code(words)}" for name, words in about.items())
     if report.results:
         yield "\n".join(_table(report))
+    if report.proof:
+        yield " ".join(map(prose, re.split(r"(?<=\.) ", report.proof)[:_GROUPS]))
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.NON_STRICT):
         found = [result for result in report.results if result.verdict is verdict]
         if found:

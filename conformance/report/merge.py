@@ -18,6 +18,7 @@ from bilprov.conformance.oracle.verdicts import LABELS, Axis, CaseResult, Verdic
 from bilprov.conformance.report import schema
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.json_report import case_of, head_of, report_from
+from bilprov.conformance.report.proof import proven
 from bilprov.conformance.report.run_report import Report, compared, coverage, decided_exit
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
@@ -197,7 +198,7 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
     order = {case.id: at for at, case in enumerate(cases)}
     ids = sorted(results, key=lambda ident: order.get(ident, -1))  # the opening ones first
     merged = [results[ident] for ident in ids]
-    options = {**first.options, "shard": None}
+    options, profile = {**first.options, "shard": None}, _profile(parts)
     report = msgspec.structs.replace(
         first,
         options=options,
@@ -205,7 +206,8 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
         unusable="",
         ended=ended,
         ended_by=ended_by,
-        profile=_profile(parts),
+        profile=profile,
+        proof=proven(protocol, merged, options, profile),
         coverage=coverage(protocol, merged, cases),
         results=tuple(merged),
         comparison=None,

@@ -19,6 +19,7 @@ from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.proof import proven
 from bilprov.spec.protocol import Protocol
 
 AXES = ("answer", "stop", "state")
@@ -33,9 +34,10 @@ class Report(msgspec.Struct, frozen=True):
     many and out of how many, `kit` the version that judged. `comparison` is that with a file of
     expected failures, if there is one. `again` has each case's command to reproduce it, for a
     report that was read from a file. `timing` says where the time went (see `meter`), `dropped` how
-    many cases of each group a budget has left out. `begun` is when the run began (ISO 8601, UTC),
-    `took_s` how long it took, `host` the machine's name, `versions` those of Python, its platform
-    and libraries: each "", None or empty where it is not known.
+    many cases of each group a budget has left out, `proof` what the level `complete` has proven.
+    `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
+    name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
+    not known.
     """
 
     grammar: dict[str, str]
@@ -55,6 +57,7 @@ class Report(msgspec.Struct, frozen=True):
     again: dict[str, str] = {}
     timing: dict[str, float] = {}
     dropped: dict[str, int] = {}
+    proof: str = ""
     begun: str = ""
     took_s: float | None = None
     host: str = ""
@@ -88,6 +91,7 @@ def make_report(
     `facts` are further fields of the report: `device`, `link` and, if known, what the run spent.
     """
     ended_by = "" if ended is None else "error" if ended.error else "user"
+    measured = _measured(profile)
     return Report(
         grammar={
             "name": protocol.name,
@@ -101,9 +105,10 @@ def make_report(
         unusable=unusable,
         ended="" if ended is None else str(ended),
         ended_by=ended_by,
-        profile=_measured(profile),
+        profile=measured,
         coverage=coverage(protocol, results, cases),
         results=tuple(results),
+        proof=proven(protocol, results, options, measured),
         kit=kit_version(),
         **facts,
     )
@@ -154,6 +159,8 @@ def _measured(profile: Profile) -> dict[str, Any]:
         "led_id": profile.choices.led_id,
         "stop_latency_ms": ms(profile.stop_latency),
         "watchdog_ms": ms(profile.watchdog),
+        "facets": sorted(profile.facets),
+        "all_but_two_answers_ms": ms(profile.all_but_two),
         "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},
     }
 
@@ -210,6 +217,8 @@ def reproduce(report: Report, result: CaseResult) -> str:
     words = [*start, "conform", report.device, "--seed", str(report.seed), "--only", result.id]
     if report.options.get("level", "standard") != "standard":
         words += ["--level", report.options["level"]]
+    if report.options.get("extra"):
+        words += ["--extra", str(report.options["extra"])]
     if report.options.get("deadline"):
         words += ["--deadline", f"{report.options['deadline']:g}"]
     for allowed in report.options.get("allow", ()):

@@ -108,7 +108,8 @@ class Head(msgspec.Struct, kw_only=True):
 
     `verdict` and `exit` sum up, `counts` has each verdict. `ended_by` is `error`, `user` or null.
     `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
-    measured (ms) and what the device chose where the document is silent. `options.shard` is [I, N]
+    measured (ms) and what the device chose where the document is silent. `proof` is what the level
+    `complete` has proven, null at other levels. `options.shard` is [I, N]
     for a shard, else null. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
     (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
     of Python, its platform and the libraries that reports depend on.
@@ -130,6 +131,7 @@ class Head(msgspec.Struct, kw_only=True):
     timing: dict[str, int | float] = {}
     dropped: dict[str, int] = {}
     profile: dict[str, Any]
+    proof: str | None = None
     expected_failures: ExpectedFailures | None = None
     begun: str | None = None
     took_s: Seconds | None = None
@@ -170,6 +172,7 @@ class _Profile(msgspec.Struct):
     truncation_timeout_ms: Milliseconds | None = None
     latency_median_ms: Milliseconds | None = None
     latency_max_ms: Milliseconds | None = None
+    facets: list[str] = []
     readings: dict[str, Any] = {}
 
 

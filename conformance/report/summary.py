@@ -62,6 +62,8 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
         console.print(Text(", ".join(f"{name} {said}" for name, said in about.items()), "dim"))
     level = report.options.get("level", "")
     console.print(Text(f"level {level}, seed {report.seed}", "dim"))
+    if report.proof:
+        console.print(Text(report.proof))
     if report.comparison:
         said = f"{len(report.comparison.expected)} fail as {report.comparison.file} expects"
         console.print(Text(said, "dim"))

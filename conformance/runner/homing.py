@@ -20,7 +20,7 @@ from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Homed, Late, Trial
 from bilprov.conformance.runner.waiting import GaveUp
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import VARIABLES, Motion, State
 
 # A flood has this many times more answers than were due; after so many the run is given up.
 _FLOOD, _FLOODS = 4, 3
@@ -229,6 +229,7 @@ def see_motions(run: Run) -> Procedure[None]:
     if not run.config.observable:
         return
     moves: set[Motion] = set()
+    told: list[frozenset[str]] = []
     _, fast = run.protocol.limits.get("speed", (0, 0))
     for spec in run.protocol.instructions:
         motion = spec.effect.motion
@@ -240,6 +241,8 @@ def see_motions(run: Run) -> Procedure[None]:
             yield from home(run)
             if seen.look.moving is not False:
                 break
+        told.append(frozenset(n for n in VARIABLES if getattr(seen.look, n) is not None))
         if seen.look.moving:
             moves.add(motion)
     run.profile.moves = moves
+    run.profile.facets = frozenset.intersection(*told) if told else frozenset()

@@ -49,6 +49,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
         axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
         return Attempt(result_of(case, {"answer": axis}))
+    if isinstance(case, SequenceCase) and (missing := set(case.facets) - run.profile.facets):
+        why = f"no probe tells the robot's {' and '.join(sorted(missing))}"
+        return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
+from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.judge import matching
@@ -131,7 +132,13 @@ def _soon(trial: Trial, taken: list[Step], heard: Received, sent: int) -> Mismat
     run, last, slowest = trial.run, sent, 0
     for t, _ in heard.answers:
         slowest, last = max(slowest, t - last), max(t, last)
-    run.profile.slowest = max(run.profile.slowest, slowest)
+    proving = isinstance(trial.case, SequenceCase) and trial.case.proving
+    timed_out = 3 * run.waiting.timeout < 4 * slowest < 8 * run.waiting.timeout
+    if proving and timed_out and run.profile.tells_time_out(run.waiting.timeout):
+        # The frame was not over for the device: silence would have ended a longer one just so.
+        reason = f"answered only after {slowest / MS:.0f} ms, as a truncated frame is"
+        return _wrong(run, taken[-1], "at once", heard.codes, reason)
+    run.profile.delayed(slowest)
     reading = "R-answer-deadline"
     if slowest > run.timers.longest:
         reason = f"an answer came after {slowest / MS:.0f} ms"

@@ -13,6 +13,7 @@ from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import (
     GENERATORS,
     LEVELS,
+    PROOF_GROUPS,
     SEQUENCE_PREFIXES,
     level_cases,
     single_cases,
@@ -40,6 +41,8 @@ WHOLE = {"Stop", *MOVERS, *SETTINGS, *FAULTS}
 CUT = "cut short"
 # Where a walk may be split: one time-out over the whole frame must not be reached by its pauses.
 MOST_PAUSES = 4
+# The levels that hold nothing but tours and sweeps; `test_proof` is about the other.
+TOURS = ("smoke", "standard", "deep")
 
 
 def sequences_of(protocol: Protocol, level: str = "standard", seed: int = 1) -> list[SequenceCase]:
@@ -196,7 +199,7 @@ def test_standard_delivers_every_pair_of_kinds_in_one_go_too(protocol: Protocol,
         assert len(met & wanted) > len(wanted) // 2
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", TOURS)
 def test_each_level_delivers_in_each_way(protocol: Protocol, level: str) -> None:
     met = Counter(
         burst.delivery for sequence in sequences_of(protocol, level) for burst in sequence.bursts
@@ -294,7 +297,7 @@ def test_a_walk_begins_in_motion_and_leaves_nothing_open(protocol: Protocol, lev
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", TOURS)
 def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
         assert sequence.bursts
@@ -328,16 +331,16 @@ def test_pauses_fall_inside_frames_and_between_them(protocol: Protocol) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", range(len(LEVELS)), ids=list(LEVELS))
+@pytest.mark.parametrize("level", TOURS)
 def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
-    protocol: Protocol, place: int
+    protocol: Protocol, level: str
 ) -> None:
-    found = {group(sequence.id) for sequence in sequences_of(protocol, list(LEVELS)[place])}
+    found = {group(sequence.id) for sequence in sequences_of(protocol, level)}
 
-    assert found == {row.group for row in GENERATORS if row.amounts[place]}
+    assert found == {row.group for row in GENERATORS if row.amount(LEVELS[level])}
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", TOURS)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
     counted = Counter(case.id for case in level_cases(protocol, level, 1, 500))
 
@@ -346,14 +349,24 @@ def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
 
 def test_each_level_holds_the_ids_of_the_one_before(protocol: Protocol) -> None:
     smoke, standard, deep = (
-        {case.id for case in level_cases(protocol, level, 1)} for level in LEVELS
+        {case.id for case in level_cases(protocol, level, 1)} for level in TOURS
     )
 
     assert smoke < standard < deep
 
 
+def test_the_level_complete_holds_what_standard_does_and_the_proofs() -> None:
+    more = {
+        row.group
+        for row in GENERATORS
+        if row.amount(LEVELS["complete"]) != row.amount(LEVELS["standard"])
+    }
+
+    assert more == set(PROOF_GROUPS)
+
+
 def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol: Protocol) -> None:
-    for level in LEVELS:
+    for level in TOURS:
         cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)
 
         assert cases[: len(singles)] == singles

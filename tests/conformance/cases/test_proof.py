@@ -1,0 +1,217 @@
+"""The level complete: its sequences spell the words of the proof, and find every other machine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from random import Random
+
+import pytest
+
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.byte_machine import byte_machine
+from bilprov.conformance.cases.proof import PROOFS, announcement, proof_sequences, suite
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.machines.mealy import Mealy, minimal
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol, load
+from tests.support.commands import command
+
+ANSWERS, MOTION, STATE = PROOFS
+ONLY_ANSWERS = Options(level="complete", only=("complete/answers/*",))
+
+
+class MachineDevice:
+    """A device that is a Mealy machine over the byte classes; it shows nothing but answers."""
+
+    def __init__(self, protocol: Protocol, machine: Mealy) -> None:
+        known = byte_machine(protocol, None)
+        self._machine, self._silence = machine, known.silence
+        self._inputs = {byte: n for n, members in enumerate(known.classes) for byte in members}
+        self._timeout = int(protocol.timing.truncation_timeout * 1_000_000)
+        self._state = 0
+        self._due: int | None = None
+        self._answers = bytearray()
+
+    def receive(self, data: bytes, now: int) -> None:
+        self._settle(now)
+        for byte in data:
+            self._step(self._inputs[byte])
+        self._due = now + self._timeout
+
+    def advance(self, now: int) -> bytes:
+        self._settle(now)
+        sent = bytes(self._answers)
+        self._answers.clear()
+        return sent
+
+    def deadline(self) -> int | None:
+        return self._due
+
+    def _settle(self, now: int) -> None:
+        if self._due is not None and self._due <= now:
+            self._due = None
+            self._step(self._silence)
+
+    def _step(self, symbol: int) -> None:
+        code, _ = self._machine.outputs[self._state][symbol]  # type: ignore[misc]
+        if code is not None:
+            self._answers.append(code)
+        self._state = self._machine.targets[self._state][symbol]
+
+
+def other_machine(draw: Random, machine: Mealy) -> Mealy:
+    """The machine with one transition changed, in a way that shows."""
+    while True:
+        targets, outputs = list(map(list, machine.targets)), list(map(list, machine.outputs))
+        state, symbol = draw.randrange(len(machine)), draw.choice(machine.inputs)
+        if draw.random() < 0.7:
+            targets[state][symbol] = draw.randrange(len(machine))
+        else:
+            outputs[state][symbol] = draw.choice([(None, None), (0, None), (3, None)])
+        changed = Mealy(tuple(map(tuple, targets)), tuple(map(tuple, outputs)))
+        if minimal(changed) != minimal(machine):
+            return changed
+
+
+@pytest.mark.slow
+def test_the_device_that_is_the_machine_itself_passes(protocol: Protocol) -> None:
+    report = conform(
+        MachineDevice(protocol, byte_machine(protocol, None).machine),
+        grammar=protocol,
+        options=ONLY_ANSWERS,
+        logged=False,
+    )
+
+    own = [r for r in report.results if r.id.startswith("complete/")]
+    assert own
+    assert {r.axes["answer"].verdict for r in own} == {Verdict.PASS}
+    assert report.proof.startswith("Proven")
+    assert "33 states, 43 classes of bytes and the silence" in report.proof
+    assert "no probe told the robot's motion" in report.proof
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_a_device_with_one_other_transition_is_found(protocol: Protocol, seed: int) -> None:
+    machine = other_machine(Random(f"device {seed}"), byte_machine(protocol, None).machine)
+    report = conform(
+        MachineDevice(protocol, machine),
+        grammar=protocol,
+        options=ONLY_ANSWERS,
+        logged=False,
+    )
+
+    assert report.exit == 1
+    assert not report.proof.startswith("Proven")
+
+
+@pytest.mark.slow
+def test_the_sequences_send_every_byte_and_end_each_word_with_the_reset(protocol: Protocol) -> None:
+    reset = bytes([protocol.pad_byte]) * protocol.longest_frame
+    sent: Counter[int] = Counter()
+    for proof in (ANSWERS, MOTION):
+        cases = list(proof_sequences(protocol, proof, 1, 0))
+        words = suite(protocol, proof, 0).words
+        resets = sum(burst.data.endswith(reset[1:]) for case in cases for burst in case.bursts)
+        assert resets >= len(words)
+        for case in cases:
+            assert case.bursts[0].data == reset
+            assert case.facets == proof.facets
+            sent.update(b"".join(case.sent))
+
+    assert set(sent) == set(range(256))
+
+
+def test_a_seed_gives_the_same_sequences_and_another_others(protocol: Protocol) -> None:
+    first, again, other = (
+        next(iter(proof_sequences(protocol, ANSWERS, seed, 0))) for seed in (1, 1, 2)
+    )
+
+    assert first == again
+    assert first.sent != other.sent
+
+
+def test_a_word_is_followed_at_the_places_under_test_by_a_pause_or_an_answer(
+    protocol: Protocol,
+) -> None:
+    words = suite(protocol, ANSWERS, 0)
+
+    assert all(words.places(word) for word in words.words if word)
+    pauses = [
+        burst.pauses
+        for case in proof_sequences(protocol, ANSWERS, 1, 0)
+        for burst in case.bursts
+        if burst.pauses
+    ]
+    assert len(pauses) > 1000
+    assert max(map(len, pauses)) <= 4
+
+
+def test_too_many_words_are_refused_in_one_sentence(protocol: Protocol) -> None:
+    with pytest.raises(UserError, match=r"^--extra 3 takes 123,687,168 words .* smaller N"):
+        suite(protocol, ANSWERS, 3)
+
+
+def test_what_the_proofs_take_is_said(protocol: Protocol) -> None:
+    said = announcement(protocol, 0, ["complete/answers"])
+
+    assert said == (
+        "answers: 33 states, 43 byte classes and the silence, 1,695 words in 17 sequences"
+    )
+
+
+def test_the_command_says_it_before_and_what_is_proven_after() -> None:
+    result = command("conform", "sim", "--level", "complete", "--only", "complete/answers/0001")
+
+    assert result.returncode == 0
+    assert b"33 states, 43 byte classes and the silence" in result.stderr.splitlines()[0]
+    assert b"proven by answers: 1 of its 17 sequences were run and passed" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--extra", "1"), b"--extra 1 is for --level complete"),
+        (("--level", "complete", "--extra", "2"), b"--extra 2 takes 2,811,072 words or more"),
+    ],
+)
+def test_an_extra_that_cannot_be_is_refused(options: tuple[str, ...], said: bytes) -> None:
+    result = command("conform", "sim", *options)
+
+    assert result.returncode == 2
+    assert said in result.stderr
+    assert b"Traceback" not in result.stderr
+
+
+@pytest.mark.slow
+def test_a_device_that_reads_the_document_otherwise_passes_but_nothing_is_proven(
+    protocol: Protocol,
+) -> None:
+    device = Simulator(protocol, variants(protocol)["R-truncated-long=too-many"].fault)
+    report = conform(device, grammar=protocol, options=ONLY_ANSWERS, logged=False)
+
+    assert report.exit == 0
+    assert not report.proof.startswith("Proven")
+    assert "otherwise than the machine (R-truncated-long)" in report.proof
+
+
+@pytest.mark.slow
+def test_a_part_of_the_sequences_proves_nothing(protocol: Protocol) -> None:
+    options = Options(level="complete", only=("complete/answers/000?",))
+    report = conform(grammar=protocol, options=options, logged=False)
+
+    assert report.exit == 0
+    assert (
+        "Nothing is proven by answers: 9 of its 17 sequences were run and passed." in report.proof
+    )
+    assert conform(options=Options(only=("valid/Stop",)), logged=False).proof == ""
+
+
+@pytest.mark.slow
+def test_another_grammar_is_proven_too(horn_text: str) -> None:
+    report = conform(grammar=load(horn_text), options=ONLY_ANSWERS, logged=False)
+
+    assert report.exit == 0
+    assert "34 states, 44 classes" in report.proof
