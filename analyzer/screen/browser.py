@@ -312,7 +312,8 @@ class Browser(App[str | None]):
         self.hex.show(self.frames.record, self.fields.group)
 
     def action_filter(self) -> None:
-        """Ask for a filter."""
+        """Ask for a filter, whose rows are seen then."""
+        self._zoomed = False
         self.prompt.ask(self.filter_text)
         self._arrange()
 
