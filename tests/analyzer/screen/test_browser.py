@@ -16,7 +16,7 @@ from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen.arrangement import arranged
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
-from bilprov.analyzer.screen.keys import KEYS
+from bilprov.analyzer.screen.keys import BINDINGS, KEYS
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, Line
@@ -241,6 +241,9 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
         await pilot.press("f")
         more()
         assert screen.frames.row == 126
+        await pilot.press("f", "space", "f")  # which goes on from the pause
+        more()
+        assert screen.frames.row == 132
 
     operated(screen, steps)
 
@@ -261,6 +264,20 @@ def test_m_marks_rows_and_the_apostrophe_goes_round_them(screen: Browser) -> Non
 
     operated(screen, steps)
     assert rows == [1, 3, 1, 3]
+
+
+def test_marks_go_with_the_rows_that_are_let_go(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive(2100)))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("m")
+        screen.feed.recording.let_go_oldest()
+        screen.show_rows()
+        assert screen.frames.row == screen.feed.recording.first > 0
+        await pilot.press("apostrophe")
+        assert "no row is marked" in text_of(screen)[-1]
+
+    operated(screen, steps)
 
 
 def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
@@ -332,9 +349,10 @@ def test_the_tree_and_the_bytes_show_the_chosen_field(screen: Browser) -> None:
         assert not any("0001 ...." in line for line in text_of(screen))
         await pilot.press("enter", "escape")
         assert screen.frames.has_focus
-        await pilot.click("#hex", offset=(9, 1))
-        assert screen.fields.group is not None
-        assert screen.fields.group.name == "speed"
+        for place, name in (((9, 1), "speed"), ((1, 2), "id"), ((6, 2), "length")):
+            await pilot.click("#hex", offset=place)
+            assert screen.fields.group is not None
+            assert screen.fields.group.name == name
 
     operated(screen, steps)
 
@@ -394,6 +412,10 @@ def test_the_help_lists_every_key(screen: Browser) -> None:
         await pilot.pause()
         shown = "\n".join(text_of(screen))
         assert all(key in shown for key in KEYS)
+        signs = {"slash": "/", "apostrophe": "'", "question_mark": "?", "escape": "Esc"}
+        listed = {word for keys in KEYS for word in keys.replace(",", "").split()}
+        bound = {binding.key.split(",")[0] for binding in BINDINGS} - {"ctrl+c", "space"}
+        assert {signs.get(key, key) for key in bound} <= listed
         await pilot.press("q")
         assert screen.frames.has_focus
 

@@ -30,6 +30,9 @@ from tests.support.decoding import MS
 from tests.support.traffic import told
 
 
+MOST = PARTS << 16  # bytes of the spool
+
+
 def fed(protocol: Protocol) -> Feed[None]:
     return Feed(Recording(protocol), lambda feed: None, live=True)
 
@@ -69,14 +72,15 @@ def test_rows_go_that_a_spool_no_longer_has(
         protocol, ports={"host": "a"}, line="115200 8N1", timeout=50 * MS, skew=0, heard=["host"]
     )
     feed, random, sent = fed(protocol), Random(1), 0
-    with Spool(0, metadata, most=PARTS * 4096) as spool:
+    with Spool(0, metadata, most=MOST) as spool:
         give_up = time.monotonic() + 20
         while not spool.oldest:
             assert time.monotonic() < give_up
             sent += 1
-            spool.events([Chunk(sent * 3000 * MS, "host", random.randbytes(4096))])
+            spool.events([Chunk(sent * 3000 * MS, "host", random.randbytes(MOST // PARTS // 2))])
             spool.checkpoint(sent * 3000 * MS, lambda: None)
             time.sleep(0.01)
+        assert sum(file.stat().st_size for file in tmp_path.rglob("*.mcap")) < 2 * MOST
         output = ScreenOutput(feed, Statistics(), spool)
         for part in conversation(protocol, 12_000):
             output.show(part)
