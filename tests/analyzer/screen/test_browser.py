@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event
-from tests.support.screens import browser, operated, text_of
+from tests.support.screens import PATIENCE, browser, operated, text_of
 from tests.support.traffic import told
 
 pytestmark = pytest.mark.slow  # the screen is drawn in each
@@ -525,7 +526,8 @@ def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
         async def come(count: int) -> None:
             for part in decoded(protocol, drive(count)):
                 screen.feed.recording.add(part)
-            while screen.frames.view.behind:
+            give_up = time.monotonic() + PATIENCE
+            while screen.frames.view.behind and time.monotonic() < give_up:
                 screen.tick()
                 await pilot.pause(0.01)
 
