@@ -1,8 +1,9 @@
 """Retry policy: a failed case counts as failed only if the failure is reproduced.
 
 A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
-flaky, that is inconclusive and never a pass. A fault that shows only now and then (a counter) is
-tried more often. Reproduced failures of a sequence are minimised.
+flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
+is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
+Reproduced failures of a sequence are minimised.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import msgspec
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Procedure
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
 from bilprov.conformance.runner.run import Run, result_of
@@ -54,12 +55,15 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         return first
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
         return Attempt(_named(case, first))
-    known = first.result
+    known = _named(case, first) if run.config.lossless else first.result
     try:
-        same_place, tries = yield from _again(run, case, first)
+        same_place, tries, more = yield from _again(run, case, first)
+        if not same_place and run.config.lossless:
+            run.counters.reproduced += 1
+            return Attempt(_not_reproduced(run, known, tries, more))
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
-            return Attempt(_flaky(first.result, tries))
+            return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
         known = _named(case, first)
         if isinstance(case, SequenceCase) and first.mismatch:
@@ -92,9 +96,9 @@ def _shortened(
     return (yield from minimise(case, first, mismatch, lambda shorter: _retry(run, shorter)))
 
 
-def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int]]:
-    """Attempt a failed case again: whether the failure is reproduced, and in how many tries."""
-    same_place = same_kind = tries = 0
+def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int, int]]:
+    """Attempt a failed case again: whether it is reproduced, in how many tries, of which failed."""
+    same_place = same_kind = tries = more = 0
     size = _bytes(case)
     # A spoilt byte shows in an answer: a missed stop beside right answers is no noise.
     spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
@@ -106,16 +110,17 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
         again = yield from _retry(run, case)
         tries += 1
         if again.failed:
+            more += 1
             same_place += again.where == first.where
             same_kind += again.how == first.how
         if tries <= _TRIES and same_place >= _TWICE:
-            return True, tries
+            return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
         if same_kind >= needed and _at_least(same_kind, tries, spoilt) < _UNLIKELY:
-            return True, tries
+            return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
-    return False, tries
+    return False, tries, more
 
 
 def _bytes(case: Case | SequenceCase) -> int:
@@ -165,10 +170,13 @@ def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     )
 
 
-def _flaky(result: CaseResult, tries: int) -> CaseResult:
-    """The result as inconclusive, because its failure was not reproduced."""
+def _not_reproduced(run: Run, result: CaseResult, tries: int, again: int = 0) -> CaseResult:
+    """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
     axes = {
-        name: axis.flaky(tries) if axis.verdict is Verdict.FAIL else axis
+        name: run.config.not_reproduced(axis, tries, again)
+        if axis.verdict is Verdict.FAIL
+        else axis
         for name, axis in result.axes.items()
     }
-    return msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
+    verdict = worst(axis.verdict for axis in axes.values())
+    return msgspec.structs.replace(result, verdict=verdict, axes=axes)

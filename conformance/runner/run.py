@@ -29,7 +29,8 @@ class RunConfig:
     """What is settled before a run begins.
 
     `power` says whether the robot can be switched off and on, `virtual` whether the device is an
-    object in virtual time: what answers is then no other device, baud rate or program.
+    object in virtual time: what answers is then no other device, baud rate or program. `lossless`
+    declares that the line loses nothing: what is not reproduced there is no noise.
     """
 
     protocol: Protocol
@@ -37,6 +38,7 @@ class RunConfig:
     observability: Observability
     power: bool = False
     virtual: bool = True
+    lossless: bool = False
 
     @property
     def observable(self) -> bool:
@@ -46,6 +48,13 @@ class RunConfig:
     def looks_at(self, case: Case) -> bool:
         """Whether this case is observed: only thorough ones where looks are costly."""
         return self.observability.available and (case.thorough or not self.observability.costly)
+
+    def not_reproduced(self, axis: Axis, tries: int, again: int = 0) -> Axis:
+        """A failed axis after so many more tries, of which `again` failed too, which is too few.
+
+        It is flaky, that is inconclusive; where the line loses nothing it stays a failure.
+        """
+        return axis.seldom(again + 1, tries + 1) if self.lossless else axis.flaky(tries)
 
     def not_observable(self, expected: str) -> Axis:
         """The axis of something that cannot be observed: inconclusive, never a pass."""
@@ -131,7 +140,7 @@ class Run:
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(config.protocol, self.conclude)
+        self.strays = StrayAnswers(config.protocol, self.conclude, lossless=config.lossless)
         self.begin = begin
         self.note = note
         self._report = report
