@@ -12,8 +12,8 @@ from operator import xor
 from typing import NamedTuple, TypeVar
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import ordinal
 from bilprov.conformance.dut.fault import Event, Fault, Hear, MutatedDevice, React, Reaction
-from bilprov.conformance.mutation.faults.family import ordinal
 from bilprov.conformance.mutation.faults.vocabulary import (
     FAULTY,
     Condition,

@@ -18,6 +18,7 @@ from bilprov.conformance.runner.homing import home, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.retry import judge_case
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.tally import tallied
 from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 
@@ -56,6 +57,9 @@ class Runner:
 
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
+        yield from tallied(self._execute(), self.run.tally)
+
+    def _execute(self) -> Procedure[None]:
         run = self.run
         try:
             yield from self._judge_all()

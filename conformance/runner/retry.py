@@ -3,13 +3,13 @@
 A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
 flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
 is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
-Reproduced failures of a sequence are minimised.
+One that fails where its rhythm predicts it is no noise either. Reproduced failures of a sequence
+are minimised.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import comb
 
 import msgspec
 
@@ -19,6 +19,8 @@ from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
+from bilprov.conformance.runner.prediction import find_rhythm
+from bilprov.conformance.runner.rhythm import Rhythm, at_least
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.spec.codec import spaced
@@ -63,6 +65,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             return Attempt(_not_reproduced(run, known, tries, more))
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
+            rhythm = yield from find_rhythm(run, case, first)
+            if rhythm:
+                return Attempt(_rhythmic(_named(case, first), rhythm))
             return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
         known = _named(case, first)
@@ -116,7 +121,7 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
         if tries <= _TRIES and same_place >= _TWICE:
             return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
-        if same_kind >= needed and _at_least(same_kind, tries, spoilt) < _UNLIKELY:
+        if same_kind >= needed and at_least(same_kind, tries, spoilt) < _UNLIKELY:
             return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
@@ -128,13 +133,6 @@ def _bytes(case: Case | SequenceCase) -> int:
     if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
     return _SINGLE + len(case.frame)
-
-
-def _at_least(count: int, tries: int, chance: float) -> float:
-    """The probability that at least `count` of `tries` fail, each with probability `chance`."""
-    return sum(
-        comb(tries, n) * chance**n * (1 - chance) ** (tries - n) for n in range(count, tries + 1)
-    )
 
 
 def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
@@ -168,6 +166,17 @@ def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     return msgspec.structs.replace(
         tried.result, axes=axes, clause=clause, planned=planned, sent=sent
     )
+
+
+def _rhythmic(result: CaseResult, rhythm: Rhythm) -> CaseResult:
+    """The failed result, which says in which rhythm it fails."""
+    axes = {
+        name: msgspec.structs.replace(axis, reason=f"{rhythm.words}: {axis.reason}")
+        if axis.verdict is Verdict.FAIL
+        else axis
+        for name, axis in result.axes.items()
+    }
+    return msgspec.structs.replace(result, axes=axes)
 
 
 def _not_reproduced(run: Run, result: CaseResult, tries: int, again: int = 0) -> CaseResult:

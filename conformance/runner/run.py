@@ -17,7 +17,9 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
+from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
+from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
@@ -122,7 +124,8 @@ class Run:
     `note` is called with a sentence that the user should read while the run goes on.
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
-    `results` every final result in order.
+    `results` every final result in order, `tally` every frame that was sent, `rhythms` those that
+    mismatches were shown to have.
     """
 
     def __init__(
@@ -139,6 +142,8 @@ class Run:
         timeout = config.protocol.timing.truncation_timeout
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
+        self.tally = Tally(config.protocol, self.waiting)
+        self.rhythms = Rhythms()
         self.results: list[CaseResult] = []
         self.strays = StrayAnswers(config.protocol, self.conclude, lossless=config.lossless)
         self.begin = begin
