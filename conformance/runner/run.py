@@ -125,7 +125,7 @@ class Run:
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
     `results` every final result in order, `tally` every frame that was sent, `rhythms` those that
-    mismatches were shown to have.
+    mismatches were shown to have, `followed` the settings that the probe has shown to follow.
     """
 
     def __init__(
@@ -144,6 +144,7 @@ class Run:
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
         self.rhythms = Rhythms()
+        self.followed: set[str] = set()
         self.results: list[CaseResult] = []
         self.strays = StrayAnswers(config.protocol, self.conclude, lossless=config.lossless)
         self.begin = begin
