@@ -155,9 +155,10 @@ def conform(
     """Run every case on a device object in virtual time: no waiting, the same result every time.
 
     `device` is anything with the four methods of `conformance.dut.link.Device` (times in ns), the
-    kit's own simulator if None; one without `look` is judged by its answers alone. `listener` is
-    told of the run and of what passes over the link. `name`, `probe` and `fault` only name the
-    device, its probe and its fault in the report; `spare` and `logged` are `run_suite`'s. Raises
+    kit's own simulator if None; one without `look` is judged by its answers alone, and where its
+    attribute `lossless` is True one unexplained mismatch is a failure. `listener` is told of the
+    run and of what passes over the link. `name`, `probe` and `fault` only name the device, its
+    probe and its fault in the report; `spare` and `logged` are `run_suite`'s. Raises
     ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
     that does not keep to its four methods.
     """
@@ -228,6 +229,7 @@ def run_suite(
             environment.observability,
             environment.power,
             environment.virtual,
+            environment.lossless,
             experiments,
         ),
         profile,

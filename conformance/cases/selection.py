@@ -15,6 +15,7 @@ CONDITIONAL_CASES = (
     "line/pipelining",
     "power-on/lost",
     "power-on/first-fault",
+    "motion/settings",
     "leave/stopped",
     "reading/version",
     "reading/led-id",

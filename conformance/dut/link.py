@@ -36,7 +36,8 @@ class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"})
 
     `virtual` is true for a device object in virtual time, false for a port. `observability` says
     what can be observed, `power` whether the robot can be switched off and on. `device` and `link`
-    describe the device and the link in the report only.
+    describe the device and the link in the report only. `lossless` declares that nothing on the
+    line is lost, changed or doubled: what is unexplained there is the device's, even if met once.
     """
 
     virtual: bool
@@ -44,10 +45,15 @@ class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"})
     power: bool
     device: str
     link: dict[str, Any]
+    lossless: bool = False
 
 
 class Device(Protocol):
-    """A device under test without I/O: bytes and times (ns) in, answers and looks out."""
+    """A device under test without I/O: bytes and times (ns) in, answers and looks out.
+
+    One with an attribute `lossless` that is True declares that nothing between it and the suite is
+    lost: a single unexplained mismatch is then a failure.
+    """
 
     def receive(self, data: bytes, now: int) -> None:
         """Bytes from the host that arrive at `now`."""

@@ -47,6 +47,8 @@ class Simulator:
     between frames; `reads`, where it is given, records what the fault reads.
     """
 
+    lossless = True
+
     def __init__(self, protocol: Protocol, fault: Fault | None = None, latency: int = 0) -> None:
         self.protocol = protocol
         self.fault = fault or CONFORMING

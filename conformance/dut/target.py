@@ -164,10 +164,11 @@ def device_target(
         "probe": probe if observability.available else "none",
         "fault": fault,
     }
+    lossless = getattr(device, "lossless", False) is True
     checked = device if isinstance(device, Simulator) else CheckedDevice(device)
     return Target(
         protocol,
-        Environment(True, observability, power, name, about),
+        Environment(True, observability, power, name, about, lossless),
         connect=lambda listener: VirtualLink(checked, line.byte_time, listener),
     )
 

@@ -14,9 +14,9 @@ from typing import Any
 import msgspec
 
 from bilprov.captures.schemas import Look
+from bilprov.captures.text import ordinal
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.mutation.draw import Draw
-from bilprov.conformance.mutation.faults.family import ordinal
 from bilprov.conformance.mutation.faults.vocabulary import (
     FAULTY,
     Condition,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import ordinal
 from bilprov.conformance.dut.fault import Event
 from bilprov.conformance.mutation.draw import Draw
-from bilprov.conformance.mutation.faults.family import ordinal
 from bilprov.conformance.mutation.faults.vocabulary import (
     FAULTY,
     Condition,

@@ -52,6 +52,12 @@ class Axis(msgspec.Struct, frozen=True):
         reason = f"flaky, not reproduced in {tries} tries: {self.reason}"
         return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
 
+    def seldom(self, met: int, tries: int) -> Axis:
+        """This axis, still failed: it failed only so often in so many tries, but not by noise."""
+        times = "once" if met == 1 else f"{met} times"
+        reason = f"met {times} in {tries} tries, on a line that loses nothing: {self.reason}"
+        return msgspec.structs.replace(self, reason=reason)
+
 
 class AnswerByte(msgspec.Struct, frozen=True):
     """One answer byte: its hex, and its time in ns since the case's stimulus had been sent."""

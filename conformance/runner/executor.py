@@ -18,6 +18,8 @@ from bilprov.conformance.runner.homing import home, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.retry import judge_case
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.settings import other_settings
+from bilprov.conformance.runner.tally import tallied
 from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 
@@ -56,6 +58,9 @@ class Runner:
 
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
+        yield from tallied(self._execute(), self.run.tally)
+
+    def _execute(self) -> Procedure[None]:
         run = self.run
         try:
             yield from self._judge_all()
@@ -82,6 +87,9 @@ class Runner:
             self._tell_slow()
             yield from home(run)
             yield from see_motions(run)
+            if run.profile.moves == set():
+                motion = yield from other_settings(run)
+                run.profile.moves = {motion} if motion else set()
             if self._measure and run.profile.truncation_timeout is None:
                 yield from measure_timeout(run)
             if self._discover:

@@ -143,7 +143,8 @@ def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]
         heard, sent = yield from _exchange(run, case, 0)
         return _judged(run, case, heard, sent).verdict is Verdict.FAIL
 
-    return first if (yield from _reproduced(fails)) else first.flaky(_TRIES)
+    again = yield from _reproduced(fails)
+    return first if again else run.config.not_reproduced(first, _TRIES)
 
 
 def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
@@ -153,7 +154,8 @@ def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
         yield from _exchange(run, case, 0)
         return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
 
-    return first if (yield from _reproduced(fails)) else first.flaky(_TRIES)
+    again = yield from _reproduced(fails)
+    return first if again else run.config.not_reproduced(first, _TRIES)
 
 
 def _reproduced(fails: Callable[[], Procedure[bool]]) -> Procedure[bool]:
@@ -219,7 +221,8 @@ def _second_power_on(run: Run) -> Procedure[None]:
             return any(again[name].verdict is Verdict.FAIL for name in failing)
 
         if not (yield from _reproduced(fails)):
-            axes |= {name: axes[name].flaky(_TRIES) for name in failing}
+            unsure = run.config.not_reproduced
+            axes |= {name: unsure(axes[name], _TRIES) for name in failing}
     run.conclude(case, axes, heard.answers, sent)
 
 

@@ -1,23 +1,26 @@
 """Retry policy: a failed case counts as failed only if the failure is reproduced.
 
 A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
-flaky, that is inconclusive and never a pass. A fault that shows only now and then (a counter) is
-tried more often. Reproduced failures of a sequence are minimised.
+flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
+is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
+One that fails where its rhythm predicts it is no noise either. Reproduced failures of a sequence
+are minimised.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import comb
 
 import msgspec
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Procedure
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
+from bilprov.conformance.runner.prediction import find_rhythm
+from bilprov.conformance.runner.rhythm import Rhythm, at_least
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.spec.codec import spaced
@@ -57,12 +60,18 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         return first
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
         return Attempt(_named(case, first))
-    known = first.result
+    known = _named(case, first) if run.config.lossless else first.result
     try:
-        same_place, tries = yield from _again(run, case, first)
+        same_place, tries, more = yield from _again(run, case, first)
+        if not same_place and run.config.lossless:
+            run.counters.reproduced += 1
+            return Attempt(_not_reproduced(run, known, tries, more))
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
-            return Attempt(_flaky(first.result, tries))
+            rhythm = yield from find_rhythm(run, case, first)
+            if rhythm:
+                return Attempt(_rhythmic(_named(case, first), rhythm))
+            return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
         known = _named(case, first)
         if isinstance(case, SequenceCase) and first.mismatch:
@@ -95,9 +104,9 @@ def _shortened(
     return (yield from minimise(case, first, mismatch, lambda shorter: _retry(run, shorter)))
 
 
-def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int]]:
-    """Attempt a failed case again: whether the failure is reproduced, and in how many tries."""
-    same_place = same_kind = tries = 0
+def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int, int]]:
+    """Attempt a failed case again: whether it is reproduced, in how many tries, of which failed."""
+    same_place = same_kind = tries = more = 0
     size = _bytes(case)
     # A spoilt byte shows in an answer: a missed stop beside right answers is no noise.
     spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
@@ -109,16 +118,17 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
         again = yield from _retry(run, case)
         tries += 1
         if again.failed:
+            more += 1
             same_place += again.where == first.where
             same_kind += again.how == first.how
         if tries <= _TRIES and same_place >= _TWICE:
-            return True, tries
+            return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
-        if same_kind >= needed and _at_least(same_kind, tries, spoilt) < _UNLIKELY:
-            return True, tries
+        if same_kind >= needed and at_least(same_kind, tries, spoilt) < _UNLIKELY:
+            return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
-    return False, tries
+    return False, tries, more
 
 
 def _bytes(case: Case | SequenceCase) -> int:
@@ -126,13 +136,6 @@ def _bytes(case: Case | SequenceCase) -> int:
     if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
     return _SINGLE + len(case.frame)
-
-
-def _at_least(count: int, tries: int, chance: float) -> float:
-    """The probability that at least `count` of `tries` fail, each with probability `chance`."""
-    return sum(
-        comb(tries, n) * chance**n * (1 - chance) ** (tries - n) for n in range(count, tries + 1)
-    )
 
 
 def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
@@ -168,10 +171,24 @@ def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     )
 
 
-def _flaky(result: CaseResult, tries: int) -> CaseResult:
-    """The result as inconclusive, because its failure was not reproduced."""
+def _rhythmic(result: CaseResult, rhythm: Rhythm) -> CaseResult:
+    """The failed result, which says in which rhythm it fails."""
     axes = {
-        name: axis.flaky(tries) if axis.verdict is Verdict.FAIL else axis
+        name: msgspec.structs.replace(axis, reason=f"{rhythm.words}: {axis.reason}")
+        if axis.verdict is Verdict.FAIL
+        else axis
         for name, axis in result.axes.items()
     }
-    return msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
+    return msgspec.structs.replace(result, axes=axes)
+
+
+def _not_reproduced(run: Run, result: CaseResult, tries: int, again: int = 0) -> CaseResult:
+    """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
+    axes = {
+        name: run.config.not_reproduced(axis, tries, again)
+        if axis.verdict is Verdict.FAIL
+        else axis
+        for name, axis in result.axes.items()
+    }
+    verdict = worst(axis.verdict for axis in axes.values())
+    return msgspec.structs.replace(result, verdict=verdict, axes=axes)

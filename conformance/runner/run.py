@@ -17,7 +17,9 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
+from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
+from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
@@ -29,8 +31,9 @@ class RunConfig:
     """What is settled before a run begins.
 
     `power` says whether the robot can be switched off and on, `virtual` whether the device is an
-    object in virtual time: what answers is then no other device, baud rate or program.
-    `experiments` are the ids of those that a recording holds, for a run over one; None for all.
+    object in virtual time: what answers is then no other device, baud rate or program. `lossless`
+    declares that the line loses nothing: what is not reproduced there is no noise. `experiments`
+    are the ids of those that a recording holds, for a run over one; None for all.
     """
 
     protocol: Protocol
@@ -38,6 +41,7 @@ class RunConfig:
     observability: Observability
     power: bool = False
     virtual: bool = True
+    lossless: bool = False
     experiments: frozenset[str] | None = None
 
     @property
@@ -48,6 +52,13 @@ class RunConfig:
     def looks_at(self, case: Case) -> bool:
         """Whether this case is observed: only thorough ones where looks are costly."""
         return self.observability.available and (case.thorough or not self.observability.costly)
+
+    def not_reproduced(self, axis: Axis, tries: int, again: int = 0) -> Axis:
+        """A failed axis after so many more tries, of which `again` failed too, which is too few.
+
+        It is flaky, that is inconclusive; where the line loses nothing it stays a failure.
+        """
+        return axis.seldom(again + 1, tries + 1) if self.lossless else axis.flaky(tries)
 
     def not_observable(self, expected: str) -> Axis:
         """The axis of something that cannot be observed: inconclusive, never a pass."""
@@ -115,7 +126,8 @@ class Run:
     `note` is called with a sentence that the user should read while the run goes on.
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
-    `results` every final result in order.
+    `results` every final result in order, `tally` every frame that was sent, `rhythms` those that
+    mismatches were shown to have, `followed` the settings that the probe has shown to follow.
     """
 
     def __init__(
@@ -132,8 +144,11 @@ class Run:
         timeout = config.protocol.timing.truncation_timeout
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
+        self.tally = Tally(config.protocol, self.waiting)
+        self.rhythms = Rhythms()
+        self.followed: set[str] = set()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(config.protocol, self.conclude)
+        self.strays = StrayAnswers(config.protocol, self.conclude, lossless=config.lossless)
         self.begin = begin
         self.note = note
         self._report = report

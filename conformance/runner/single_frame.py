@@ -21,6 +21,7 @@ from bilprov.conformance.oracle.judge import (
     judge_answers,
     judge_state,
 )
+from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
 from bilprov.conformance.runner.after_stop import recovery, restart_guard, stays_stopped
@@ -175,6 +176,7 @@ def _state(trial: Trial, case: Case) -> Procedure[None]:
 
 def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
     run = trial.run
+    _note_followed(run, trial.expected, seen.look)
     elsewhere = MOVING if case.stop and seen.look.moving else ()
     axis = judge_state(run.model, trial.expected, seen.look, elsewhere)
     if axis.verdict is Verdict.FAIL:
@@ -182,6 +184,11 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
         if why:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
     if axis.verdict is Verdict.FAIL and run.profile.moves == set():
+        # Motor power explains the wheels, and settings that show in them; not the others.
+        motor = {*MOVING, "speed", "steering"} - run.followed
+        others = judge_state(run.model, trial.expected, seen.look, motor)
+        if others.verdict is Verdict.FAIL:
+            return others
         reason = "never seen moving in any kind of motion: is the motor power on?"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
     blind = unseen(case, seen.look)
@@ -189,6 +196,14 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
         reason = f"{NOT_OBSERVABLE}: {blind}"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
     return axis
+
+
+def _note_followed(run: Run, expected: ExpectedState, look: Look) -> None:
+    """Note the settings that the probe shows as they were set, unless that is 0."""
+    for name in ("speed", "steering"):
+        value = getattr(expected.state, name)
+        if value and name not in expected.unknown and getattr(look, name) == value:
+            run.followed.add(name)
 
 
 def unseen(case: Case, look: Look) -> str:

@@ -21,11 +21,15 @@ class StrayAnswers:
     """Collects stray and missing answers, and has `Run.conclude` publish a case for them.
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
-    answers are the device's failure, and so is a device that stops answering.
+    answers are the device's failure, and so is a device that stops answering; on a `lossless` line
+    so is every one.
     """
 
-    def __init__(self, protocol: Protocol, conclude: Callable[..., None]) -> None:
+    def __init__(
+        self, protocol: Protocol, conclude: Callable[..., None], *, lossless: bool = False
+    ) -> None:
         self._protocol = protocol
+        self._lossless = lossless
         self._conclude = conclude
         self._strays: list[tuple[Answers, str]] = []
         self._stray = False
@@ -35,7 +39,7 @@ class StrayAnswers:
         """Record answers, as (time in ns, code), that no instruction asked for."""
         came = tuple(answers)
         self._strays.append((came, reason))
-        if len(self._strays) >= _STRAYS or len(came) >= _STRAYS:
+        if self._lossless or len(self._strays) >= _STRAYS or len(came) >= _STRAYS:
             self._end_strays(Verdict.FAIL)
 
     def missing(self, count: int) -> None:
@@ -57,8 +61,11 @@ class StrayAnswers:
             self._end_strays(Verdict.INCONCLUSIVE)
         if self._lost and keeps_all:
             times = "once" if self._lost == 1 else f"{self._lost} times"
-            reason = f"flaky: no answer came {times} where no case was judged"
-            self._silence(Verdict.INCONCLUSIVE, reason)
+            reason = f"no answer came {times} where no case was judged"
+            if self._lossless:
+                self._silence(Verdict.FAIL, f"{reason}, on a line that loses nothing")
+            else:
+                self._silence(Verdict.INCONCLUSIVE, f"flaky: {reason}")
 
     def _silence(self, verdict: Verdict, reason: str) -> None:
         clause, requirement = self._protocol.clauses.responses, "answers between the cases too"
@@ -72,6 +79,8 @@ class StrayAnswers:
         self._stray = True
         came = tuple(answer for answers, _ in self._strays for answer in answers)
         reason = self._strays[-1][1]
+        if self._lossless and len(came) < _STRAYS:
+            reason = f"{reason}, on a line that loses nothing"
         if verdict is not Verdict.FAIL:
             times = "once" if len(self._strays) == 1 else f"{len(self._strays)} times"
             reason = f"flaky, only {times} in the run: {reason}"

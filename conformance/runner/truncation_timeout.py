@@ -77,7 +77,9 @@ def measure_timeout(run: Run) -> Procedure[None]:
         name, axis = max(odd.result.axes.items(), key=lambda item: item[1].verdict)
         reason = f"flaky, {len(made)} tries do not tell the same"
         reason += f": {axis.reason}" if axis.reason else ""
-        if not (best.failed and len(alike) > _TWICE):
+        if odd.failed and run.config.lossless:
+            result = odd.result
+        elif not (best.failed and len(alike) > _TWICE):
             flaky = Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason, axis.reading)
             axes = best.result.axes | {name: flaky}
             result = msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)

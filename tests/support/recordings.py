@@ -67,6 +67,7 @@ def recorded(
         power=hasattr(device, "power_cycle"),
         device="sim",
         link={"kind": "virtual", "probe": "sim"},
+        lossless=getattr(device, "lossless", False) is True,
     )
 
     def connect(listener: LinkListener | None) -> Link:

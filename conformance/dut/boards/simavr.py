@@ -21,6 +21,8 @@ class SimavrBoard:
     Raises EmulatorError, in one sentence, where simavr is missing or cannot load the file.
     """
 
+    lossless = True
+
     def __init__(self, firmware: Path) -> None:
         if architecture(firmware) != AVR:
             raise EmulatorError(f"{firmware} is not for an AVR, which is all that simavr runs")

@@ -88,9 +88,3 @@ def slug(outcome: Outcome) -> str:
 def words(motion: Motion) -> str:
     """Return a motion as it is written in a fault's name: `rotate-left`."""
     return motion.value.replace("_", "-")
-
-
-def ordinal(number: int) -> str:
-    """Return an ordinal number in digits: `1st`, `2nd`, `13th`."""
-    last = "th" if 10 <= number % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{last}"

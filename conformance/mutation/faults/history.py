@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import ordinal
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.mutation.faults.family import (
     EVERYTHING,
@@ -13,7 +14,6 @@ from bilprov.conformance.mutation.faults.family import (
     SOAK,
     WATCHED_FAULTS,
     Family,
-    ordinal,
 )
 from bilprov.conformance.mutation.faults.vocabulary import (
     accepts,

@@ -108,13 +108,21 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
     faults = sum(times for found, times in shown.items() if found.fault)
     if judged.verdict is Verdict.FAIL and best.fault and faults <= _AGREE:
         tries = quantity(sum(shown.values()), "try", "tries")
-        reason = f"flaky, {quantity(faults, 'time')} in {tries}: {best.fault}"
-        judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
+        if not run.config.lossless:
+            reason = f"flaky, {quantity(faults, 'time')} in {tries}: {best.fault}"
+            judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
     elif len(shown) > 1 and judged.verdict < Verdict.INCONCLUSIVE:
         other = shown.most_common(2)[1][0]
         tries = quantity(sum(shown.values()), "try", "tries")
         reason = f"flaky: shown once in {tries}: {other.actual}"
-        judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
+        verdict = Verdict.INCONCLUSIVE
+        if run.config.lossless:
+            verdict = Verdict.FAIL
+            reason = (
+                f"{other.fault or 'a device keeps to one choice'}; shown once in {tries}, on a "
+            )
+            reason += f"line that loses nothing: {other.actual}"
+        judged = Axis(verdict, best.expected, best.actual, reason, case.reading)
     run.conclude(case, {axis: judged}, best.heard)
 
 

@@ -1,0 +1,126 @@
+"""Settings: whether a robot that was never seen moving moves with another speed, LED or steering.
+
+Without motor power it moves in none. One that moves in one setting and not in another listens, and
+does not obey: a failure that names both. Where the power can be switched, each setting is tried
+right after power-on too, since a device that obeys nothing any more would show none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, send
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.runner.homing import home, watch
+from bilprov.conformance.runner.run import Run
+from bilprov.spec.by_effect import movers, setting
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
+
+IDENT = "motion/settings"
+
+
+class Setting(NamedTuple):
+    """Frames that set a stopped robot moving, and what of them differs from the others, in words.
+
+    `fresh` where it has just been switched on.
+    """
+
+    words: str
+    frames: tuple[bytes, ...]
+    fresh: bool = False
+
+
+def settings(protocol: Protocol) -> Iterator[Setting]:
+    """The first motion at full speed, then with each other setting, one at a time.
+
+    Speeds and LED values go by bits; the plain one sets neither LED nor steering.
+    """
+    mover = next(iter(movers(protocol)), None)
+    if mover is None:
+        return
+    motion = bytes([protocol.header_bytes[mover.id, 0]])
+    _, fast = protocol.limits.get("speed", (0, 0))
+
+    def at(variable: str, value: int) -> bytes:
+        return setting(protocol, variable, value)
+
+    full = at("speed", fast)
+    yield Setting(f"speed {fast}", (full, motion))
+    for speed in _by_bits(fast):
+        yield Setting(f"speed {speed}", (at("speed", speed), motion))
+    low, high = protocol.limits.get("led", (0, 0))
+    for led in (low, *_by_bits(high), high):
+        yield Setting(f"led {led}", (full, at("led", led), motion))
+    for steering in (0, *protocol.limits.get("steering", ())):
+        yield Setting(f"steering {steering}", (full, motion, at("steering", steering)))
+
+
+def _by_bits(high: int) -> list[int]:
+    return [1 << bit for bit in range(high.bit_length()) if 1 << bit < high]
+
+
+def other_settings(run: Run) -> Procedure[Motion | None]:
+    """Try other settings with a robot that was not seen moving; a failure where they differ.
+
+    Returns the motion in which it moves after all, None where it does not. Leaves the line homed.
+    """
+    for fresh in (False, True) if run.config.power else (False,):
+        every = [
+            one._replace(fresh=fresh) for one in settings(run.protocol) if _whole(run, one.frames)
+        ]
+        moves: Setting | None = None
+        stands: Setting | None = None
+        for one in every:
+            if (yield from _moves(run, one)):
+                moves = moves or one
+            else:
+                stands = stands or one
+            if moves and stands:
+                break
+        if moves is None:
+            continue
+        # Motor power that was switched on meanwhile, or noise, does not show the same again.
+        stands = stands or every[0]._replace(fresh=False)
+        if not (yield from _moves(run, stands)) and (yield from _moves(run, moves)):
+            _tell(run, moves, stands)
+        elif fresh:
+            yield from _switch(run)
+        return next(iter(movers(run.protocol))).effect.motion
+    return None
+
+
+def _whole(run: Run, frames: tuple[bytes, ...]) -> bool:
+    """Whether the protocol has every frame of a setting, and the device takes it."""
+    return all(frame and run.wire(frame) for frame in frames)
+
+
+def _moves(run: Run, one: Setting) -> Procedure[bool]:
+    if one.fresh:
+        yield from _switch(run)
+    for frame in one.frames:
+        yield from send(run.wire(frame))
+        yield from run.waiting.answers(1)
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    yield from home(run)
+    return bool(seen.look.moving)
+
+
+def _switch(run: Run) -> Procedure[None]:
+    """Switch the robot off and on, and wait until it has booted."""
+    yield from power_cycle()
+    yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
+    yield from home(run)
+
+
+def _tell(run: Run, moves: Setting, stands: Setting) -> None:
+    after = " after power-on" if moves.fresh else ""
+    reason = f"moves with {moves.words}{after}, not with {stands.words}"
+    if moves.fresh and not stands.fresh:
+        reason = f"moves with {moves.words}{after}, and no more with {stands.words} later"
+    clause, requirement = run.protocol.clauses.instructions, "moves in every setting"
+    case = runner_case(run.protocol, IDENT, clause, requirement, b"".join(stands.frames))
+    axis = Axis(Verdict.FAIL, "moving", "stopped", reason)
+    run.conclude(case, {"state": axis})

@@ -1,0 +1,114 @@
+"""A line that loses nothing: one unexplained mismatch is a failure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.fault import Event, Fault, Reaction
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults.vocabulary import (
+    Condition,
+    answers_with,
+    at_count,
+    every,
+    every_nth,
+    faulty,
+    silent,
+    steered_to,
+    twice,
+    when,
+)
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.recheck import recheck
+from bilprov.spec.protocol import Protocol
+from tests.support.recordings import recorded
+
+ONCE = "on a line that loses nothing: "
+
+
+class Hidden:
+    """A device object that says nothing of its line, or what a test says."""
+
+    def __init__(self, device: Simulator) -> None:
+        self.receive, self.advance = device.receive, device.advance
+        self.deadline, self.look = device.deadline, device.look
+
+
+def once(number: int) -> Fault:
+    return Fault("x", "test", "", react=when(every(faulty, at_count("faults", number)), twice))
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        every_nth("frames", 100),
+        every_nth("frames", 256),
+        every_nth("faults", 64),
+        every(every_nth("frames", 64), steered_to(-1)),
+        every(every_nth("faults", 64), faulty),
+    ],
+)
+@pytest.mark.parametrize("change", [twice, silent, answers_with(2)])
+def test_a_rhythm_fails(protocol: Protocol, condition: Condition, change: object) -> None:
+    fault = Fault("x", "test", "", react=when(condition, change))  # type: ignore[arg-type]
+
+    report = conform(
+        Simulator(protocol, fault), options=Options(level="smoke", fail_fast=True), logged=False
+    )
+
+    assert report.exit == 1
+
+
+def test_what_is_met_once_fails_and_says_so(protocol: Protocol) -> None:
+    report = conform(Simulator(protocol, once(60)), options=Options(level="smoke"))
+
+    (failed,) = [r for r in report.results if r.verdict is Verdict.FAIL]
+    assert "met once in " in failed.reason
+    assert ONCE in failed.reason
+    assert "flaky" not in failed.reason
+
+
+@pytest.mark.parametrize("declared", [None, False, "yes", 1])
+def test_a_device_object_must_declare_it(protocol: Protocol, declared: object) -> None:
+    device = Hidden(Simulator(protocol, once(60)))
+    if declared is not None:
+        device.lossless = declared  # type: ignore[attr-defined]
+
+    assert conform(device, options=Options(level="smoke")).exit == 3
+
+
+def test_a_device_object_that_declares_it_fails(protocol: Protocol) -> None:
+    device = Hidden(Simulator(protocol, once(60)))
+    device.lossless = True  # type: ignore[attr-defined]
+
+    assert conform(device, options=Options(level="smoke")).exit == 1
+
+
+def test_another_grammar_fails_too(each_protocol: Protocol) -> None:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        return (
+            twice(device, event, reaction)
+            if event.faults == 60 and not event.judgement.valid
+            else reaction
+        )
+
+    device = Simulator(each_protocol, Fault("x", "test", "", react=react))  # type: ignore[arg-type]
+
+    assert conform(device, grammar=each_protocol, options=Options(level="smoke")).exit == 1
+
+
+def test_a_recording_is_judged_by_what_its_link_declared(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    for device, code in (
+        (Simulator(protocol, once(60)), 1),
+        (Hidden(Simulator(protocol, once(60))), 3),
+    ):
+        path = tmp_path / f"{code}.mcap"
+        report = recorded(path, protocol, device=device, options=Options(level="smoke"))
+
+        assert report.exit == code
+        assert recheck(str(path)).exit == 0

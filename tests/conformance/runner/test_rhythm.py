@@ -1,0 +1,195 @@
+"""Rhythm: mismatches at equal distances are the device's, on a line that may lose something too."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, send
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults.vocabulary import (
+    answers_with,
+    every,
+    every_nth,
+    faulty,
+    silent,
+    steered_to,
+    twice,
+    when,
+)
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.tally import FAULT, FRAME, Place, Tally, tallied
+from bilprov.spec.protocol import Protocol
+from tests.conformance.runner.test_lossless import Hidden
+from tests.support.robots import ALL_SEEING, MS, CountingLink, Timers
+
+wrong = answers_with(2)
+
+
+def over_a_line(protocol: Protocol, react: React, level: str = "smoke") -> Report:
+    """A run against a device that says nothing of its line."""
+    device = Hidden(Simulator(protocol, Fault("x", "test", "", react=react)))
+    return conform(device, grammar=protocol, options=Options(level=level), logged=False)
+
+
+def reasons(report: Report) -> list[str]:
+    failed = [r for r in report.results if r.verdict is Verdict.FAIL]
+    return [axis.reason for r in failed for axis in r.axes.values()]
+
+
+def of_kind(identity: int, number: int, change: React) -> React:
+    """The change at every so-manyth valid frame of an ID."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if not event.judgement.valid or event.judgement.id != identity:
+            return reaction
+        device.memory["met"] = met = (device.memory.get("met", 0) + 1) % number
+        return reaction if met else change(device, event, reaction)
+
+    return react
+
+
+# -- the fit ---------------------------------------------------------------------------------------
+
+
+def kinds_of(protocol: Protocol, chance: Random, number: int) -> list[str]:
+    return chance.choices([*protocol.by_name, FrameClass.BAD_DATA, FrameClass.UNUSED_ID], k=number)
+
+
+@pytest.mark.parametrize("period", [64, 100, 256, 1000])
+@pytest.mark.parametrize("width", [1, 6])
+def test_equal_distances_are_found(protocol: Protocol, period: int, width: int) -> None:
+    chance = Random(period)
+    kinds = kinds_of(protocol, chance, 30 * period)
+    places = []
+    for number in sorted(chance.sample(range(2, 28), 8)):
+        first = number * period + 13 - chance.randrange(width)
+        places.append(Place(first, first + width - 1))
+
+    assert fit(protocol, kinds, places)[0] == Rhythm(FRAME, period)
+
+
+@pytest.mark.parametrize("counter", [FAULT, "one"])
+def test_distances_are_counted_in_faults_and_in_frames_of_a_kind(
+    protocol: Protocol, counter: str
+) -> None:
+    chance = Random(1)
+    kind = next(iter(protocol.by_name))
+    kinds = kinds_of(protocol, chance, 20_000)
+    mine = [
+        number
+        for number, name in enumerate(kinds, 1)
+        if (name == kind if counter == "one" else name not in protocol.by_name)
+    ]
+    places = [Place(at, at) for at in mine[63::64]]
+
+    found = fit(protocol, kinds, places)
+
+    assert found[0] == Rhythm(kind if counter == "one" else FAULT, 64)
+
+
+@pytest.mark.slow
+def test_random_places_confirm_no_prediction(protocol: Protocol) -> None:
+    """Noise at 1e-4 a byte over 50,000 frames: whatever is fitted does not hold twice."""
+    guessed = 0
+    for seed in range(12):
+        chance = Random(seed)
+        kinds = kinds_of(protocol, chance, 50_000)
+        hurt = {at for at in range(1, 50_001) if chance.random() < 3e-4}
+        places = [Place(max(1, at - chance.randrange(4)), at) for at in sorted(hurt)]
+        for rhythm in fit(protocol, kinds, places)[:2]:
+            guessed += 1
+            # Where the last mismatch comes again, by the fit, on the same line.
+            predicted = [chance.random() < 10 * 3e-4 for _ in range(2)]
+            assert not all(predicted)
+            assert 2 <= rhythm.period <= LONGEST
+    assert guessed < 12  # few of them are worth a try
+
+
+def test_too_few_places_fit_nothing(protocol: Protocol) -> None:
+    kinds = kinds_of(protocol, Random(1), 1000)
+    assert fit(protocol, kinds, [Place(100, 100), Place(200, 200)]) == []
+
+
+# -- the tally -------------------------------------------------------------------------------------
+
+
+def test_frames_are_counted_however_they_are_sent(protocol: Protocol) -> None:
+    run = Run(RunConfig(protocol, Timers(), ALL_SEEING, power=True))
+
+    def script() -> Procedure[None]:
+        yield from send(b"\x11")
+        yield from listen(None, 2 * MS)
+        yield from send(b"\x50\x20\x20\x92\x00")
+        yield from listen(None, 200 * MS)
+        yield from send(b"\x81\x08")
+
+    drive(tallied(script(), run.tally), CountingLink(Simulator(protocol)), lambda: False)
+
+    names = [protocol.by_id[identity].name for identity in (1, 2, 2)]
+    assert run.tally.kinds[0] == names[0]
+    assert run.tally.kinds[1:3] == names[1:]
+    assert run.tally.kinds[3:] == [FrameClass.TRUNCATED, FrameClass.BAD_DATA]
+    assert run.tally.count(FAULT) == 2
+    assert run.tally.count(FRAME, 2) == 2
+
+
+def test_a_power_cycle_begins_anew(protocol: Protocol) -> None:
+    tally: Tally = Run(RunConfig(protocol, Timers(), ALL_SEEING, power=True)).tally
+
+    def script() -> Procedure[None]:
+        yield from send(b"\x20\x20")
+        yield from power_cycle()
+        yield from send(b"\x20")
+
+    drive(tallied(script(), tally), CountingLink(Simulator(protocol)), lambda: False)
+
+    assert (tally.frames, tally.cycles) == (1, 1)
+
+
+# -- runs ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period", [64, 256, 1000])
+@pytest.mark.parametrize("change", [twice, silent, wrong])
+def test_a_rhythm_of_frames_fails(protocol: Protocol, period: int, change: React) -> None:
+    report = over_a_line(protocol, when(every_nth("frames", period), change))
+
+    assert report.exit == 1
+
+
+@pytest.mark.parametrize("change", [twice, wrong])
+def test_a_failure_says_its_rhythm(protocol: Protocol, change: React) -> None:
+    report = over_a_line(protocol, when(every_nth("frames", 256), change))
+
+    assert any(reason.startswith("every 256th frame: ") for reason in reasons(report))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("react", "words"),
+    [
+        (when(every(every_nth("frames", 64), steered_to(-1)), twice), "every 64th frame: "),
+        (when(every(every_nth("frames", 64), faulty), silent), "every 64th frame: "),
+        (when(every(every_nth("faults", 64), faulty), wrong), "every 64th faulty frame: "),
+        (of_kind(1, 20, twice), "every 20th Speed frame: "),
+    ],
+)
+def test_a_rhythm_under_a_condition_fails(protocol: Protocol, react: React, words: str) -> None:
+    assert any(reason.startswith(words) for reason in reasons(over_a_line(protocol, react)))
+
+
+@pytest.mark.slow
+def test_a_rhythm_in_another_grammar_fails(each_protocol: Protocol) -> None:
+    report = over_a_line(each_protocol, when(every_nth("frames", 100), wrong))
+
+    assert report.exit == 1
