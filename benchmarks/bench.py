@@ -18,7 +18,7 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
-from benchmarks import captures, decoding, first_lines, latency, live
+from benchmarks import browse, captures, decoding, first_lines, latency, live
 from benchmarks.commands import ROOT, Skipped
 from benchmarks.plot import as_svg
 from benchmarks.report import (
@@ -55,6 +55,7 @@ WORKS = (
     Work("replay-statistics", "capture to statistics", captures.to_statistics),
     Work("replay-jsonl", "capture to `jsonl`", captures.to_jsonl),
     Work("seek", "`replay --start` near the end, to the first line", first_lines.seek),
+    Work("browse", "`browse` to its first page", browse.browse),
     Work(
         "line-jsonl",
         "a full line, `jsonl`",

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import bilprov
 from benchmarks.ceiling import Judged
@@ -23,6 +23,7 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.captures.indexed import open_indexed
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
@@ -30,6 +31,9 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.screen.browser import Browser
 
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
@@ -154,6 +158,16 @@ def capture_start(path: Path) -> int:
 def statistics(path: Path) -> Words:
     """The command that prints a capture's statistics. Raises Skipped where there is none."""
     return _known("stats", "--json", "stats", str(path), "--json", "-")
+
+
+def browsing(path: Path) -> Browser:
+    """The screen of `browse` over a capture."""
+    from bilprov.analyzer.screen.browser import Browser, Told
+    from bilprov.analyzer.screen.feeds import capture_feed
+
+    capture, protocol = open_indexed(path) or open_capture(path), bilprov.load_protocol()
+    byte_time = line_settings(protocol).byte_time
+    return Browser(capture_feed(capture, protocol), Told(path.name, capture.start, byte_time))
 
 
 def replayed(path: Path) -> Words:

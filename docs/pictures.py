@@ -82,20 +82,15 @@ def drive_parts(protocol: Protocol) -> list[Part]:
 
 def browse_picture(protocol: Protocol) -> str:
     """The screen of `browse` over that drive, as SVG: the last fault is chosen."""
-    parts = drive_parts(protocol)
-
-    def add(feed: Feed[None]) -> None:
-        for part in parts:
-            feed.recording.add(part)
-
+    recording = Recording(protocol)
+    for part in drive_parts(protocol):
+        recording.add(part)
     byte_time = line_settings(protocol).byte_time
-    feed = Feed(Recording(protocol), add, stays=True)
+    feed: Feed[None] = Feed(recording, lambda feed: None, stays=True)
     screen = Browser(feed, Told("drive.mcap", 0, byte_time))
 
     async def taken() -> str:
         async with screen.run_test(size=_SCREEN) as pilot:
-            feed.join()
-            screen.show_rows()
             await pilot.press("end", "N", "enter", "down", "escape")
             await pilot.pause()
             return screen.export_screenshot(title="bilprov browse", simplify=True)

@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Thread
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from rich.text import Text
 from textual.app import App, ComposeResult
+from textual.binding import BindingType
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
 from textual.events import Resize
@@ -83,7 +84,7 @@ class Browser(App[str | None]):
     #car, #figures { text-wrap: nowrap; }
     #frames:focus, #tree:focus, #faults:focus { border-title-style: bold reverse; }
     """
-    BINDINGS = BINDINGS
+    BINDINGS: ClassVar[list[BindingType]] = [*BINDINGS]
 
     def __init__(
         self,
@@ -312,7 +313,8 @@ class Browser(App[str | None]):
         self.hex.show(self.frames.record, self.fields.group)
 
     def action_filter(self) -> None:
-        """Ask for a filter."""
+        """Ask for a filter, whose rows are seen then."""
+        self._zoomed = False
         self.prompt.ask(self.filter_text)
         self._arrange()
 

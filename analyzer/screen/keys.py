@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from textual.binding import Binding, BindingType
+from textual.binding import Binding
 
-BINDINGS: list[BindingType] = [
+BINDINGS = [
     Binding("slash", "filter", show=False),
     Binding("n", "fault(1)", show=False),
     Binding("N", "fault(-1)", show=False),

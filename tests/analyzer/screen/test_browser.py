@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Input
 
@@ -15,13 +17,13 @@ from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen.arrangement import arranged
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
-from bilprov.analyzer.screen.keys import KEYS
+from bilprov.analyzer.screen.keys import BINDINGS, KEYS
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event
-from tests.support.screens import browser, operated, text_of
+from tests.support.screens import PATIENCE, browser, operated, text_of
 from tests.support.traffic import told
 
 pytestmark = pytest.mark.slow  # the screen is drawn in each
@@ -33,7 +35,7 @@ def drive(count: int = 60) -> list[Event]:
     """A drive in which every tenth frame is cut short by one byte, and answered so."""
     events: list[Event] = [Line(0, "open", "", "a \x1b[31mport")]
     for at in range(count):
-        frame, answer = (b"\x80", b"\x04") if at % 10 == 9 else (bytes([0x11, at]), b"\0")
+        frame, answer = (b"\x80", b"\x04") if at % 10 == 9 else (bytes([0x11, at % 256]), b"\0")
         t = at * 10 * MS
         events += [Chunk(t, "host", frame), Chunk(t + MS, "device", answer)]
     return events
@@ -108,7 +110,13 @@ def test_a_filter_shows_what_passes_and_export_writes_it(
             await pilot.pause(0.01)
             screen.tick()
         assert "9 rows written to out.csv" in text_of(screen)[-1]
-        await pilot.press("slash", *["backspace"] * 9, "enter")
+        await pilot.press("slash")
+        assert screen.prompt.query_one(Input).value == "speed < 9"
+        await pilot.press("escape")
+        assert screen.frames.count == 9
+        await pilot.press("slash")
+        screen.prompt.query_one(Input).value = ""
+        await pilot.press("enter")
         assert screen.frames.count == 121
 
     operated(screen, steps)
@@ -165,6 +173,14 @@ def test_tab_completes_names_and_values(screen: Browser) -> None:
         assert screen.prompt.query_one(Input).value == "latency"
         await pilot.press(*" > 1 and name == rotater", "tab")
         assert screen.prompt.query_one(Input).value.endswith("RotateRight")
+        typed = screen.prompt.query_one(Input)
+        typed.value, typed.cursor_position = "l > 1", 1
+        found = []
+        for _ in range(4):
+            await pilot.press("tab")
+            found.append(typed.value)
+        assert all(text.endswith(" > 1") for text in found)
+        assert found[0] == found[2] != found[1] == found[3]  # len, latency
 
     operated(screen, steps)
 
@@ -198,7 +214,9 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
         assert (screen.frames.count, screen.faults.count) == (60, faults)
         await pilot.press("n")
         assert "no fault comes after" in text_of(screen)[-1]
-        await pilot.press("slash", *["backspace"] * 17, "enter", "space")
+        await pilot.press("slash")
+        screen.prompt.query_one(Input).value = ""
+        await pilot.press("enter", "space")
         assert screen.faults.count == faults + 1
         assert (screen.frames.count, screen.frames.row) == (142, 141)
 
@@ -217,13 +235,16 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
         await pilot.press("up")
         more()
         assert screen.frames.row == 119
-        await pilot.press("f")
+        await pilot.press("space", "f")  # also out of a pause
         assert screen.frames.row == 123
         more()
         assert screen.frames.row == 126
         await pilot.press("f")
         more()
         assert screen.frames.row == 126
+        await pilot.press("f", "space", "f")  # which goes on from the pause
+        more()
+        assert screen.frames.row == 132
 
     operated(screen, steps)
 
@@ -239,9 +260,25 @@ def test_m_marks_rows_and_the_apostrophe_goes_round_them(screen: Browser) -> Non
             rows.append(screen.frames.row)
         await pilot.press("m", "apostrophe")
         rows.append(screen.frames.row)
+        await pilot.press("m", "m", "apostrophe", "m", "apostrophe")
+        assert "no row is marked" in text_of(screen)[-1]
 
     operated(screen, steps)
     assert rows == [1, 3, 1, 3]
+
+
+def test_marks_go_with_the_rows_that_are_let_go(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive(2100)))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("m")
+        screen.feed.recording.let_go_oldest()
+        screen.show_rows()
+        assert screen.frames.row == screen.feed.recording.first > 0
+        await pilot.press("apostrophe")
+        assert "no row is marked" in text_of(screen)[-1]
+
+    operated(screen, steps)
 
 
 def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
@@ -253,6 +290,8 @@ def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
             shown.append(text_of(screen)[screen.frames.region.bottom - 1].split()[1])
             await pilot.press("t")
             await pilot.pause()
+        top = screen.frames.region.y + 2
+        assert text_of(screen)[top].split()[1] in ("0.001000", "0.009000")  # since a hidden row
 
     operated(screen, steps)
     assert shown[0] == shown[4] == "0.591000"
@@ -260,7 +299,11 @@ def test_t_shows_times_in_each_style_in_turn(screen: Browser) -> None:
     assert shown[3].endswith("T00:00:00.591000Z")
 
 
-def test_c_chooses_columns(screen: Browser) -> None:
+def test_c_chooses_columns_also_of_an_export(
+    screen: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("c", "space", "escape")
         assert screen.frames.columns is None
@@ -277,8 +320,22 @@ def test_c_chooses_columns(screen: Browser) -> None:
         assert screen.frames.columns is not None
         assert [column.name for column in screen.frames.columns] == ["time", "state.speed"]
         assert text_of(screen)[2].split()[:2] == ["time", "speed"]
+        await pilot.press("x")
+        screen.screen.query_one(Input).value = "out.csv"
+        await pilot.press("enter")
+        while screen.export:
+            await pilot.pause(0.01)
+            screen.tick()
+        await pilot.press("c")
+        listed = screen.screen.query_one(Rows)
+        for name in ("time", "state.speed"):
+            listed.choose(names.index(name))
+            await pilot.press("space")
+        await pilot.press("c")
+        assert screen.frames.columns is None  # none is the usual ones
 
     operated(screen, steps)
+    assert (tmp_path / "out.csv").read_text().splitlines()[0] == "time,state.speed"
 
 
 def test_the_tree_and_the_bytes_show_the_chosen_field(screen: Browser) -> None:
@@ -293,9 +350,10 @@ def test_the_tree_and_the_bytes_show_the_chosen_field(screen: Browser) -> None:
         assert not any("0001 ...." in line for line in text_of(screen))
         await pilot.press("enter", "escape")
         assert screen.frames.has_focus
-        await pilot.click("#hex", offset=(9, 1))
-        assert screen.fields.group is not None
-        assert screen.fields.group.name == "speed"
+        for place, name in (((9, 1), "speed"), ((1, 2), "id"), ((6, 2), "length")):
+            await pilot.click("#hex", offset=place)
+            assert screen.fields.group is not None
+            assert screen.fields.group.name == name
 
     operated(screen, steps)
 
@@ -313,14 +371,33 @@ def test_tab_goes_round_the_panes_and_enter_from_a_fault_to_its_frame(screen: Br
     operated(screen, steps)
 
 
+def hex_styles(screen: Browser) -> list[tuple[str, Any]]:
+    """The pieces of the bytes' pane, each with its style."""
+    console = screen.console
+    return [
+        (segment.text, segment.style)
+        for segment in screen.hex.render().render(console)
+        if segment.style is not None
+    ]
+
+
 def test_the_mouse_chooses_rows_and_fields_and_scrolls(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.click("#frames", offset=(10, 5))
         assert screen.frames.row == 3
-        await pilot.click("#tree", offset=(10, 3))
+        await pilot.click("#tree", offset=(10, 4))
         assert screen.fields.group is not None
-        await pilot._post_mouse_events([_wheel_down()], "#frames", offset=(5, 5))
+        assert screen.fields.group.name == "speed"
+        marked = [bit for bit, at in hex_styles(screen) if at.reverse]
+        assert "".join(marked) == "01" + "00000001"  # the byte 01, and each of its bits
+        await pilot.click("#tree", offset=(1, 1))  # the sign before a heading
+        assert screen.fields._folded == {"Instruction"}
+        await pilot._post_mouse_events([events.MouseScrollDown], "#frames", offset=(5, 5))
         assert screen.frames.top == 3
+        await pilot._post_mouse_events([events.MouseScrollDown] * 2, "#frames", offset=(5, 5))
+        assert screen.frames.row == screen.frames.top == 9
+        await pilot._post_mouse_events([events.MouseScrollUp], "#frames", offset=(5, 5))
+        assert screen.frames.top == 6
         width = screen.frames.size.width
         bottom = (width - 1, screen.frames.size.height)
         await pilot.mouse_down("#frames", offset=bottom)
@@ -330,18 +407,16 @@ def test_the_mouse_chooses_rows_and_fields_and_scrolls(screen: Browser) -> None:
     operated(screen, steps)
 
 
-def _wheel_down() -> Any:
-    from textual import events
-
-    return events.MouseScrollDown
-
-
 def test_the_help_lists_every_key(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("question_mark")
         await pilot.pause()
         shown = "\n".join(text_of(screen))
         assert all(key in shown for key in KEYS)
+        signs = {"slash": "/", "apostrophe": "'", "question_mark": "?", "escape": "Esc"}
+        listed = {word for keys in KEYS for word in keys.replace(",", "").split()}
+        bound = {binding.key.split(",")[0] for binding in BINDINGS} - {"ctrl+c", "space"}
+        assert {signs.get(key, key) for key in bound} <= listed
         await pilot.press("q")
         assert screen.frames.has_focus
 
@@ -357,7 +432,12 @@ def test_the_screen_is_left_by(screen: Browser, key: str) -> None:
     assert screen.return_code == 0
 
 
-def test_a_session_that_would_be_lost_is_offered_for_saving(protocol: Protocol) -> None:
+def test_a_session_that_would_be_lost_is_offered_for_saving(
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.mcap").write_text("precious")
+
     def offered() -> Browser:
         screen = browser(protocol, decoded(protocol, drive()), live=True)
         screen.feed.keeps = True
@@ -367,6 +447,9 @@ def test_a_session_that_would_be_lost_is_offered_for_saving(protocol: Protocol) 
         await pilot.press("q", "escape")
         assert screen.frames.has_focus
         await pilot.press("q", "y")
+        screen.screen.query_one(Input).value = "there.mcap"
+        await pilot.press("enter")
+        assert any("never overwritten" in line for line in text_of(screen))
         screen.screen.query_one(Input).value = "kept.mcap"
         await pilot.press("enter")
 
@@ -415,6 +498,46 @@ def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int])
         assert {len(line) for line in text_of(screen)} == {size[0]}
 
     operated(screen, steps, size)
+
+
+def test_where_the_fields_have_no_room_enter_shows_them_alone(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        def panes() -> list[bool]:
+            return [bool(pane.display) for pane in (screen.frames, screen.fields)]
+
+        await pilot.press("enter")
+        assert (panes(), screen.fields.has_focus) == ([False, True], True)
+        await pilot.press("escape")
+        assert (panes(), screen.frames.has_focus) == ([True, False], True)
+        await pilot.press("enter", "slash", "escape")
+        assert (panes(), screen.frames.has_focus) == ([True, False], True)
+
+    operated(screen, steps, (40, 10))
+
+
+def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
+    test = compile_filter("direction == host", protocol)
+    told = {"expression": "direction == host", "test": test}
+    screen = browser(protocol, decoded(protocol, drive()), live=True, **told)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        async def come(count: int) -> None:
+            for part in decoded(protocol, drive(count)):
+                screen.feed.recording.add(part)
+            give_up = time.monotonic() + PATIENCE
+            while screen.frames.view.behind and time.monotonic() < give_up:
+                screen.tick()
+                await pilot.pause(0.01)
+
+        assert (screen.filter_text, screen.frames.count) == ("direction == host", 60)
+        await come(5)
+        assert screen.frames.count == 65
+        await come(10_001)  # so many are filtered beside
+        assert screen.frames.count == 10_066
+
+    operated(screen, steps)
 
 
 def test_panes_go_in_order_and_the_frames_last() -> None:

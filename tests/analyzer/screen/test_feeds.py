@@ -1,0 +1,174 @@
+"""What the screen is fed with is bounded and told, and what it exports is a new file or none."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.output.row_columns import Times
+from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.replay.recorder import session_metadata
+from bilprov.analyzer.replay.spool import PARTS, Spool
+from bilprov.analyzer.screen.bars import status_line
+from bilprov.analyzer.screen.car import car
+from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+from bilprov.analyzer.screen.figures import figures
+from bilprov.analyzer.screen.recording import Recording, View
+from bilprov.analyzer.screen.row_export import RowExport
+from bilprov.analyzer.screen.signs import PLAIN
+from bilprov.captures.schemas import Chunk, State
+from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS
+from tests.support.traffic import told
+
+MOST = PARTS << 16  # bytes of the spool
+
+
+def fed(protocol: Protocol) -> Feed[None]:
+    return Feed(Recording(protocol), lambda feed: None, live=True)
+
+
+def conversation(protocol: Protocol, count: int) -> list[Any]:
+    events = []
+    for at in range(count):
+        events += [Chunk(at * MS, "host", b"\x11\x05"), Chunk(at * MS + MS // 2, "device", b"\0")]
+    return told(StreamDecoder(protocol), events, [512])
+
+
+def status_of(feed: Feed[None]) -> str:
+    return status_line("", feed, "", "", 120).plain
+
+
+def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) -> None:
+    feed = fed(protocol)
+    output = ScreenOutput(feed, Statistics(), most=20_000)
+    for part in conversation(protocol, 12_000):
+        output.show(part)
+    assert (feed.recording.nbytes > 20_000, status_of(feed).split()[0]) == (True, "?")
+
+    output.tick(0)
+
+    assert feed.recording.nbytes <= 20_000
+    (oldest,) = feed.recording.records([feed.recording.first])
+    assert oldest.t > 0
+    assert f"the oldest rows went, the rest begins at {oldest.t / 1e9:.3f} s" in status_of(feed)
+
+
+@pytest.mark.waits
+def test_rows_go_that_a_spool_no_longer_has(
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    metadata = session_metadata(
+        protocol, ports={"host": "a"}, line="115200 8N1", timeout=50 * MS, skew=0, heard=["host"]
+    )
+    feed, random, sent = fed(protocol), Random(1), 0
+    with Spool(0, metadata, most=MOST) as spool:
+        give_up = time.monotonic() + 20
+        while not spool.oldest:
+            assert time.monotonic() < give_up
+            sent += 1
+            spool.events([Chunk(sent * 3000 * MS, "host", random.randbytes(MOST // PARTS // 2))])
+            spool.checkpoint(sent * 3000 * MS, lambda: None)
+            time.sleep(0.01)
+        assert spool.bytes < 12 * MOST  # a part grows by what waits to be written
+        output = ScreenOutput(feed, Statistics(), spool)
+        for part in conversation(protocol, 12_000):
+            output.show(part)
+        output.tick(0)
+        assert (feed.keeps, feed.let_go) == (True, True)
+        (oldest,) = feed.recording.records([feed.recording.first])
+        assert 0 < oldest.t <= spool.oldest  # all that can be saved can be seen
+
+        spool.failure = "the disk is full"
+        ScreenOutput(feed, Statistics(), spool).tick(0)
+        assert (feed.keeps, "the disk is full" in status_of(feed)) == (False, True)
+
+
+def test_the_screen_gets_what_a_filter_hides_and_nothing_outside_the_window(
+    protocol: Protocol,
+) -> None:
+    feed = fed(protocol)
+    test = compile_filter("direction == device", protocol)
+    shown = AllShown(ScreenOutput(feed, Statistics()), test, 500, Window(10 * MS, 20 * MS))
+    for part in conversation(protocol, 1000):
+        shown.show(part)
+    assert feed.recording.rows == 20
+    assert shown.left == 490
+
+
+def exported(protocol: Protocol, path: Path) -> RowExport:
+    recording = Recording(protocol)
+    for part in conversation(protocol, 6000):
+        recording.add(part)
+    return RowExport(recording, View(recording), str(path), None, Times())
+
+
+def test_a_file_that_appears_meanwhile_is_not_overwritten(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = tmp_path / "there.csv"
+    path.write_text("precious")
+    export = exported(protocol, path)
+    while not export.ended:
+        time.sleep(0.001)
+    assert "cannot be written (File exists)" in export.said
+    assert path.read_text() == "precious"
+
+
+def test_an_export_that_is_stopped_leaves_no_file(protocol: Protocol, tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    recording = Recording(protocol)
+    for part in conversation(protocol, 6000):
+        recording.add(part)
+    with recording.lock:  # so that it gets nowhere
+        export = RowExport(recording, View(recording), str(path), None, Times())
+        export._cancelled.set()
+    export.cancel()
+    assert export.said == "the export was stopped: nothing is written"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_one_sentence(protocol: Protocol) -> None:
+    export = exported(protocol, Path("/proc/out.jsonl"))
+    while not export.ended:
+        time.sleep(0.001)
+    assert export.said.startswith("/proc/out.jsonl cannot be written (")
+
+
+def test_figures_tell_the_sides_apart(protocol: Protocol) -> None:
+    recording = Recording(protocol)
+    for part in conversation(protocol, 1001):
+        recording.add(part)
+    lines = [line.plain for line in figures(recording.totals, None, 86_805, PLAIN)]
+    assert lines[:5] == [
+        "frames  1,001 >",
+        "answers 1,001 <",
+        "rate    1,000 frames/s",
+        "host    2,001 B/s 17%",
+        "device  1,000 B/s 9%",
+    ]
+    assert "0.5 ms median" in lines[5]
+
+
+def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:
+    state = State("forward", 255, 255, 0b100, moving=True)
+    front, body, _, words, wheels, speed, steering, led = (
+        line.plain for line in car(protocol, state, PLAIN)
+    )
+    left, right = front.split("+-------+")
+    assert (left.strip(), right.strip()) == ("^", ".")  # to the right: the left wheel turns
+    assert "^" in body
+    assert words.strip() == "forward"
+    assert wheels.split() == ["wheels", "+255", "+0"]
+    assert speed == f"speed {'#' * 14} 255"
+    assert steering.endswith("o +255")
+    assert led.split() == ["led", "*", "R", "o", "G", "o", "B"]
