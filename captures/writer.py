@@ -249,6 +249,8 @@ def _utf8(text: str) -> str:
 
 
 def _new_file(path: Path) -> BufferedWriter:
+    if str(path) == "-":
+        raise CaptureError("a capture cannot be written to standard output: name a file")
     try:
         return path.open("xb")
     except FileExistsError as error:

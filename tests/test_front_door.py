@@ -140,6 +140,8 @@ def test_an_installation_gets_the_version_that_the_command_shows() -> None:
         (["--grammar"], "option '--grammar' requires an argument"),
         (["explain"], "missing argument 'HEX...'; see bilprov explain --help"),
         (["explain", "00", "--format", "xml"], "'xml' is not one of"),
+        (["sniff", "--baud", "x"], "'x' is no whole number; see bilprov sniff --help"),
+        (["sniff", "--duration", "x"], "'x' is no number; see bilprov sniff --help"),
         (["explain", "00", "--grammar", "x.py"], "it goes before the subcommand"),
         (["ports", "extra"], "unexpected extra argument (extra)"),
         (["--grammar", "/nowhere/g.py", "spec", "show"], "cannot be read"),

@@ -16,7 +16,7 @@ from bilprov.analyzer.cli.output_files import (
     write_output,
 )
 from bilprov.analyzer.cli.progress import reading
-from bilprov.captures.text import quantity
+from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
@@ -86,7 +86,7 @@ def cut(
                 lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
             )
             what = quantity(frames, "frame or answer", "frames and answers")
-    note(f"{new} holds {what} of {path}")
+    note(f"{printable(new)} holds {what} of {printable(path)}")
 
 
 @click.command()
@@ -139,7 +139,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
         new_capture(new, joined.start, joined.metadata(), force=force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
-    note(f"{new} holds {quantity(size, 'byte')} of {len(paths)} captures")
+    note(f"{printable(new)} holds {quantity(size, 'byte')} of {len(paths)} captures")
 
 
 @click.command()
@@ -223,7 +223,6 @@ def _say(sentences: Iterator[str], *more: str) -> None:
 
 
 def _say_left_out(capture: Capture) -> None:
-    from bilprov.captures.text import printable
     from bilprov.captures.topics import TOPICS
 
     known = {topic.name for topic in TOPICS}

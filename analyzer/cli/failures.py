@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 
 import click
@@ -44,10 +45,18 @@ def say(sentence: str) -> None:
 _CLICK_BEGINS = ("Missing ", "No such ", "Invalid value", "Got unexpected ", "Option ", "Could not")
 
 
+def plain_words(text: str) -> str:
+    """Convert what click says about a value to one line, in words for people who do not program."""
+    line = " ".join(text.split()).rstrip(".")
+    for kind, words in (("integer", "no whole number"), ("float", "no number")):
+        line = re.sub(rf"is not a valid {kind}(?: range)?\b", f"is {words}", line)
+    return line
+
+
 def _usage(error: click.ClickException) -> str:
     """Convert click's message to one sentence that also says what to do next."""
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
-    text = " ".join(text.split()).rstrip(".")
+    text = plain_words(text)
     if text.startswith(_CLICK_BEGINS):
         text = text[0].lower() + text[1:]
     if isinstance(error, exceptions.NoSuchOption) and error.option_name == "--grammar":

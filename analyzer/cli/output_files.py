@@ -34,6 +34,8 @@ def require_writable(
     taken: dict[Path, str] = {}
     on_standard_output = ""
     for option, path in outputs:
+        if path == STANDARD_OUTPUT and regular:
+            raise click.UsageError(f"{option} - is standard output, no regular file: name one")
         if path == STANDARD_OUTPUT:
             if on_standard_output:
                 raise click.UsageError(

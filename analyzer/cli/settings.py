@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from bilprov.analyzer.cli.failures import plain_words
 from bilprov.analyzer.cli.options import compiled, row_style
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.settings import COMMON, PORT, Settings, SettingsError, Value
@@ -140,7 +141,7 @@ def _defaults(
             if checked and protocol:
                 checked(str(value), protocol)
         except (click.BadParameter, UserError) as error:
-            said = " ".join(str(error).split()).rstrip(".")
+            said = plain_words(str(error))
             raise SettingsError(f"{source}: {key} = {printable(value)}: {said}") from error
         defaults[option.name] = value
     return defaults

@@ -153,6 +153,13 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     assert path.read_bytes() == b"precious"
 
 
+def test_standard_output_is_no_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CaptureError, match="cannot be written to standard output"):
+        writer(Path("-"))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_that_is_missing_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"cannot be made \(No such file"):
         writer(tmp_path / "none" / "a.mcap")

@@ -98,14 +98,15 @@ class Tmux:
         """Make the terminal another size."""
         self("resize-window", "-x", str(size[0]), "-y", str(size[1]))
 
-    def settled(self, words: str) -> list[str]:
-        """Wait until the terminal shows the words, and twice the same; its lines."""
+    def settled(self, words: str, *more: str) -> list[str]:
+        """Wait until the terminal shows the words (and `more`), and twice the same; its lines."""
         shown = self.wait(words)
         give_up = time.monotonic() + PATIENCE
         while True:
             time.sleep(0.3)
             before, shown = shown, self.wait(words)
-            if shown == before:
+            there = all(any(one in line for line in shown) for one in more)
+            if shown == before and there:
                 return shown
             assert time.monotonic() < give_up, "\n".join(shown)
 

@@ -307,6 +307,8 @@ def test_what_is_no_setting_is_one_sentence_with_its_place(
 def test_a_value_that_its_option_does_not_take_is_one_sentence(place: Path) -> None:
     theirs(place, "[decode]\nformat = 'xml'")
     assert "bilprov.toml [decode]: format = xml: 'xml' is not one of" in refused("decode", "00")
+    theirs(place, "[sniff]\nbaud = 'x'")
+    assert "bilprov.toml [sniff]: baud = x: 'x' is no whole number" in refused("sniff", "/dev/x")
 
 
 @pytest.mark.parametrize(

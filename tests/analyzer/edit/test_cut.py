@@ -270,6 +270,11 @@ def done(*words: object, code: int = 0) -> str:
     return result.stderr.decode()
 
 
+def test_a_file_s_name_is_shown_with_its_control_characters_escaped(tmp_path: Path) -> None:
+    said = done("cut", SAMPLE, tmp_path / "\x1b[31mred.mcap", "--end", "1")
+    assert "\\x1b[31mred.mcap holds" in said
+
+
 @pytest.mark.parametrize(("start", "end"), [("0.3", "1.2"), ("0.7192", "0.7195"), ("2", "99")])
 def test_a_part_of_the_sample_shows_the_lines_of_the_whole(
     tmp_path: Path, start: str, end: str
@@ -343,6 +348,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     done("cut", copy, old, "--end", "1", "--force")
     assert lines_of(old) == lines_of(SAMPLE, "--end", "1")
     assert "is no regular file" in done("cut", copy, "/dev/full", "--end", "1", "--force", code=2)
+    assert "is standard output" in done("cut", copy, "-", "--end", "1", "--force", code=2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "link.mcap", "old.mcap"]
 
 

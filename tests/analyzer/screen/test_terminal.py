@@ -48,7 +48,7 @@ def test_browse_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_pat
         tmux.press("n", "n")
         for size, count in zip(SIZES, [2, 3, 6, 6, 6, 6], strict=True):
             tmux.resize(size)
-            shown = tmux.settled(f"─{titles[count - 1]}─")
+            shown = tmux.settled(f"─{titles[count - 1]}─", "q quit")
             assert any("unused 15" in line for line in shown)
             assert len(shown) == size[1]
             assert max(map(len, shown)) <= size[0]
