@@ -25,7 +25,17 @@ from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.signals import ignoring
 
-HEAVY = {"serial", "construct", "mcap", "numpy", "rich", "msgspec", "importlib.metadata", "pyarrow"}
+HEAVY = {
+    "serial",
+    "construct",
+    "mcap",
+    "numpy",
+    "rich",
+    "msgspec",
+    "importlib.metadata",
+    "pyarrow",
+    "aalpy",
+}
 # Modules and packages that a command does not use.
 UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},

@@ -86,6 +86,9 @@ COMMANDS = {
     "conform": Row(
         "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
     ),
+    "learn": Row(
+        "Conform", "bilprov.conformance.cli.learn", "learn", "Learn a device as a state machine."
+    ),
     "report": Row(
         "Conform", "bilprov.conformance.cli.report", "report", "Compare and show past runs."
     ),

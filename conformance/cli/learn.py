@@ -1,0 +1,321 @@
+"""`bilprov learn`: learns a device as a Mealy machine, draws it, and tells where it differs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bilprov.analyzer.cli.options import confirm_motion, line_options, note, note_hindrances
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
+from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.version import kit_version
+from bilprov.captures.text import quantity
+from bilprov.conformance.cli import completion
+from bilprov.conformance.cli.conform import RobotOptions
+from bilprov.conformance.cli.options import gathered, named_device
+from bilprov.conformance.cli.outputs import write_each
+from bilprov.conformance.dut.port_link import by_command
+from bilprov.conformance.dut.probes import PROBES
+from bilprov.conformance.dut.target import Target, open_target, target_named
+from bilprov.conformance.learning.drawing import dot_text, has_graphviz, state_words, svg_text
+from bilprov.spec.codec import spaced
+from bilprov.spec.errors import UserError
+
+if TYPE_CHECKING:
+    from bilprov.conformance.learning.comparison import Difference
+    from bilprov.conformance.learning.learned import Learned
+    from bilprov.conformance.learning.output import Output
+
+_SHOWN = 5  # differences told on the screen
+
+
+class NotUsable(UserError):
+    """The device, its port or its probe cannot be used for learning. One sentence."""
+
+
+@click.command()
+@click.argument(
+    "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
+)
+@click.option(
+    "--probe",
+    shell_complete=completion.probes,
+    help=f"What sees the robot: {', '.join(k.form for k in PROBES)} (a port's "
+    "unless given) or sim (the target sim's own).",
+)
+@click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
+@click.option("-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output.")
+@click.option("--svg", metavar="FILE", help="The machine as a picture, drawn by Graphviz.")
+@click.option(
+    "--json", "json_path", metavar="FILE", help="All of it as JSON; - is standard output."
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="For the random sequences.")
+@click.option(
+    "--fault",
+    metavar="NAME",
+    shell_complete=completion.faults,
+    help="With sim: misbehave in this way; random:SEED draws one.",
+)
+@click.option(
+    "--variant",
+    metavar="NAME",
+    shell_complete=completion.variants,
+    help="With sim: read the document so.",
+)
+@line_options
+@click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
+@click.pass_obj
+@gathered("robot", RobotOptions)
+def learn(
+    grammar: str | None,
+    robot: RobotOptions,
+    dot: str | None,
+    svg: str | None,
+    json_path: str | None,
+    seed: int,
+) -> int:
+    """Learn a device as a Mealy machine, and compare it with the machine of the Protocol.
+
+    Every instruction with representative data and every kind of fault is sent in every state that
+    the device shows, by its answers and what the probe sees. Before each sequence the line is homed
+    and the settings are brought to rest; what was not expected is sent again. Where the machines
+    differ, the shortest sequences are printed as `bilprov send` lines.
+
+    Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
+    not be learned, or no probe sees the robot.
+    """
+    from bilprov.conformance.learning.learned import Unusable, learn_target
+    from bilprov.conformance.learning.learner import require_aalpy
+
+    protocol = load_protocol(grammar)
+    require_aalpy()
+    try:
+        name = target_named(robot.target)
+        settings = robot.settings(protocol, name)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    robot.require_fitting(name)
+    promise_verdict()
+    if svg is not None and not has_graphviz():
+        note(f"{svg} is written in DOT: Graphviz is not installed, apt-get install graphviz")
+    asked = [("--dot", dot), ("--svg", svg), ("--json", json_path)]
+    require_writable((option, path) for option, path in asked if path is not None)
+    opened = partial(
+        open_target,
+        protocol,
+        name,
+        settings=settings,
+        probe=robot.probe,
+        power=by_command(robot.power.removeprefix("exec:")) if robot.power else None,
+        fault=named_device(protocol, robot.fault, robot.variant),
+    )
+    from bilprov.conformance.cli.progress import bar
+
+    with ExitStack() as stack:
+        stopper = stack.enter_context(closing(Stopper()))
+        target = stack.enter_context(opened(stopper))
+        if target.environment.observability.costly:
+            raise click.UsageError(
+                f"--probe {robot.probe} is for a few looks, and learning looks after each frame: "
+                "use tcp:HOST:PORT or modem:LINE"
+            )
+        if target.moves:
+            _confirm(target, robot, seed)
+        stack.enter_context(stopper)
+        shown = stack.enter_context(bar())
+        task = shown.add_task("", total=None)
+
+        def progress(states: int, frames: int) -> None:
+            shown.update(task, completed=frames, description=quantity(states, "state"))
+
+        try:
+            learned = learn_target(target, seed=seed, lossless=name.virtual, progress=progress)
+        except Unusable as why:
+            raise NotUsable(str(why)) from why
+        if target.remark():
+            note(target.remark())
+    _write(learned, dot, svg, json_path)
+    onto_stdout = STANDARD_OUTPUT in (dot, svg, json_path)
+    for line in _told(learned):
+        click.echo(line, err=onto_stdout)
+    return learned.exit
+
+
+def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
+    from bilprov.conformance.learning.rehearsal import estimated_seconds
+    from bilprov.conformance.oracle.timers import timers_of
+
+    note_hindrances(robot.target)
+    seconds = estimated_seconds(
+        target.protocol,
+        target.line,
+        timers_of(target.environment, target.protocol),
+        observable=target.environment.observability.available,
+        seed=seed,
+    )
+    what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
+    confirm_motion(what, yes=robot.yes)
+    note(f"about {seconds:.0f} s; what is not expected is sent again and adds to it")
+
+
+def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | None) -> None:
+    """Write the files that were asked for; a picture needs a machine."""
+    texts: list[tuple[str, str]] = []
+    if learned.machine is not None and (dot or svg):
+        text = _drawn(learned)
+        if dot is not None:
+            texts.append((dot, text))
+        if svg is not None:
+            texts.append((svg, svg_text(text)) if has_graphviz() else (_dot_path(svg), text))
+    elif dot or svg:
+        note("nothing is drawn: the machine was not learned")
+    if json_path is not None:
+        indent = None if json_path == STANDARD_OUTPUT else 1
+        texts.append((json_path, json.dumps(_as_json(learned), indent=indent) + "\n"))
+    write_each(texts)
+
+
+def _dot_path(svg: str) -> str:
+    return svg if svg == STANDARD_OUTPUT else str(Path(svg).with_suffix(".dot"))
+
+
+def _drawn(learned: Learned) -> str:
+    """The machine in DOT, with the transitions at which it differs in red."""
+    machine = learned.machine
+    assert machine is not None
+    differing = set()
+    for difference in learned.differences:
+        state = 0
+        for letter in difference.word[:-1]:
+            state = machine.states[state][letter].target
+        differing.add((state, difference.word[-1]))
+    return dot_text(learned.protocol, machine, learned.names, learned.device, differing)
+
+
+def _told(learned: Learned) -> Iterator[str]:
+    """What came of it, in lines for a person."""
+    sent = f"{quantity(learned.frames, 'frame')} in {quantity(learned.sequences, 'sequence')}"
+    if learned.repeated:
+        sent += f", {learned.repeated:,} of them sent again"
+    if learned.machine is not None:
+        states = quantity(len(learned.machine.states), "state")
+        inputs = quantity(len(learned.steps), "input")
+        yield f"learned {states} over {inputs}, from {sent}"
+        looks = ", ".join(learned.seen) or "nothing of the robot: no probe"
+        yield f"seen beside the answers: {looks}"
+        if learned.differences:
+            expected = quantity(learned.expected_states, "state")
+            yield f"the Protocol's machine has {expected} over these inputs"
+    for point, word, label in learned.choices:
+        yield f"another reading, taken into account: {point} = {word} ({label})"
+    for case, reason in learned.beside:
+        yield f"failed beside it: {case}: {reason}"
+    protocol = learned.protocol
+    for number, one in enumerate(learned.differences[:_SHOWN], 1):
+        names = [learned.names[letter] for letter in one.word]
+        after = f" after {', '.join(names[:-1])}" if names[:-1] else ""
+        step = learned.steps[one.word[-1]]
+        reading = "" if one.actual.codes == one.expected.codes else step.point or step.reading
+        about = f" [{reading}]" if reading else ""
+        yield f"{number}. {names[-1]}{after}{about}"
+        yield f"     due: {one.expected.words(protocol)}"
+        yield f"     got: {one.actual.words(protocol)}"
+        yield f"     {learned.send_line(one)}"
+    hidden = len(learned.differences) - _SHOWN
+    if hidden > 0 or learned.more:
+        yield f"and {max(hidden, 1)} more" + (", at least" if learned.more else "")
+    yield _conclusion(learned)
+
+
+def _conclusion(learned: Learned) -> str:
+    if learned.trouble:
+        begun = "it differs, and " if learned.differences else ""
+        return f"{begun}it was not learned to the end: {learned.trouble}"
+    if learned.differences:
+        return "not the Protocol's machine"
+    if learned.beside:
+        return "the Protocol's machine, but it does not conform: run bilprov conform"
+    if learned.flaky:
+        times = quantity(learned.flaky, "outcome")
+        why = "the device does not always do the same" if learned.lossless else "noise, or a rhythm"
+        return f"the Protocol's machine, but {times} came once and not again: {why}"
+    if not learned.seen:
+        return "by its answers the Protocol's machine; whether it stops was not seen, see --probe"
+    return "the Protocol's machine"
+
+
+def _as_json(learned: Learned) -> dict[str, Any]:
+    protocol = learned.protocol
+    machine = learned.machine
+    inputs = [
+        {"name": name, "hex": spaced(step.frame), "kind": step.kind.value}
+        for name, step in zip(learned.names, learned.steps, strict=True)
+    ]
+    return {
+        "kit": kit_version(),
+        "grammar": {
+            "name": protocol.name,
+            "version": protocol.version,
+            "file": protocol.origin,
+            "sha256": protocol.sha256,
+        },
+        "device": learned.device,
+        "link": learned.link,
+        "seed": learned.seed,
+        "verdict": learned.verdict.label,
+        "exit": learned.exit,
+        "trouble": learned.trouble,
+        "seen": learned.seen,
+        "sent": {
+            "frames": learned.frames,
+            "sequences": learned.sequences,
+            "repeated": learned.repeated,
+            "flaky": learned.flaky,
+        },
+        "inputs": inputs,
+        "states": None if machine is None else _states(learned),
+        "expected_states": learned.expected_states,
+        "readings": [
+            {"point": point, "choice": word, "verdict": label}
+            for point, word, label in learned.choices
+        ],
+        "failed_beside": [{"id": case, "reason": reason} for case, reason in learned.beside],
+        "differences": [_difference(learned, one) for one in learned.differences],
+        "more_differences": learned.more,
+    }
+
+
+def _states(learned: Learned) -> list[dict[str, Any]]:
+    machine = learned.machine
+    assert machine is not None
+    rows = zip(state_words(machine), machine.access(), machine.states, strict=True)
+    return [
+        {
+            "name": words,
+            "reached_by": list(access),
+            "transitions": [{"to": t.target, **_output(t.output)} for t in row],
+        }
+        for words, access, row in rows
+    ]
+
+
+def _output(output: Output) -> dict[str, Any]:
+    return {"codes": list(output.codes), "look": output.look_words}
+
+
+def _difference(learned: Learned, difference: Difference) -> dict[str, Any]:
+    return {
+        "inputs": list(difference.word),
+        "sent": [spaced(frame) for frame in learned.frames_of(difference.word)],
+        "expected": _output(difference.expected),
+        "actual": _output(difference.actual),
+        "reproduce": learned.send_line(difference),
+    }

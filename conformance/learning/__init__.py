@@ -1,0 +1,1 @@
+"""Learns a device as a Mealy machine, and compares it with the machine of the Protocol."""

@@ -1,0 +1,260 @@
+"""Learns a target from the first byte to the last stop, and says what came of it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.steps import Step
+from bilprov.conformance.dut.link import Link, drive
+from bilprov.conformance.dut.operations import Ended, Procedure, send
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
+from bilprov.conformance.learning.comparison import Difference
+from bilprov.conformance.learning.learner import Learner
+from bilprov.conformance.learning.machine import Machine, Word
+from bilprov.conformance.learning.output import Output
+from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.learning.system import NotLearned, System
+from bilprov.conformance.oracle.choices import Choices, verdict_of
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.state_model import Model
+from bilprov.conformance.oracle.timers import timers_of
+from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict, exit_code
+from bilprov.conformance.runner.discovery.discover import discover
+from bilprov.conformance.runner.first_choices import first_choices
+from bilprov.conformance.runner.homing import home, leave, see_motions, set_up, watch
+from bilprov.conformance.runner.power_on import calibrate, first_bytes
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.truncation_timeout import measure_timeout
+from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import Protocol
+
+FACETS = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels", "led": "led"}
+"""What a look can show, by the facet of an output, in words."""
+
+
+@dataclass(slots=True)
+class Learned:
+    """What came of learning a target.
+
+    `steps` are the inputs, `machine` is the device's, None where it was not learned, and then
+    `trouble` says why in a sentence. `expected_states` is how many the Protocol's machine has over
+    the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
+    first; `more` tells that there are others. `choices` are the open points at which the device
+    chooses otherwise than the kit, with its word and the verdict of that. `beside` are failures
+    found before and after learning, as case and reason. `broken` is true where the kit or the port
+    failed. `seen` are facets of the look, in words. `flaky` counts outcomes that came once and not
+    again; on a line that loses nothing (`lossless`) they are the device's.
+    """
+
+    protocol: Protocol
+    device: str
+    link: dict[str, object]
+    seed: int
+    steps: tuple[Step, ...]
+    lossless: bool
+    machine: Machine | None = None
+    expected_states: int = 0
+    differences: tuple[Difference, ...] = ()
+    more: bool = False
+    choices: tuple[tuple[str, str, Label], ...] = ()
+    beside: tuple[tuple[str, str], ...] = ()
+    trouble: str = ""
+    broken: bool = False
+    seen: tuple[str, ...] = ()
+    frames: int = 0
+    sequences: int = 0
+    repeated: int = 0
+    flaky: int = 0
+    verdict: Verdict = field(init=False, default=Verdict.PASS)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The inputs in words."""
+        return tuple(name_of(self.protocol, step) for step in self.steps)
+
+    @property
+    def exit(self) -> int:
+        """The exit code: 0 the same machine, 1 another, 2 the kit failed, 3 not all is known."""
+        return exit_code([self.verdict])
+
+    def judge(self) -> None:
+        """Set the verdict, from what was found. What was never seen is no pass."""
+        if self.differences or self.beside or (self.flaky and self.lossless):
+            self.verdict = Verdict.FAIL
+        elif self.broken:
+            self.verdict = Verdict.ERROR
+        elif self.trouble or self.flaky or not self.seen:
+            self.verdict = Verdict.INCONCLUSIVE
+
+    def send_line(self, difference: Difference) -> str:
+        """The command that sends the sequence of a difference, from rest.
+
+        The frames for the simulator or an emulated board go to `PORT`, where it is served.
+        """
+        protocol = self.protocol
+        named = [] if protocol.origin == "grammar.py" else ["--grammar", protocol.origin]
+        frames = (*reset(protocol), *self.frames_of(difference.word))
+        port = self.device if self.link["kind"] == "port" else "PORT"
+        items = [item_of(protocol, frame) for frame in frames]
+        return shlex.join(["bilprov", *named, "send", port, *items])
+
+    def frames_of(self, word: Word) -> tuple[bytes, ...]:
+        """The frames of a sequence of inputs."""
+        return tuple(self.steps[letter].frame for letter in word)
+
+
+class Unusable(Exception):
+    """The line cannot be used at all; the message says why, in one sentence."""
+
+
+def learn_target(
+    target: Target,
+    *,
+    seed: int = 1,
+    lossless: bool = False,
+    progress: Callable[[int, int], None] = lambda states, frames: None,
+) -> Learned:
+    """Learn a target and compare it with the Protocol's machine; the robot is stopped at the end.
+
+    `seed` makes the random sequences that the machine must pass; `lossless` says that nothing gets
+    lost or changed between kit and device. `progress` is called with the
+    states known and the frames sent so far. Raises Unusable, and NoAALpy where it is missing.
+    """
+    protocol, environment = target.protocol, target.environment
+    steps = alphabet(protocol)
+    told = Learned(protocol, environment.device, environment.link, seed, steps, lossless)
+    timers = timers_of(environment, protocol)
+    deadline = int(protocol.timing.answer_deadline * MS)
+    config = RunConfig(
+        protocol,
+        timers.due_within(deadline),
+        environment.observability,
+        environment.power,
+        environment.virtual,
+    )
+    run = Run(config, Profile(choices=Choices()))
+    try:
+        link = target.connect(None)
+        works = True
+        try:
+            unusable = drive(_opening(run), link, target.interrupted)
+            if unusable:
+                raise Unusable(unusable)
+            told.beside = _failures(run.results)
+            _learn(run, link, target.interrupted, told, progress)
+        except (GaveUp, NotLearned) as why:
+            told.trouble = str(why)
+        except Ended as ended:
+            told.trouble, told.broken, works = str(ended), ended.error, ended.line_works
+        finally:
+            if works:
+                done = len(run.results)
+                ended_again = drive(leave(run), link, target.interrupted)
+                if ended_again and ended_again.error and not told.trouble:
+                    told.trouble, told.broken = str(ended_again), True
+                told.beside += _failures(run.results[done:])
+    except BaseException:
+        target.halt()
+        raise
+    told.judge()
+    return told
+
+
+def _failures(results: Sequence[CaseResult]) -> tuple[tuple[str, str], ...]:
+    """The cases that failed, with their reasons."""
+    return tuple((one.id, one.reason) for one in results if one.verdict is Verdict.FAIL)
+
+
+def _opening(run: Run) -> Procedure[str]:
+    """What the suite does before its cases: the link check, measurements, the device's choices.
+
+    Returns why the line cannot be used, "" if it can.
+    """
+    unusable = yield from first_bytes(run)
+    if unusable:
+        return unusable
+    yield from first_choices(run)
+    yield from home(run)
+    yield from calibrate(run)
+    yield from home(run)
+    yield from see_motions(run)
+    yield from measure_timeout(run)
+    yield from discover(run)
+    yield from _measure_stop(run)
+    return ""
+
+
+def _measure_stop(run: Run) -> Procedure[None]:
+    """Measure how long after its answer to a fault the robot stops, where that can be seen."""
+    if not (run.config.observable and run.profile.moves):
+        return
+    fault = next(step for step in alphabet(run.protocol) if step.faulty and not step.truncated)
+    _, fast = run.protocol.limits.get("speed", (0, 0))
+    yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+    yield from send(fault.frame)
+    heard = yield from run.waiting.answers(1)
+    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    late = seen.now - heard.now
+    if seen.look.moving is False and late > run.timers.grace:
+        run.profile.stop_latency = late
+    yield from home(run)
+
+
+def _learn(
+    run: Run,
+    link: Link,
+    interrupted: Callable[[], bool | str],
+    told: Learned,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Learn the device, and fill in what came of it, however it ends."""
+    choices = run.profile.choices
+    told.choices = tuple(
+        (point, choices.word(point), verdict_of(point, choices.word(point)).label)
+        for point in sorted(choices.others)
+    )
+    reference = reference_machine(Model(run.protocol, choices), told.steps)
+    states = 0
+
+    def sent(frames: int) -> None:
+        progress(states, frames)
+
+    def found(count: int) -> None:
+        nonlocal states
+        states = count
+
+    system = System(run, link, interrupted, told.steps, reference, sent)
+    learner = Learner(system, reference, seed=told.seed, hypothesis=found)
+    try:
+        machine = learner.learn()
+        told.machine, told.more = machine, learner.more
+        told.differences = tuple(learner.differences)
+        told.expected_states = len(_as_seen(reference, machine).minimal().states)
+        told.seen = tuple(words for facet, words in FACETS.items() if _shows(machine, facet))
+    finally:
+        if told.machine is None and system.deviation:
+            told.differences = (system.deviation,)
+        told.frames, told.sequences = system.frames, system.sequences
+        told.repeated, told.flaky = system.repeated, system.flaky
+
+
+def _shows(machine: Machine, facet: str) -> bool:
+    """Whether any output of the machine has this facet."""
+    return any(getattr(t.output, facet) is not None for row in machine.states for t in row)
+
+
+def _as_seen(reference: Machine, machine: Machine) -> Machine:
+    """The reference with only those facets that the device's outputs have."""
+    hidden = {facet: None for facet in FACETS if not _shows(machine, facet)}
+
+    def shown(output: Output) -> Output:
+        return output._replace(**hidden)  # type: ignore[arg-type]  # each facet may be None
+
+    return Machine(
+        tuple(tuple(t._replace(output=shown(t.output)) for t in row) for row in reference.states)
+    )

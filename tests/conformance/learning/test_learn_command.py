@@ -1,0 +1,162 @@
+"""`bilprov learn`: what it prints and writes, what it refuses, and that Ctrl-C stops the robot."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
+from tests.support.commands import command, process
+from tests.support.firmware import needs
+from tests.support.robots import PATIENCE, at_rest, sentence, served_here
+from tests.support.signals import ignoring
+
+FAULT = "ok-to-faults-while-forward"
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any], str]:
+    """What is printed, the JSON and the drawing of one faulty robot, without Graphviz."""
+    folder = tmp_path_factory.mktemp("learned")
+    files = {name: folder / f"robot.{name}" for name in ("json", "svg", "dot")}
+    words = ["--json", str(files["json"]), "--svg", str(files["svg"])]
+
+    done = command("learn", "sim", "--fault", FAULT, *words, PATH=str(folder))
+
+    assert done.returncode == 1
+    assert "Graphviz is not installed, apt-get install graphviz" in done.stderr.decode()
+    assert not files["svg"].exists()
+    return done.stdout.decode(), json.loads(files["json"].read_text()), files["dot"].read_text()
+
+
+@pytest.mark.slow
+def test_the_shortest_difference_is_told_first_as_a_line_to_paste(
+    learned: tuple[str, dict[str, Any], str],
+) -> None:
+    said, report, _ = learned
+
+    first = said[said.index("\n1. ") :].splitlines()[1:5]
+    assert first[0].startswith("1. Stop, 1 data byte (01 00) after Speed speed=255, Forward")
+    assert first[1] == "     due: 03 TOO_MANY_DATA; stopped, led 0"
+    assert first[2] == "     got: 00 OK; stopped, led 0"
+    line = first[3].strip()
+    assert line == "bilprov send PORT 'Speed 0' 'Right 0' 'LED 0' 'Speed 255' Forward 0100"
+    assert report["differences"][0]["reproduce"] == line
+    assert said.splitlines()[-1] == "not the Protocol's machine"
+
+
+@pytest.mark.slow
+def test_the_json_holds_the_machine_its_inputs_and_the_differences(
+    learned: tuple[str, dict[str, Any], str],
+) -> None:
+    _, report, _ = learned
+
+    assert (report["verdict"], report["exit"], report["trouble"]) == ("fail", 1, "")
+    assert (report["device"], report["link"]["fault"]) == ("sim", FAULT)
+    inputs, states = report["inputs"], report["states"]
+    assert inputs[0] == {"name": "Stop", "hex": "00", "kind": "valid"}
+    assert all(len(state["transitions"]) == len(inputs) for state in states)
+    targets = {one["to"] for state in states for one in state["transitions"]}
+    assert targets == set(range(len(states)))
+    difference = report["differences"][0]
+    sent = [inputs[letter]["hex"] for letter in difference["inputs"]]
+    assert difference["sent"] == sent == ["11 ff", "20", "01 00"]
+    assert difference["actual"] == {"codes": [0], "look": "stopped, led 0"}
+
+
+@pytest.mark.slow
+def test_without_graphviz_the_picture_is_written_in_dot(
+    learned: tuple[str, dict[str, Any], str],
+) -> None:
+    _, report, text = learned
+
+    assert text.startswith('digraph "sim" {')
+    assert text.count("[label=") > len(report["states"])
+    assert "#c62828" in text
+
+
+@needs("dot", package="graphviz")
+@pytest.mark.waits
+def test_with_graphviz_it_is_drawn(tmp_path: Path) -> None:
+    from bilprov.conformance.learning.drawing import svg_text
+
+    picture = svg_text('digraph "a" { 0 -> 1 [label="2 inputs"]; }')
+    assert "<svg" in picture
+    assert "2 inputs" in picture
+
+
+def test_without_aalpy_one_sentence_says_how_it_comes() -> None:
+    code = "import sys; sys.modules['aalpy'] = None; import bilprov; bilprov.main()"
+    done = process("learn", "sim", code=code)
+
+    assert done.returncode == 2
+    expected = "learn needs AALpy, which is not installed: pip install 'bilprov[learn]'"
+    assert done.stderr.decode().splitlines() == [f"bilprov: {expected}"]
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["sim", "--fault", "no-such"], "there is no fault 'no-such'"),
+        (["sim", "--fault", "dead"], "nobody answered"),
+        (["sim", "--fault", "echo"], "the line is an echo"),
+        (["sim", "--probe", "ask"], "brings its own probe"),
+        (["sim", "-o", "/nowhere/m.dot"], "--dot /nowhere/m.dot cannot be written"),
+        (["sim", "-o", "-", "--json", "-"], "both go to standard output"),
+        (["emulator:simavr:/nowhere.elf"], "there is no firmware /nowhere.elf"),
+        (["/nowhere/tty"], "/nowhere/tty"),
+    ],
+)
+def test_what_cannot_be_learned_is_one_sentence_and_exit_2(words: list[str], part: str) -> None:
+    done = command("learn", *words)
+
+    assert done.returncode == 2
+    assert part in sentence(done)
+
+
+@pytest.mark.waits
+def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: Protocol) -> None:
+    robot = Simulator(protocol)
+    with served_here(robot, pty=True) as (port, probe):
+        unasked = command("learn", port, "--probe", probe)
+        costly = command("learn", port, "--probe", "exec:true", "--yes")
+
+    assert (unasked.returncode, costly.returncode) == (2, 2)
+    assert "will drive and turn for about" in sentence(unasked)
+    assert "learning looks after each frame" in sentence(costly)
+    assert robot.frames == 0
+
+
+@pytest.mark.waits
+def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protocol) -> None:
+    robot = Simulator(protocol)
+    with served_here(robot, pty=True) as (port, probe):
+        with ignoring():
+            run = subprocess.Popen(
+                [sys.executable, "-m", "bilprov", "learn", port, "--probe", probe, "--yes"],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                cwd=ROOT,
+            )
+        with run:
+            until = time.monotonic() + PATIENCE
+            while robot.frames < 3000 and time.monotonic() < until:  # past the opening
+                time.sleep(0.05)
+            while not robot.state.moving and time.monotonic() < until:
+                time.sleep(0.001)
+            run.send_signal(signal.SIGINT)
+            out, err = run.communicate(timeout=PATIENCE)
+
+    assert run.returncode == 3, err
+    assert out.decode().splitlines()[-1] == "it was not learned to the end: interrupted"
+    assert b"Traceback" not in err
+    assert at_rest(robot)

@@ -1,0 +1,234 @@
+"""Devices that are learned: faulty robots, other readings, bad lines, and without a probe."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.taps.impairment import Noise
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.link import Device
+from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.learning.alphabet import reset
+from bilprov.conformance.learning.comparison import Difference
+from bilprov.conformance.learning.learned import Learned, learn_target
+from bilprov.conformance.learning.output import Output, output_of
+from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from tests.support.firmware import AVR, built
+from tests.support.robots import BYTE_TIME
+
+
+class Blind:
+    """A device whose robot nobody sees."""
+
+    def __init__(self, device: Device) -> None:
+        self.receive, self.advance, self.deadline = device.receive, device.advance, device.deadline
+
+
+def learn(protocol: Protocol, device: Any, *, seed: int = 1, lossless: bool = True) -> Learned:
+    return learn_target(device_target(protocol, device), seed=seed, lossless=lossless)
+
+
+def faulty(protocol: Protocol, name: str) -> Simulator:
+    return Simulator(protocol, find_fault(protocol, name))
+
+
+def outputs(protocol: Protocol, device: Device, learned: Learned, word: Any) -> list[Output]:
+    """What a device does from power-on when it is sent a sequence, behind the settings of rest."""
+    link = VirtualLink(device, BYTE_TIME)
+    seen = []
+    for frame in (*reset(protocol), *learned.frames_of(word)):
+        link.do(Send(frame))
+        heard, look = link.do(Listen(None, 100 * MS)), link.do(Observe())
+        assert isinstance(heard, Received)
+        assert isinstance(look, Observation)
+        seen.append(output_of(heard.codes, look.look))
+    return seen[-len(word) :]
+
+
+# Faults that representative data can show, and how many frames the shortest sequence has.
+SHOWN = {
+    "wrong-code-for-bad-data": 1,
+    "ok-to-unknown-id": 1,
+    "silent-on-faults": 1,
+    "one-byte-too-many-is-fine": 1,
+    "led-order-reversed": 1,
+    "fault-changes-led": 1,
+    "forward-backward-swapped": 2,
+    "rotateleft-does-nothing": 2,
+    "no-stop-on-too-many": 3,
+    "no-stop-on-truncated": 3,
+    "no-stop-while-rotate-right": 3,
+    "steering-swapped": 3,
+    "speed-stops-it": 2,
+    "steering-starts-it": 1,
+    "forward-ignored-while-backward": 3,
+    "rotateright-again-stops-it": 3,
+    "ok-to-faults-while-forward": 3,
+    "no-stop-after-speed": 3,
+    "stop-ignored-after-led": 4,
+    "restarts-on-led-after-a-fault": 4,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.sample(2)
+@pytest.mark.parametrize(("name", "frames"), SHOWN.items())
+def test_a_faulty_robot_differs_by_shortest_sequences_that_show_the_fault_again(
+    protocol: Protocol, name: str, frames: int
+) -> None:
+    learned = learn(protocol, faulty(protocol, name))
+
+    assert (learned.exit, learned.trouble) == (1, "")
+    assert len(learned.differences[0].word) == frames
+    for one in learned.differences:
+        due = outputs(protocol, Simulator(protocol), learned, one.word)
+        got = outputs(protocol, faulty(protocol, name), learned, one.word)
+        assert due[:-1] == got[:-1]
+        assert one.expected.fits(due[-1])
+        assert one.actual == got[-1] != due[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(
+    ("variant", "states"),
+    [
+        ("R-drive-steering=straight", 36),
+        ("R-stop-steering=kept-by-faults-too", 60),
+        ("R-fault-state=both", 60),
+        ("R-truncated-known=silent", 60),
+        ("R-drain-known=flushed-after-any", 60),
+        ("R-answer-point=header", 60),
+        ("R-stop-latency=50-ms", 60),
+        ("R-speed-moving=next-motion", 60),
+        ("R-steer-rotating=curve", 60),
+        ("R-led-state=off", 60),
+    ],
+)
+def test_another_reading_is_named_and_no_difference(
+    protocol: Protocol, variant: str, states: int
+) -> None:
+    learned = learn(protocol, faulty(protocol, variant))
+
+    assert (learned.exit, learned.differences) == (0, ())
+    assert learned.machine is not None
+    assert len(learned.machine.states) == states
+    points = [point.partition(" ")[0] for point, _, _ in learned.choices]
+    assert variant.partition("=")[0] in [*points, "R-stop-latency"]
+
+
+def test_every_run_gives_the_same(protocol: Protocol) -> None:
+    first, again = (learn(protocol, Blind(faulty(protocol, "codes-reversed"))) for _ in range(2))
+
+    assert first == again
+    assert first.exit == 1
+
+
+@pytest.mark.slow
+def test_every_seed_gives_the_same_machine(protocol: Protocol) -> None:
+    first, other = (learn(protocol, faulty(protocol, "no-led"), seed=seed) for seed in (1, 7))
+
+    assert first.machine == other.machine
+    assert first.differences == other.differences
+
+
+def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
+    each_protocol: Protocol,
+) -> None:
+    learned = learn(each_protocol, Blind(Simulator(each_protocol)))
+
+    assert learned.machine is not None
+    assert (len(learned.machine.states), learned.expected_states) == (1, 1)
+    assert (learned.exit, learned.seen, learned.differences) == (3, (), ())
+
+
+@pytest.mark.slow
+def test_another_grammar_is_learned_too_though_a_motion_alone_sets_its_led(wide: Protocol) -> None:
+    learned = learn(wide, Simulator(wide))
+
+    assert (learned.exit, learned.trouble) == (0, "")
+    assert learned.machine is not None
+    assert len(learned.machine.states) == learned.expected_states > 10
+
+
+def test_without_a_probe_a_wrong_code_is_a_difference(protocol: Protocol) -> None:
+    learned = learn(protocol, Blind(faulty(protocol, "wrong-code-for-bad-data")))
+
+    assert learned.exit == 1
+    assert {len(one.word) for one in learned.differences} == {1}
+    assert learned.send_line(learned.differences[0]).startswith("bilprov send PORT ")
+
+
+def test_a_rhythm_is_no_pass_though_no_sequence_shows_it_twice(protocol: Protocol) -> None:
+    device = Blind(faulty(protocol, "every-100th-frame-unanswered"))
+
+    learned = learn(protocol, device)
+    assert learned.flaky > 0
+    assert learned.exit == 1
+
+
+@pytest.mark.slow
+def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> None:
+    robot = faulty(protocol, "R-drive-steering=straight")
+    learned = learn(protocol, NoisyDevice(robot, Noise(1e-4, 1e-4, 1e-4), 3), lossless=False)
+
+    assert learned.machine is not None
+    assert (len(learned.machine.states), learned.differences) == (36, ())
+    assert learned.flaky > 0
+    assert learned.verdict is Verdict.INCONCLUSIVE
+
+
+def test_what_contradicts_itself_ends_in_one_sentence(protocol: Protocol) -> None:
+    device = NoisyDevice(Blind(Simulator(protocol)), Noise(flipped=0.03), seed=1)
+    learned = learn(protocol, Blind(device), lossless=False)
+
+    assert learned.machine is None
+    assert learned.trouble
+    assert "\n" not in learned.trouble
+    assert learned.exit in (1, 3)
+
+
+def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
+    learned = learn(horn, Blind(Simulator(horn)))
+    word = (learned.names.index("Horn sound=3"),)
+
+    line = learned.send_line(Difference(word, Output((0,)), Output((1,))))
+    assert line.startswith("bilprov --grammar horn.py send PORT")
+    assert line.endswith("'Horn 3'")
+
+
+@AVR
+@pytest.mark.waits
+def test_a_board_is_the_protocols_machine_by_its_answers(protocol: Protocol) -> None:
+    board = SimavrBoard(built())
+    try:
+        learned = learn(protocol, Blind(board))
+    finally:
+        board.close()
+
+    assert learned.machine is not None
+    assert (len(learned.machine.states), learned.differences) == (1, ())
+
+
+@AVR
+@pytest.mark.waits
+@pytest.mark.timeout(500)
+@pytest.mark.sample(0)
+@pytest.mark.parametrize(("bug", "code"), [("", 0), ("-DBUG_STOP_KEEPS_PWM", 1)])
+def test_a_board_is_learned_with_its_probe(protocol: Protocol, bug: str, code: int) -> None:
+    board = SimavrBoard(built(bug))
+    try:
+        learned = learn(protocol, board)
+    finally:
+        board.close()
+
+    assert learned.exit == code

@@ -1,0 +1,178 @@
+"""Machines as values: outputs, numbering, minimal machines, where two of them differ."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+
+import pytest
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
+from bilprov.conformance.learning.comparison import Difference, differences
+from bilprov.conformance.learning.drawing import dot_text
+from bilprov.conformance.learning.learner import Learner
+from bilprov.conformance.learning.machine import Machine, Transition, Word
+from bilprov.conformance.learning.output import Output, output_of
+from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.state_model import Model
+from bilprov.spec.protocol import Protocol
+from tests.vectors import RobotState
+
+Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
+
+OK, NO = Output((0,)), Output((1,))
+
+
+def machine(*rows: str) -> Machine:
+    """A machine of rows like `1! 0`: for each input the next state, and ! where it answers 1."""
+    return Machine(
+        tuple(
+            tuple(Transition(int(one.strip("!")), NO if "!" in one else OK) for one in row.split())
+            for row in rows
+        )
+    )
+
+
+def reference(protocol: Protocol) -> Machine:
+    return reference_machine(Model(protocol, Choices()), alphabet(protocol))
+
+
+@pytest.mark.parametrize(
+    ("look", "words"),
+    [
+        (Look(t=0, moving=False), "stopped"),
+        (Look(t=0, moving=True), "moving"),
+        (Look(t=0, moving=None), ""),
+        (Look(t=0, moving=True, motion="forward", led=5), "forward, led 5"),
+        (Look(t=0, moving=False, motion="forward", left=0, right=0), "stopped"),
+        (Look(t=0, moving=True, left=9, right=4), "forward, left wheel ahead"),
+        (Look(t=0, moving=True, left=-9, right=4), "backward, left wheel ahead"),
+        (Look(t=0, moving=True, left=-4, right=-9), "backward, right wheel ahead"),
+        (Look(t=0, moving=True, left=9, right=-8), "rotate_right"),
+        (Look(t=0, moving=True, left=-9, right=9), "rotate_left"),
+        (
+            Look(t=0, moving=True, motion="forward", left=-9, right=-9),
+            "forward, by its wheels backward",
+        ),
+    ],
+)
+def test_a_look_counts_by_the_sign_and_the_order_of_the_wheels(look: Look, words: str) -> None:
+    assert output_of((0,), look).look_words == words
+
+
+def test_a_facet_that_is_not_seen_fits_any_and_another_value_does_not() -> None:
+    seen = Output((0,), moving=True, led=3)
+
+    assert seen.fits(Output((0,)))
+    assert seen.fits(Output((0,), motion="forward", led=3))
+    assert not seen.fits(Output((0,), led=2))
+    assert not seen.fits(Output((), moving=True, led=3))
+
+
+def test_a_minimal_machine_behaves_alike_and_is_numbered_by_its_behaviour() -> None:
+    three = machine("2 1", "2 1!", "0 1")  # 0 and 2 behave alike
+
+    assert three.minimal() == machine("0 1", "0 1!")
+    assert three.minimal().outputs((1, 1, 0, 1)) == three.outputs((1, 1, 0, 1)) == [OK, NO, OK, OK]
+    assert three.access() == ((), (1,), (0,))
+
+
+def test_the_shortest_difference_comes_first_and_each_kind_of_difference_once() -> None:
+    due, given = machine("1 0", "1 2", "2 2"), machine("1 0", "1 2", "2! 2!")
+
+    assert list(differences(due, due)) == []
+    assert list(differences(due, given)) == [
+        Difference((0, 1, 0), OK, NO),
+        Difference((0, 1, 1), OK, NO),
+    ]
+
+
+def test_every_kind_of_fault_and_every_instruction_is_an_input(each_protocol: Protocol) -> None:
+    steps = alphabet(each_protocol)
+
+    valid = {step.frame[0] for step in steps if not step.faulty}
+    assert valid == {each_protocol.header_bytes[s.id, s.length] for s in each_protocol.instructions}
+    assert {step.kind for step in steps} >= {"valid", "unused-id", "wrong-length", "truncated"}
+    names = [name_of(each_protocol, step) for step in steps]
+    assert len(set(names)) == len(names) == len({step.frame for step in steps})
+
+
+def test_the_machine_of_the_protocol_does_what_a_robot_of_two_rules_does(
+    each_protocol: Protocol, drive: Drive
+) -> None:
+    steps, due = alphabet(each_protocol), reference(each_protocol)
+    setup = reset(each_protocol)
+    draw = random.Random("two rules")
+
+    for _ in range(60):
+        word = draw.choices(due.inputs, k=10)
+        driven = drive(each_protocol, [*setup, *(steps[letter].frame for letter in word)])
+        for output, (code, state) in zip(due.outputs(word), driven[len(setup) :], strict=True):
+            assert output.codes == (code,)
+            assert (output.moving, output.led) in [(state.moving, state.led), (state.moving, None)]
+            assert output.motion == (state.motion if state.moving else "stopped")
+
+
+class Knowing:
+    """A teacher that knows a machine, and counts what it is asked."""
+
+    def __init__(self, known: Machine) -> None:
+        self.known = known
+        self.asked = 0
+
+    def outputs(self, word: Word) -> list[Output]:
+        self.asked += 1
+        return self.known.outputs(word)
+
+
+def test_any_small_machine_is_learned_whatever_is_expected() -> None:
+    draw = random.Random("machines")
+    for size in range(1, 9):
+        rows = [
+            " ".join(f"{draw.randrange(size)}{draw.choice(['', '!'])}" for _ in range(3))
+            for _ in range(size)
+        ]
+        known = machine(*rows).minimal()
+        expected = machine("0 0 0")
+        learner = Learner(Knowing(known), expected)
+
+        assert learner.learn() == known
+        assert learner.differences == list(differences(expected, known))[:12]
+
+
+def test_the_machine_of_any_protocol_is_learned_as_its_minimal_one(each_protocol: Protocol) -> None:
+    due = reference(each_protocol)
+    learner = Learner(Knowing(due), due)
+
+    assert learner.learn() == due.minimal()
+    assert (learner.differences, learner.more) == ([], False)
+
+
+def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
+    protocol: Protocol,
+) -> None:
+    moving = Output((0,), moving=True)
+    one = Machine(
+        (
+            (Transition(1, moving), Transition(1, moving._replace(codes=(1,))), Transition(0, OK)),
+            (Transition(1, moving), Transition(1, moving), Transition(0, OK)),
+        )
+    )
+
+    text = dot_text(protocol, one, ["Go", 'Say "go"', "Halt"], "a car", {(0, 1)})
+
+    assert text.startswith('digraph "a car" {')
+    assert '1 [label="1: moving" tooltip="Go"];' in text
+    assert 'label="2 inputs, 2 answers"' in text
+    assert 'tooltip="Go: 00 OK\\nSay \\"go\\": 01 BAD_HEADER"' in text
+    assert 'label="2 inputs: 00 OK"' in text
+    assert text.count("#c62828") == 2  # the line and the words of one arrow
+
+
+def test_a_frame_is_written_as_send_takes_it(protocol: Protocol) -> None:
+    stop = item_of(protocol, bytes([protocol.pad_byte]))
+
+    assert stop == protocol.stop.name
+    assert item_of(protocol, b"\x92\x00\x00") == "920000"
