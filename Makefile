@@ -15,7 +15,7 @@ PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc
 # Another reader of captures, in JavaScript; npm brings it, where there is one.
 MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0
 
-.PHONY: help setup packages demo test quick whole slow mutants check format lint types bench noise pictures clean
+.PHONY: help setup packages demo test quick whole slow pairs mutants check format lint types bench noise pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,9 @@ whole: setup packages ## every row of the tests of which make test runs a seeded
 
 slow: setup packages ## make test, and the slowest 20 tests of it
 	$(BIN)/python -m pytest $(PYTEST_ARGS) --durations=20
+
+pairs: setup ## no device of two legal readings fails: every pair at smoke, some 3 minutes of one core
+	$(BIN)/python -m pytest $(PYTEST_ARGS) --whole tests/conformance/mutation/test_pairs.py
 
 mutants: setup ## seeded mutations of the kit's own code, each against the tests of its room
 	$(BIN)/python -m benchmarks.mutants

@@ -170,12 +170,14 @@ def run_suite(
     *,
     skip: SkipPolicy | None = None,
     logged: bool = True,
+    experiments: frozenset[str] | None = None,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
     `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
     before each case, from its id and the results so far, whether to skip it. Without `logged` no
-    case keeps its wire log. Raises ValueError when no case is left to run.
+    case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
+    one is made). Raises ValueError when no case is left to run.
     """
     grammar = target.protocol
     log, meter = WireLog(), Meter(target.line.byte_time)
@@ -216,6 +218,7 @@ def run_suite(
             environment.observability,
             environment.power,
             environment.virtual,
+            experiments,
         ),
         profile,
         begin=begin,

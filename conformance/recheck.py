@@ -27,6 +27,7 @@ from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult, worst
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.discovery.discover import READING
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
 from bilprov.spec.protocol import GrammarError, Protocol, load
@@ -112,7 +113,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     try:
         link = RecordedLink(evidence.capture.messages(TOPICS))
         target = Target(grammar, run.environment, lambda listener: link, link.interrupted)
-        report = run_suite(target, run.options, [listener])
+        report = run_suite(target, run.options, [listener], experiments=_experiments(evidence))
         cut = link.cut
         if link.left:
             strayed = "the recording goes on where the run ends"
@@ -184,13 +185,18 @@ def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
     return load(text, printable(run.grammar.get("file", GRAMMAR)))
 
 
-def _marks(evidence: Evidence) -> Iterator[CaseMark]:
+def _experiments(evidence: Evidence) -> frozenset[str]:
+    """The ids of the experiments that the recording holds; an older version made fewer."""
+    return frozenset(mark.id for mark in _marks(evidence, "begin") if mark.id.startswith(READING))
+
+
+def _marks(evidence: Evidence, phase: str = "end") -> Iterator[CaseMark]:
     for message in evidence.capture.messages({topics.CASES}):
         try:
             mark = msgspec.convert(message.value, CaseMark)
         except msgspec.ValidationError:
             continue  # the case then has no mark, which counts as a difference
-        if mark.phase == "end":
+        if mark.phase == phase:
             yield mark
 
 

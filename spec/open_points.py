@@ -126,9 +126,8 @@ POINTS: dict[str, OpenPoint] = {
         _point("R-fault-state steering", _RESET, _KEPT, on=("steering", Moment.FAULT)),
         _point("R-stop-steering", _RESET, _KEPT, on=("steering", Moment.STOP)),
         _point("R-stop-speed", _KEPT, _ZEROED, on=("speed", Moment.STOP)),
-        _point(
-            "R-drive-steering", _KEPT, _STRAIGHT, on=("steering", Moment.DRIVE, Moment.ROTATION)
-        ),
+        _point("R-drive-steering", _KEPT, _STRAIGHT, on=("steering", Moment.DRIVE)),
+        _point("R-rotate-steering", _KEPT, _RESET, on=("steering", Moment.ROTATION)),
         _point("R-steer-rotating", "remembered", Choice("curve"), on=("steering", Moment.SETTING)),
         _point("R-speed-moving", "at-once", Choice("next-motion"), on=("speed", Moment.SETTING)),
         _point("R-led-state stop", _UNCHANGED, _OFF, on=("led", Moment.STOP)),
@@ -141,6 +140,9 @@ POINTS: dict[str, OpenPoint] = {
         ),
     )
 }
+
+SPLIT = {("R-drive-steering", "straight"): ("R-rotate-steering", "reset")}
+"""Choices that meant another one too, before their point was split: older profiles hold them."""
 
 STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.variable)
 """The open points about the robot's state after a frame."""

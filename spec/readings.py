@@ -313,10 +313,18 @@ READINGS = (
     Reading(
         "R-drive-steering",
         "section 3, table 1",
-        "steering when Forward, Backward or a rotation comes",
+        "steering when Forward or Backward comes",
         "Sätter färdriktning framåt",
         "kept",
         (("straight", "informational"),),
+    ),
+    Reading(
+        "R-rotate-steering",
+        "section 3, table 1",
+        "steering when a rotation comes: what a Stop does, or only the wheels",
+        "Stannar roboten och roterar",
+        "kept",
+        (("reset, as by Stop", "informational"),),
     ),
     Reading(
         "R-steering",

@@ -471,7 +471,7 @@ Forward and Backward keep the steering | R-drive-steering
     30       0  backward     100  -20  0  moves
     20       0  forward      100  -20  0  moves
 
-rotations keep the steering | R-drive-steering
+rotations keep the steering | R-rotate-steering
     11 64    0  stopped      100    0  0  rests
     41 46    0  stopped      100   70  0  rests
     60       0  rotate_right 100   70  0  moves
@@ -633,6 +633,7 @@ READING_IDS = (
     "R-stop-steering",
     "R-stop-speed",
     "R-drive-steering",
+    "R-rotate-steering",
     "R-steering",
     "R-steer-rotating",
     "R-speed-moving",

@@ -15,8 +15,8 @@ def frames_to(protocol: Protocol, state: State) -> tuple[bytes, ...]:
     """The frames that bring a stopped robot to `state`: speed and LED, the motion, the steering.
 
     A speed comes first, because a device may take it up only at the next motion (R-speed-moving),
-    steering last, because a motion may reset it (R-drive-steering). A variable that no instruction
-    of the protocol sets is left as it is.
+    steering last, because a motion may reset it (R-drive-steering, R-rotate-steering). A variable
+    that no instruction of the protocol sets is left as it is.
     """
     mover = moving_to(protocol, state.motion)
     motion = build(protocol, mover.name) if mover and state.motion is not Motion.STOPPED else b""

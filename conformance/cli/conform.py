@@ -183,7 +183,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     "--fault",
     metavar="NAME",
     shell_complete=completion.faults,
-    help="With sim: misbehave in this way; random:SEED draws one.",
+    help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
 )
 @click.option(
     "--variant",

@@ -19,7 +19,7 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
-from bilprov.conformance.mutation.score import Score, chosen_faults, score
+from bilprov.conformance.mutation.score import Score, chosen_faults, is_random, score
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,6 +39,12 @@ _SHOWN = 4  # faults named behind a case group
     metavar="N",
     help="How many random faults, random:1 to random:N.",
 )
+@click.option(
+    "--fault-seed",
+    type=click.IntRange(0),
+    metavar="S",
+    help="Only random faults, random:S.1 to random:S.N, of wider families.",
+)
 @click.option("--seed", type=int, default=1, show_default=True, help="The suite's seed.")
 @click.option(
     "--only",
@@ -56,6 +62,7 @@ def command(
     grammar: str | None,
     at: tuple[str, ...],
     drawn: int,
+    fault_seed: int | None,
     seed: int,
     only: tuple[str, ...],
     outputs: list[Output],
@@ -64,8 +71,8 @@ def command(
     """Score the suite: run it, in virtual time, against every faulty device there is.
 
     Shows how many of each family are caught at each level, what survives, and which faults a group
-    of cases catches alone. A random fault that cannot show at all does not count. Exit code: 0 all
-    is caught that must be, 1 something is not.
+    of cases catches alone. A random fault counts if it failed, or if a search of its own tells it
+    from a conforming device. Exit code: 0 all is caught that must be, 1 something is not.
     """
     from rich.console import Console
 
@@ -75,9 +82,10 @@ def command(
     unknown = [level for level in at if level not in LEVELS]
     if unknown:
         raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(LEVELS)}")
-    faults = chosen_faults(protocol, drawn, only)
+    faults = chosen_faults(protocol, drawn, only, fault_seed)
     if not faults:
-        raise click.UsageError(f"no fault matches {' or '.join(only)}; see simulate --list-faults")
+        none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
+        raise click.UsageError(f"no fault {none}; see simulate --list-faults")
     require_writable(outputs)
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
     with bar() as shown:
@@ -107,12 +115,17 @@ def _show(found: Score, console: Console) -> None:
     console.print(_matrix(found))
     last = found.levels[-1]
     survivors = found.survivors(last)
-    if survivors:
+    shown = [name for name in survivors if not is_random(name) or found.can_show(name)]
+    if shown:
         console.print(Text(f"\n{last} does not catch", "bold"))
-    for name in survivors:
+    verdicts = {name: result.verdict for name, result in found.at(last).items()}
+    for name in shown:
         family, doc = found.faults[name]
-        console.print(Text(f"  {name} ({family}): {doc}"))
+        console.print(Text(f"  {name} ({family}), {verdicts[name]}: {doc}"))
         console.print(Text(f"      {found.searches[name]}", "dim"))
+    if len(shown) < len(survivors):
+        alike = ", ".join(name for name in survivors if name not in shown)
+        console.print(Text(f"\nnot counted, no search tells them apart: {alike}", "dim"))
     console.print(Text(f"\nwhat a group of cases catches alone ({last})", "bold"))
     for group, names in sorted(found.alone(last).items()):
         if names:
@@ -123,16 +136,28 @@ def _show(found: Score, console: Console) -> None:
         console.print(Text(f"  nothing alone: {', '.join(idle)}", "dim"))
     console.print()
     for level in found.levels:
-        for drawn, what in ((False, "named"), (True, "random")):
-            caught, of = found.share(level, drawn=drawn)
-            if of:
-                share = f"{100 * caught / of:.1f} %"
-                text = f"{level}: {caught} of {of} {what} faults that can show, {share}"
-                console.print(Text(text, "green" if caught == of else ""))
+        caught, of = found.share(level, drawn=False)
+        if of:
+            text = f"{level}: {caught} of {of} named faults that can show, {_percent(caught, of)}"
+            console.print(Text(text, "green" if caught == of else ""))
+        failed, of = found.share(level, drawn=True)
+        if of:
+            text = (
+                f"{level}: failed {failed} of {of} that can be told apart, {_percent(failed, of)}"
+            )
+            console.print(Text(text, "green" if failed == of else ""))
+    if found.told_apart:
+        console.print(
+            f"{last}, the others: {found.passed} passed, {found.inconclusive} inconclusive"
+        )
     if found.soak:
         console.print(Text(f"not counted, a soak alone shows them: {', '.join(found.soak)}", "dim"))
     for sentence in found.failures:
         console.print(Text(sentence, "bold red"))
+
+
+def _percent(part: int, of: int) -> str:
+    return f"{100 * part / of:.1f} %"
 
 
 def _matrix(found: Score) -> Table:

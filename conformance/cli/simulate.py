@@ -20,7 +20,7 @@ from bilprov.conformance.mutation.catalogue import listed_faults, listed_variant
     "--fault",
     metavar="NAME",
     shell_complete=completion.faults,
-    help="Misbehave in one way; random:SEED draws one.",
+    help="Misbehave in one way; random:SEED or random:SEED.NUMBER draws one.",
 )
 @click.option(
     "--variant",

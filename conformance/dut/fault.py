@@ -63,6 +63,7 @@ class MutatedDevice(typing.Protocol):
     """
 
     protocol: Protocol
+    fault: Fault
     state: State
     memory: dict[str, int]
     byte_time: int
@@ -99,8 +100,9 @@ class Fault:
     frame and `timeouts` the same for each header byte, `whole_frame` counts it from the header on,
     `remains` gives the bytes kept of a truncated frame, `show` changes what a probe sees,
     `power_on` is the state at power-on, `banner` the bytes sent then, `begins` gives the codes
-    answered to a header whose data are still to come. `hints` are data values at which the fault
-    shows, for a search. A hook knows of the past only its arguments and the device's `memory`.
+    answered to a header whose data are still to come. `hints` are data values and whole frames (cut
+    ones too) at which the fault shows, for a search. A hook knows of the past only its arguments
+    and the device's `memory`.
     """
 
     name: str
@@ -121,7 +123,7 @@ class Fault:
     whole_frame: bool = False
     remains: Callable[[MutatedDevice, bytes], bytes] | None = None
     banner: bytes = b""
-    hints: tuple[int, ...] = ()
+    hints: tuple[int | bytes, ...] = ()
 
 
 CONFORMING = Fault("none", "none", "behaves as the kit reads the document", exit=0)

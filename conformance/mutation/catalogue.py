@@ -5,13 +5,13 @@ from __future__ import annotations
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.mixtures import mixtures, mixtures_of
-from bilprov.conformance.mutation.random_faults import PREFIX, random_fault
+from bilprov.conformance.mutation.random_faults import PREFIX, find_random_fault
 from bilprov.conformance.mutation.variants import MIXTURE, variants
 from bilprov.spec.protocol import Protocol
 
 
 def find_fault(protocol: Protocol, name: str) -> Fault:
-    """Return the named fault, random fault (`random:SEED`), legal variant or mixture.
+    """Return the named fault, random fault, legal variant or mixture.
 
     Raises ValueError, in one sentence, if there is none of that name.
     """
@@ -19,13 +19,7 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
     if name in bank:
         return bank[name]
     if name.startswith(PREFIX):
-        seed = name.removeprefix(PREFIX)
-        if not seed.isascii() or not seed.isdigit():
-            raise ValueError(
-                f"there is no fault {name!r}; a random one is {PREFIX}SEED with a whole number, "
-                f"for example {PREFIX}7"
-            )
-        return random_fault(protocol, int(seed))
+        return find_random_fault(protocol, name)
     if name.startswith(MIXTURE) or "=" in name:
         return find_variant(protocol, name)
     near = [known for known in bank if name and name.split("-")[0] in known][:3]
@@ -46,7 +40,9 @@ def listed_faults(protocol: Protocol) -> str:
             soak = " (shows in a soak only)" if fault.needs else ""
             lines.append(f"  {fault.name:{width}}  {fault.doc}{soak}")
     drawn = f"{PREFIX}SEED"
+    wider = f"{PREFIX}SEED.NUMBER"
     lines += ["", "random", f"  {drawn:{width}}  one that is drawn: when x what, by the seed"]
+    lines.append(f"  {wider:{width}}  one of wider families: needles, contexts, rhythms, wheels")
     return "\n".join(lines[1:])
 
 

@@ -18,14 +18,18 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.fault_reads import FaultReads
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.random_faults import Draw
+from bilprov.conformance.mutation.draw import Draw
 from bilprov.conformance.mutation.search_inputs import Symbol, alphabet
 from bilprov.spec.protocol import Protocol
 
 MOST = 250_000  # inputs tried by default
 WALK = 20_000  # inputs in random sequences, if there are too many states
-_STRIDE = 400  # inputs in one random sequence, from power-on to power-off
+_QUICK = 8000  # inputs in the random sequences that a search for a drawn fault begins with
+_LONG = 100_000  # inputs in the long ones after them
+_STRIDE = 400  # inputs in a random sequence, from power-on to power-off
+_SHORTENING = 50_000  # inputs sent at most to shorten a sequence
 _IDLE = 400 * MS  # how long to wait for what a device does without an input
+_TOLD = 8  # inputs of a sequence that are named in words
 _BYTES = tuple(bytes([value]) for value in range(256))
 _ALIKE = 250 * MS  # longer pauses count as equal
 
@@ -53,6 +57,9 @@ class Search(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         space = f"{self.states:,} joint states x {self.symbols} inputs"
+        if len(self.shown) > _TOLD:
+            last = ", ".join(self.shown[-_TOLD:])
+            return f"shows after {len(self.shown):,} inputs, last {last}: {self.difference}"
         if self.shown:
             return f"shows after {', '.join(self.shown)}: {self.difference}"
         if self.closed:
@@ -94,18 +101,41 @@ def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
             return found
 
 
+def difference(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
+    """Search at random, in short and in long sequences, and then as `search` does.
+
+    For drawn faults: most of them show at random in a moment, and those with a long rhythm show in
+    a long sequence alone.
+    """
+    inputs = alphabet(protocol, fault.hints)
+    for steps, stride in ((_QUICK, _QUICK // 4), (_LONG, _LONG // 5)):
+        shown = random_search(protocol, fault, inputs, min(steps, most), min(stride, most))
+        if shown:
+            words, different = _sequence(protocol, fault, shown)
+            return Search(words, different, False, 0, len(inputs), len(words))
+    return search(protocol, fault, most)
+
+
 def random_search(
-    protocol: Protocol, fault: Fault, inputs: Sequence[Symbol], steps: int = WALK
+    protocol: Protocol,
+    fault: Fault,
+    inputs: Sequence[Symbol],
+    steps: int = WALK,
+    stride: int = _STRIDE,
 ) -> list[Symbol]:
     """Try random sequences of `steps` inputs in all; return one that shows the fault, or [].
 
-    The sequence is shortened: it ends with the input at which the fault shows, and every input
-    before that which is not needed is left out.
+    Each has `stride` inputs, about every fourth of them one at which the fault hints. The sequence
+    is shortened: it ends with the input at which the fault shows, and inputs before that which are
+    not needed are left out.
     """
     draw = Draw(1)
     valid = [symbol for symbol in inputs if symbol.valid]
-    for _ in range(max(1, steps // _STRIDE)):
-        sequence = [draw.pick(valid if draw.below(3) else inputs) for _ in range(_STRIDE)]
+    usual = set(alphabet(protocol))
+    hinted = [symbol for symbol in inputs if symbol not in usual]
+    kinds = (valid, valid, inputs, *([hinted] if hinted else []))
+    for _ in range(max(1, steps // stride)):
+        sequence = [draw.pick(draw.pick(kinds)) for _ in range(stride)]
         shown, _ = _sequence(protocol, fault, sequence)
         if shown:
             return _shortened(protocol, fault, sequence[: len(shown)])
@@ -113,11 +143,15 @@ def random_search(
 
 
 def _shortened(protocol: Protocol, fault: Fault, sequence: list[Symbol]) -> list[Symbol]:
-    """Shorten a sequence that shows the fault: leave out halves, then quarters, then inputs."""
-    size = len(sequence) // 2
-    while size:
+    """Shorten a sequence that shows the fault: leave out halves, then quarters, then inputs.
+
+    A count of many inputs cannot be shortened: after `_SHORTENING` inputs it is left as it is.
+    """
+    size, sent = len(sequence) // 2, 0
+    while size and sent < _SHORTENING:
         start = 0
-        while start < len(sequence):
+        while start < len(sequence) and sent < _SHORTENING:
+            sent += len(sequence)
             fewer = sequence[:start] + sequence[start + size :]
             shown, _ = _sequence(protocol, fault, fewer)
             if shown:
@@ -139,12 +173,12 @@ def _sequence(
 ) -> tuple[tuple[str, ...], str]:
     """Send inputs to both devices until they differ; return their words and what differs."""
     pair, _ = _started(protocol, Simulator(protocol, fault))
-    for symbol in sequence:
-        pair, different = _send(pair, symbol)
+    for index, symbol in enumerate(sequence, 1):
+        pair, different = _send(pair._replace(words=()), symbol)
         if not different:
             different = _watch(pair.clone(), pair.now + _IDLE)
         if different:
-            return pair.words, different
+            return tuple(sent.words for sent in sequence[:index]), different
     return (), ""
 
 

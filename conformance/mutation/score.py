@@ -22,7 +22,7 @@ from bilprov.conformance.dut.fault import CONFORMING
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.equivalence import MOST, Search, search
+from bilprov.conformance.mutation.equivalence import MOST, Search, difference, search
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.mixtures import mixtures
 from bilprov.conformance.mutation.random_faults import PREFIX
@@ -32,6 +32,7 @@ from bilprov.spec.protocol import Protocol
 RANDOM_FLOOR = 0.9  # share of the random faults that can show which must be caught
 FLOORS = {"smoke": 0.88}  # share of the named faults by level; at any other level all of them
 REFERENCE = CONFORMING.name
+_VOUCHED = {v.label for v in (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)}
 A = TypeVar("A")
 B = TypeVar("B")
 Task = tuple[str, str]  # a fault's name and a level
@@ -54,6 +55,11 @@ class Caught(msgspec.Struct, frozen=True):
     own_clause: bool
     sent: int
 
+    @property
+    def passed(self) -> bool:
+        """Whether the run vouches for the device, perhaps with remarks."""
+        return self.verdict in _VOUCHED
+
 
 class Score(msgspec.Struct, frozen=True):
     """Mutation score of the suite.
@@ -62,7 +68,9 @@ class Score(msgspec.Struct, frozen=True):
     `faults` the (family, sentence) of each fault by name, `soak` the faults that only a soak shows,
     `results` one value for each device and level, `reference` the verdict of the conforming device
     at each level. `searches` holds the equivalence search of each fault that the last level did
-    not catch.
+    not catch. The last four count the random faults at the last level: `told_apart` are those that
+    failed and those that a search shows to differ from the reference, and of these `failed` do,
+    `passed` do not, and the others are `inconclusive`.
     """
 
     levels: tuple[str, ...]
@@ -72,6 +80,10 @@ class Score(msgspec.Struct, frozen=True):
     results: tuple[Caught, ...]
     reference: dict[str, str]
     searches: dict[str, Search]
+    told_apart: int = 0
+    failed: int = 0
+    passed: int = 0
+    inconclusive: int = 0
 
     def at(self, level: str) -> dict[str, Caught]:
         """Return the results of one level by the fault's name."""
@@ -83,8 +95,12 @@ class Score(msgspec.Struct, frozen=True):
         return tuple(dict.fromkeys(family for family, _ in self.faults.values()))
 
     def caught(self, family: str, level: str) -> tuple[int, int]:
-        """Return how many faults of a family are caught at a level, and how many there are."""
-        found = [r for name, r in self.at(level).items() if self.faults[name][0] == family]
+        """Return how many faults of a family are caught at a level, of how many that can show."""
+        found = [
+            result
+            for name, result in self.at(level).items()
+            if self.faults[name][0] == family and self.can_show(name)
+        ]
         return sum(result.caught for result in found), len(found)
 
     def survivors(self, level: str) -> list[str]:
@@ -92,16 +108,21 @@ class Score(msgspec.Struct, frozen=True):
         return [n for n, r in self.at(level).items() if not r.caught and n not in self.soak]
 
     def can_show(self, name: str) -> bool:
-        """Return whether some run could catch the fault: false if it is proven equivalent."""
+        """Return whether some run could catch the fault.
+
+        False for a named fault if it is proven equivalent, for a random one if no search shows it.
+        """
         found = self.searches.get(name)
-        return found is None or not found.equivalent
+        if found is None:
+            return True
+        return bool(found.shown) if is_random(name) else not found.equivalent
 
     def share(self, level: str, *, drawn: bool) -> tuple[int, int]:
         """Return how many named (`drawn`: random) faults are caught, of how many that can show."""
         found = [
             result
             for name, result in self.at(level).items()
-            if name.startswith(PREFIX) is drawn and name not in self.soak and self.can_show(name)
+            if is_random(name) is drawn and name not in self.soak and self.can_show(name)
         ]
         return sum(result.caught for result in found), len(found)
 
@@ -135,6 +156,11 @@ class Score(msgspec.Struct, frozen=True):
         return found
 
 
+def is_random(name: str) -> bool:
+    """Return whether the name is that of a random fault."""
+    return name.startswith(PREFIX)
+
+
 def group_of(ident: str) -> str:
     """Return a case's group: the class of a single frame, else the first two parts of the id."""
     first, _, rest = ident.partition("/")
@@ -144,14 +170,18 @@ def group_of(ident: str) -> str:
 
 
 def chosen_faults(
-    protocol: Protocol, drawn: int, only: Sequence[str] = ()
+    protocol: Protocol, drawn: int, only: Sequence[str] = (), fault_seed: int | None = None
 ) -> dict[str, tuple[str, str]]:
     """Return the faults to score by name: the bank, the mixtures and `drawn` random ones.
 
-    `only` are globs of names; none means all. Values are (family, sentence).
+    With a `fault_seed` it is `drawn` random ones of that seed alone. `only` are globs of names;
+    none means all. Values are (family, sentence).
     """
-    named = (*fault_bank(protocol).values(), *mixtures(protocol).values())
-    names = [fault.name for fault in named] + [f"{PREFIX}{n}" for n in range(1, drawn + 1)]
+    if fault_seed is None:
+        named = (*fault_bank(protocol).values(), *mixtures(protocol).values())
+        names = [fault.name for fault in named] + [f"{PREFIX}{n}" for n in range(1, drawn + 1)]
+    else:
+        names = [f"{PREFIX}{fault_seed}.{n}" for n in range(1, drawn + 1)]
     wanted = [n for n in names if not only or any(fnmatchcase(n, glob) for glob in only)]
     faults = [find_fault(protocol, name) for name in wanted]
     return {fault.name: (fault.family, fault.doc) for fault in faults}
@@ -188,7 +218,20 @@ def score(
         for name, search in each(_search_for, found.survivors(chosen[-1])):
             progress(name)
             searches[name] = search
-    return msgspec.structs.replace(found, searches=searches)
+    return _counted(msgspec.structs.replace(found, searches=searches))
+
+
+def _counted(found: Score) -> Score:
+    """Return the score with its counts of random faults at the last level."""
+    last = found.levels[-1]
+    failed, of = found.share(last, drawn=True)
+    passed = sum(
+        is_random(name) and found.can_show(name) and found.at(last)[name].passed
+        for name in found.survivors(last)
+    )
+    return msgspec.structs.replace(
+        found, failed=failed, told_apart=of, passed=passed, inconclusive=of - failed - passed
+    )
 
 
 _worker: tuple[Protocol, int, int] | None = None
@@ -206,7 +249,9 @@ def _task(task: Task) -> Caught:
 
 def _search_for(name: str) -> tuple[str, Search]:
     assert _worker is not None
-    return name, search(_worker[0], find_fault(_worker[0], name), _worker[2])
+    protocol, _, most = _worker
+    look = difference if is_random(name) else search
+    return name, look(protocol, find_fault(protocol, name), most)
 
 
 @contextmanager

@@ -29,28 +29,30 @@ class Symbol(NamedTuple):
     valid: bool = False
 
 
-def alphabet(protocol: Protocol, hints: Sequence[int] = ()) -> tuple[Symbol, ...]:
-    """Return every input that a search tries; `hints` are further data values to include."""
+def alphabet(protocol: Protocol, hints: Sequence[int | bytes] = ()) -> tuple[Symbol, ...]:
+    """Return every input that a search tries; `hints` are further data values, and frames.
+
+    A frame with fewer data bytes than its header announces is cut short.
+    """
+    values = [hint for hint in hints if isinstance(hint, int)]
+    frames = [hint for hint in hints if isinstance(hint, bytes)]
+    whole = [frame for frame in frames if len(frame) > protocol.lengths[frame[0]]]
     byte = line_settings(protocol).byte_time
     waited, idle = 3 * byte, _QUIET
-    timeout = int(protocol.timing.truncation_timeout * MS)
-    valid = [frame for spec in protocol.instructions for frame in _valid(spec, protocol, hints)]
-    few = list(_faulty(protocol, hints, every=False))
+    valid = [frame for spec in protocol.instructions for frame in _valid(spec, protocol, values)]
+    few = list(_faulty(protocol, values, every=False))
     found: list[Symbol] = []
-    for frame in (*valid, *_faulty(protocol, hints, every=True)):
+    for frame in (*valid, *whole, *_faulty(protocol, values, every=True)):
         found.append(_symbol(protocol, frame, "", waited, byte))
-    for frame in (*valid, *few):
+    for frame in (*valid, *whole, *few):
         found.append(_symbol(protocol, frame, "sent ahead", byte, byte))
         found.append(_symbol(protocol, frame, "after 170 ms", idle, byte))
         if len(frame) > 1:
             found.append(_symbol(protocol, frame, "split", waited, _SPLIT))
-    for identity in protocol.ids:
-        known = protocol.by_id.get(identity)
-        for length in sorted({max(1, known.length if known else 1), protocol.data_lengths[-1]}):
-            for arrived in {0, length - 1}:
-                cut = raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * arrived)
-                symbol = _symbol(protocol, cut, "cut short", waited, byte)
-                found.append(symbol._replace(after=timeout + timeout // 4))
+    timeout = int(protocol.timing.truncation_timeout * MS)
+    for cut in (*_cut(protocol), *(frame for frame in frames if frame not in whole)):
+        symbol = _symbol(protocol, cut, "cut short", waited, byte)
+        found.append(symbol._replace(after=timeout + timeout // 4))
     for frame in (bytes([protocol.pad_byte]), *_one_of_each_fault(protocol)):
         for count in _RUNS:
             run = _symbol(protocol, frame, f"{count} times", waited, byte)
@@ -58,6 +60,15 @@ def alphabet(protocol: Protocol, hints: Sequence[int] = ()) -> tuple[Symbol, ...
     burst = _symbol(protocol, bytes([protocol.pad_byte]), f"{_BURST} at once", byte, byte)
     found.append(burst._replace(bytes=burst.bytes * _BURST))
     return tuple(found)
+
+
+def _cut(protocol: Protocol) -> Iterator[bytes]:
+    """Yield frames that end too early, at once or before the last byte: two headers for each ID."""
+    for identity in protocol.ids:
+        known = protocol.by_id.get(identity)
+        for length in sorted({max(1, known.length if known else 1), protocol.data_lengths[-1]}):
+            for arrived in {0, length - 1}:
+                yield raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * arrived)
 
 
 def _one_of_each_fault(protocol: Protocol) -> Iterator[bytes]:

@@ -17,7 +17,6 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     sets,
     then,
 )
-from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import MOTIONS, Moment, Motion, moment_of, rotates
 from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, open_point, points_after
@@ -96,7 +95,15 @@ def _making(point: OpenPoint, word: str) -> React:
         return lambda device, event, reaction: answers(reaction, device.protocol.answers[does].code)
     if does is Behaviour.SILENT:
         return answers_with()
-    return keeps(point.variable) if does is Behaviour.KEPT else sets(**{point.variable: 0})
+    if does is Behaviour.KEPT:
+        return keeps(point.variable)
+    zeroed = sets(**{point.variable: 0})
+    return then(zeroed, _forgets_the_speed_to_come) if point.variable == "speed" else zeroed
+
+
+def _forgets_the_speed_to_come(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    device.memory.pop(_MEMORY, None)
+    return reaction
 
 
 def low_bits(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
@@ -189,11 +196,24 @@ def at_the_header(pause: int, chooses: Chooses) -> Hear:
         if not wrong or device.held or not chooses(device, identity):
             return data
         memory["skips"], memory["skips at"] = length, now
-        device.state = protocol.on_fault.apply(device.state)
-        device.answer(judge(protocol, data + bytes(length)).response.code, now)
+        judgement, after = device.step(data + bytes(length), device.state)
+        reaction = Reaction(((0, judgement.response.code),), after)
+        if device.fault.react:
+            event = Event(judgement, device.state, 0, device.faults, "instruction", now)
+            reaction = device.fault.react(device, event, reaction)
+        device.state = reaction.state
+        for delay, code in reaction.answers:
+            device.answer(code, now + delay)
         return b""
 
     return hear
+
+
+def stops_at_an_unused_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
+    """Stop the robot at the header of an unused ID; of a wrong length only after its data."""
+    identity, _ = device.protocol.headers[header]
+    known = identity in device.protocol.by_id
+    return () if known else stops_at_the_header(device, header)
 
 
 def stops_at_the_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
@@ -201,5 +221,5 @@ def stops_at_the_header(device: MutatedDevice, header: int) -> tuple[int, ...]:
     identity, length = device.protocol.headers[header]
     known = device.protocol.by_id.get(identity)
     if known is None or length != known.length:
-        device.state = device.protocol.on_fault.apply(device.state)
+        device.state = replace(device.state, motion=Motion.STOPPED)
     return ()

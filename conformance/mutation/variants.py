@@ -16,6 +16,7 @@ from bilprov.conformance.mutation.faults.answers import under_other_ids
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
     faulty,
+    is_outcome,
     late,
     pipelined,
     sets,
@@ -152,6 +153,13 @@ def _answers(protocol: Protocol) -> Iterator[Variant]:
         "stops at a frame that is cut short and does not answer it",
         dict.fromkeys(truncated, "silent"),
     )
+    for point, name in (
+        ("R-truncated-known", "R-truncated-known=silent-and-others-answered"),
+        ("R-truncated-unused", "R-truncated-unused=silent"),
+        ("R-truncated-long", "R-truncated-long=silent"),
+    ):
+        doc = f"stops without an answer where {point} is about, and answers other frames cut short"
+        yield _choosing(name, doc, {point: "silent"})
     yield _choosing(
         "R-truncated-unused=too-few",
         f"answers {few} to an unused ID that is cut short",
@@ -207,6 +215,11 @@ def _times(protocol: Protocol) -> Iterator[Variant]:
         _fixed(begins=take.stops_at_the_header),
     )
     yield Variant(
+        "R-stop-point=header-of-unused-ids",
+        "stops at the header of an unused ID, and after the data of a wrong length",
+        _fixed(begins=take.stops_at_an_unused_header),
+    )
+    yield Variant(
         "R-stop-latency=50-ms",
         "stops 50 ms after the answer to a fault",
         _fixed(when(faulty, stops_after(50))),
@@ -227,11 +240,16 @@ def _delivery(protocol: Protocol) -> Iterator[Variant]:
     def unused(event: Event) -> bool:
         return event.judgement.instruction is None
 
+    def wrong_length(event: Event) -> bool:
+        return event.judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
+
     pause = _pause(protocol)
     for name, what, condition in (
         ("R-drain-known=flushed", "a faulty known frame", known),
         ("R-drain-unused=flushed", "an unused ID", unused),
         ("R-drain-known=flushed-after-any", "any faulty frame", lambda event: True),
+        ("R-drain-known=flushed-after-wrong-lengths", "a wrong length", wrong_length),
+        ("R-pipelining=flushed-after-bad-data", "bad data", is_outcome(Outcome.BAD_DATA)),
     ):
 
         def make(chooses: Chooses, condition: Condition = condition) -> Fault:
@@ -273,6 +291,7 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
     fault_steering = {"R-fault-state steering": "kept"}
     stop_speed, stop_steering = {"R-stop-speed": "zeroed"}, {"R-stop-steering": "kept"}
     both = fault_speed | fault_steering
+    straight, reset = {"R-drive-steering": "straight"}, {"R-rotate-steering": "reset"}
     rows = (
         ("R-fault-state=speed-zeroed", "a fault zeroes the speed", fault_speed),
         ("R-fault-state=steering-kept", "a fault keeps the steering", fault_steering),
@@ -291,8 +310,14 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
         ),
         (
             "R-drive-steering=straight",
-            "a motion instruction sets the steering straight",
-            {"R-drive-steering": "straight"},
+            "an instruction that drives sets the steering straight, a rotation keeps it",
+            straight,
+        ),
+        ("R-rotate-steering=reset", "a rotation resets the steering, as a stop does", reset),
+        (
+            "R-rotate-steering=reset-and-drives-straight",
+            "every instruction that moves it sets the steering straight",
+            straight | reset,
         ),
     )
     yield from (_choosing(*row) for row in rows)
@@ -307,6 +332,11 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
         "a stop and a fault switch the light off",
         {"R-led-state stop": "off", "R-led-state fault": "off"},
     )
+    for part, what in (("stop", "a stop"), ("fault", "a fault")):
+        name = f"R-led-state=off-after-{part}s"
+        yield _choosing(
+            name, f"{what} alone switches the light off", {f"R-led-state {part}": "off"}
+        )
     yield Variant(
         "R-speed-moving=next-motion",
         "a speed that comes while it moves takes effect at the next motion instruction",

@@ -30,6 +30,7 @@ class RunConfig:
 
     `power` says whether the robot can be switched off and on, `virtual` whether the device is an
     object in virtual time: what answers is then no other device, baud rate or program.
+    `experiments` are the ids of those that a recording holds, for a run over one; None for all.
     """
 
     protocol: Protocol
@@ -37,6 +38,7 @@ class RunConfig:
     observability: Observability
     power: bool = False
     virtual: bool = True
+    experiments: frozenset[str] | None = None
 
     @property
     def observable(self) -> bool:

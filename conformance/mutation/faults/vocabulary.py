@@ -115,6 +115,16 @@ def after_a_fault(event: Event) -> bool:
     return event.row > 0
 
 
+def after_outcome(outcome: Outcome) -> Condition:
+    """Return a trigger: the frame before, complete or not, was judged so."""
+    return lambda event: event.previous is not None and event.previous.outcome is outcome
+
+
+def after_truncated(event: Event) -> bool:
+    """Trigger: the time-out truncated the frame before."""
+    return event.previous_kind == "truncated"
+
+
 def at_count(counter: str, number: int) -> Condition:
     """Return a trigger: so many came before; `counter` is `frames`, `faults` or `row` of Event."""
     return lambda event: bool(getattr(event, counter) == number)

@@ -23,6 +23,9 @@ from bilprov.conformance.runner.run import Run
 from bilprov.spec.open_points import FLUSH_POINTS, POINTS
 from bilprov.spec.protocol import Protocol
 
+READING = "reading/"
+"""What the id of an experiment's case begins with."""
+
 _AGREE, _TRIES = 2, 6
 
 
@@ -43,7 +46,7 @@ def _experiments(protocol: Protocol) -> Iterator[Experiment]:
 def _case(protocol: Protocol, experiment: Experiment) -> Case:
     reading = POINTS[experiment.points[0]].reading
     clause = protocol.clauses.safety if experiment.safety else protocol.clauses.instructions
-    ident = f"reading/{experiment.name}"
+    ident = f"{READING}{experiment.name}"
     return runner_case(
         protocol, ident, clause, experiment.requirement, experiment.stimulus, reading
     )
@@ -57,6 +60,8 @@ def discover(run: Run) -> Procedure[None]:
         case = _case(run.protocol, experiment)
         if "pipelining" in run.profile.choices.allowed and experiment.points[0] in FLUSH_POINTS:
             continue
+        if run.config.experiments is not None and case.id not in run.config.experiments:
+            continue  # a recording from before the experiment was added
         run.begin(case.id)
         if experiment.sees and not run.config.observable:
             axis = run.config.not_observable("one choice of what the document leaves open")
@@ -66,6 +71,8 @@ def discover(run: Run) -> Procedure[None]:
             run.conclude(case, {"state": Axis(Verdict.INCONCLUSIVE, "moving", "stopped", reason)})
         else:
             yield from _settle(run, experiment, case)
+    if run.config.experiments is not None:
+        run.profile.choices.record_split("an older recording")
     yield from first_frames_lost(run)
 
 

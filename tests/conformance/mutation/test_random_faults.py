@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.random_faults import Draw, random_fault
+from bilprov.conformance.mutation.draw import Draw
+from bilprov.conformance.mutation.equivalence import random_search
+from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
+from bilprov.conformance.mutation.search_inputs import alphabet
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
@@ -22,6 +29,23 @@ DOCS = {
     "12 ms later",
     8: "a valid LED: is answered and not carried out",
 }
+WIDER = {
+    "random:1.15": "ID 4 or 5 with 8 data bytes announced, the first data byte with bit 0x4 set: "
+    "stops it, and it drives on 60 ms later",
+    "random:1.48": "a valid Left, with the value 0, right after TOO_FEW_DATA: "
+    "is answered TOO_MANY_DATA",
+    "random:1.44": "each 256th time, a valid Left: is not answered",
+    "random:1.47": "the wheels turn wrongly: bit 4 of the speed is lost",
+    "random:1.65": "an instruction that moves it, from speed 209 on: is answered and does nothing",
+}
+FAMILIES = {
+    "random",
+    "random needle",
+    "random context",
+    "random rhythm",
+    "random settings",
+    "random wheels",
+}
 
 
 @pytest.mark.parametrize("seed", DOCS)
@@ -32,9 +56,10 @@ def test_a_seed_draws_the_same_fault_for_ever(protocol: Protocol, seed: int) -> 
 def test_a_seed_draws_the_same_in_another_process_with_other_hashes() -> None:
     text = (
         "from bilprov.analyzer.grammar_file import load_protocol\n"
-        "from bilprov.conformance.mutation.random_faults import random_fault\n"
+        "from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault\n"
         "protocol = load_protocol()\n"
-        "print([random_fault(protocol, seed).doc for seed in range(40)])"
+        "print([random_fault(protocol, seed).doc for seed in range(40)])\n"
+        "print([drawn_fault(protocol, 3, number).doc for number in range(40)])"
     )
     told = {
         subprocess.run(
@@ -82,14 +107,77 @@ def test_any_bytes_leave_a_random_fault_with_a_state_that_can_be_looked_at(
         assert 0 <= look.led <= 255
 
 
-@pytest.mark.parametrize("name", ["random:", "random:x", "random:-1", "random:1.5", "random:²"])
+@pytest.mark.parametrize("seed", WIDER)
+def test_a_seed_and_a_number_draw_the_same_fault_for_ever(protocol: Protocol, seed: str) -> None:
+    assert find_fault(protocol, seed).doc == WIDER[seed]
+
+
+def test_the_wider_faults_are_of_six_families_and_many_different_ones(protocol: Protocol) -> None:
+    faults = [drawn_fault(protocol, 5, number) for number in range(1, 301)]
+
+    families = Counter(fault.family for fault in faults)
+    assert families.keys() == FAMILIES
+    assert min(families.values()) >= 8, families
+    assert len({fault.doc for fault in faults}) > 280
+    assert {fault.doc for fault in faults} != {drawn_fault(protocol, 6, 1).doc}
+    for word in ("data byte", "cut short after", "right after", "1000th", "wheels", "light"):
+        assert sum(word in fault.doc for fault in faults) >= 3, word
+
+
+@pytest.mark.slow
+def test_wider_faults_follow_any_grammar(each_protocol: Protocol) -> None:
+    names = {spec.name for spec in each_protocol.instructions}
+    for number in range(1, 201):
+        fault = drawn_fault(each_protocol, 1, number)
+        named = re.search("valid ([A-Z][A-Za-z]+)", fault.doc)
+        assert named is None or named[1] in names
+        device = Simulator(each_protocol, fault)
+        for turn, byte in enumerate(bytes(range(256))):
+            device.receive(bytes([byte]), turn * 2 * MS)
+            device.look(turn * 2 * MS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["random needle", "random context"])
+def test_a_fault_hints_at_the_frame_that_shows_it(protocol: Protocol, family: str) -> None:
+    faults = [drawn_fault(protocol, 2, number) for number in range(1, 45)]
+    hinting = [fault for fault in faults if fault.family == family and fault.hints]
+    assert len(hinting) >= 5
+    unshown = [fault for fault in hinting if not random_shows(protocol, fault)]
+
+    # A few cannot show: a fault after a fault finds the robot stopped and reset.
+    assert len(unshown) <= len(hinting) // 4, [fault.doc for fault in unshown]
+
+
+def random_shows(protocol: Protocol, fault: Fault) -> bool:
+    return bool(random_search(protocol, fault, alphabet(protocol, fault.hints), 8000, 2000))
+
+
+def test_a_rhythm_counts_what_its_words_say(protocol: Protocol) -> None:
+    fault = find_fault(protocol, "random:1.20")
+    assert fault.doc == "each 64th time, a frame: is answered twice"
+    device = Simulator(protocol, fault)
+    stop = bytes([protocol.pad_byte])
+    answered = []
+    for turn in range(200):
+        device.receive(stop, turn * MS)
+        answered.append(len(device.advance(turn * MS)))
+
+    assert [turn for turn, count in enumerate(answered, 1) if count == 2] == [64, 128, 192]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["random:", "random:x", "random:-1", "random:1.", "random:.5", "random:1.2.3", "random:²"],
+)
 def test_a_seed_that_is_none_is_refused(protocol: Protocol, name: str) -> None:
-    with pytest.raises(ValueError, match="whole number, for example random:7"):
+    with pytest.raises(ValueError, match=r"whole number, for example random:7 or random:7\.1"):
         find_fault(protocol, name)
 
 
-def test_the_command_takes_a_random_fault() -> None:
-    result = command("conform", "sim", "--fault", "random:8", "--only", "valid/LED/*")
+@pytest.mark.parametrize(("name", "cases"), [("random:8", "LED"), ("random:1.52", "Left")])
+def test_the_command_takes_a_random_fault(name: str, cases: str) -> None:
+    result = command("conform", "sim", "--fault", name, "--only", f"valid/{cases}/1*")
 
     assert result.returncode == 1, result.stderr
 

@@ -129,7 +129,22 @@ def test_what_is_proven_equivalent_does_not_count() -> None:
     assert made(*two).failures == ["x: 9 of 11 random faults, 90% must be"]
     assert made(*two, searches={"random:9": proof}).share("x", drawn=True) == (9, 10)
     assert made(*two, searches={"random:9": proof}).failures == []
-    assert made(*two, searches={"random:9": open_end}).share("x", drawn=True) == (9, 11)
+    assert made(*two, searches={"random:9": open_end}).share("x", drawn=True) == (9, 10)
+    named = made(result("a", "one"), result("b"), searches={"b": open_end})
+    assert named.share("x", drawn=False) == (1, 2)  # a named fault is meant to show
+
+
+@pytest.mark.slow
+def test_random_faults_count_where_they_can_be_told_apart(protocol: Protocol) -> None:
+    # Failed; passed although a search shows it; cannot show, since a fault has stopped the robot.
+    few = ["random:1.12", "random:1.52", "random:1.21"]
+    found = score(protocol, chosen_faults(protocol, 60, few, fault_seed=1), at=["smoke"], most=4000)
+
+    verdicts = {name: one.verdict for name, one in found.at("smoke").items()}
+    assert verdicts == {"random:1.12": "pass", "random:1.21": "pass", "random:1.52": "fail"}
+    assert (found.failed, found.told_apart, found.passed, found.inconclusive) == (1, 2, 1, 0)
+    assert found.searches["random:1.12"].shown
+    assert not found.searches["random:1.21"].shown
 
 
 def test_each_level_has_its_floor_and_the_reference_must_pass() -> None:
@@ -151,6 +166,7 @@ def test_the_choice_of_faults(protocol: Protocol) -> None:
     assert len(chosen_faults(protocol, 0)) > 400
     assert list(chosen_faults(protocol, 3, ["random:*"])) == ["random:1", "random:2", "random:3"]
     assert chosen_faults(protocol, 3, ["nothing"]) == {}
+    assert list(chosen_faults(protocol, 2, fault_seed=7)) == ["random:7.1", "random:7.2"]
 
 
 def test_the_command_scores_on_several_processes_and_writes_json() -> None:
@@ -164,9 +180,22 @@ def test_the_command_scores_on_several_processes_and_writes_json() -> None:
     assert b"bytes sent" in result.stderr
 
 
+def test_the_command_prints_the_rate_that_counts() -> None:
+    words = ("--only", "random:1.52", "--random", "60", "--fault-seed", "1", "--level", "smoke")
+    result = command("score", *words, "--json", "-")
+
+    told = msgspec.json.decode(result.stdout)
+    assert {name: told[name] for name in ("failed", "told_apart", "passed", "inconclusive")} == {
+        "failed": 1, "told_apart": 1, "passed": 0, "inconclusive": 0,
+    }  # fmt: skip
+    assert b"smoke: failed 1 of 1 that can be told apart, 100.0 %" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("--random", "0", "--fault-seed", "1"), "no fault is left with --random 0"),
+        (("--fault-seed", "-1"), "fault-seed"),
         (("--only", "nothing"), "no fault matches nothing"),
         (("--level", "deepest"), "there is no level 'deepest'"),
         (("--json", "/nowhere/x.json"), "a folder that exists"),

@@ -268,6 +268,7 @@ STOP_ZEROED = {"R-stop-speed": "zeroed"}
 STOP_KEPT = {"R-stop-steering": "kept"}
 STOP_OFF = {"R-led-state stop": "off"}
 STRAIGHTENED = {"R-drive-steering": "straight"}
+RESET = {"R-rotate-steering": "reset"}
 NEXT = {"R-speed-moving": "next-motion"}
 CURVE = {"R-steer-rotating": "curve"}
 
@@ -301,12 +302,15 @@ STATES = [
     (
         "RotateLeft",
         DRIVING,
-        STRAIGHTENED,
+        RESET,
         told(TURNING, steering=0),
         INFORMATIONAL,
-        "R-drive-steering",
+        "R-rotate-steering",
     ),
-    ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING, steering=-40), FAIL, ""),
+    ("RotateLeft", DRIVING, RESET, told(TURNING, steering=-40), FAIL, ""),
+    # Neither choice says anything of the other.
+    ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING), PASS, ""),
+    ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING, steering=0), FAIL, ""),
     ("RotateLeft", DRIVING, {}, told(TURNING, speed=0), FAIL, ""),
     ("RotateLeft", DRIVING, {}, told(DRIVING), FAIL, ""),
     ("Speed 90", DRIVING, NEXT, told(DRIVING), NON_STRICT, "R-speed-moving"),
@@ -616,6 +620,9 @@ CHOICES = [
     # a rotation is set up without steering
     choice("a direction straightens the steering", "valid/*wa*d", INFORMATIONAL, "state",
            "R-drive-steering", react=when(named("Forward", "Backward"), sets(steering=0)),
+           every=False),
+    choice("a rotation resets the steering", "valid/Rotate*", INFORMATIONAL, "state",
+           "R-rotate-steering", react=when(named("RotateRight", "RotateLeft"), sets(steering=0)),
            every=False),
     choice("Speed waits for the next motion", "valid/Speed/[12]", NON_STRICT, "state",
            "R-speed-moving", react=take.speed_at_next_motion(take.always)),

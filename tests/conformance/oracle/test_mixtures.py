@@ -68,6 +68,7 @@ def test_a_point_that_one_id_alone_can_show_is_not_mixed_by_id(protocol: Protoco
     assert "mixture:R-speed-moving=next-motion:by-id" not in names
     assert "mixture:R-competing-errors=bad-data:by-id" not in names
     assert "mixture:R-drive-steering=straight:by-id" in names
+    assert "mixture:R-rotate-steering=reset:by-id" in names
 
 
 def test_every_choice_that_is_no_measured_time_is_mixed(protocol: Protocol) -> None:

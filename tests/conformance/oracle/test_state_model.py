@@ -111,7 +111,8 @@ CHANGES: dict[str, tuple[set[str], dict[str, int]]] = {
     "R-stop-speed": ({"Stop"}, {"speed": 0}),
     "R-stop-steering": ({"Stop"}, {"steering": 40}),
     "R-led-state stop": ({"Stop"}, {"led": 0}),
-    "R-drive-steering": (MOTIONS, {"steering": 0}),
+    "R-drive-steering": ({"Forward", "Backward"}, {"steering": 0}),
+    "R-rotate-steering": ({"RotateRight", "RotateLeft"}, {"steering": 0}),
 }
 BEFORE = (DRIVING, TURNING, RESTED, STANDING)
 
