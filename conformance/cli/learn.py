@@ -102,7 +102,7 @@ def learn(
         settings = robot.settings(protocol, name)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    robot.require_fitting(name)
+    robot = robot.fitting(name)
     promise_verdict()
     if svg is not None and not has_graphviz():
         note(f"{svg} is written in DOT: Graphviz is not installed, apt-get install graphviz")
