@@ -97,6 +97,8 @@ class Selection:
         self._now: int | None = None  # how far the part's decoder has come (ns)
         self._left_out = 0  # bytes since the last one that was written
         self._chunk: Chunk | None = None  # what is written next, as more bytes of it may follow
+        # Whether the last answers were written: at least those that the next step's state holds.
+        self._answers: deque[bool] = deque()
 
     def step(self, step: Step) -> None:
         """Take the next step."""
@@ -136,6 +138,7 @@ class Selection:
         self._forget()
         self._write_decided()
         self._fresh = True
+        self._answers.clear()
         self._fall_behind(state)
         self._left_out += size
 
@@ -239,7 +242,12 @@ class Selection:
         owner = entry.owner
         assert owner is not None
         wanted = entry.hunt_kept or owner.keep
+        if isinstance(step.event, Chunk) and step.event.direction == "device":
+            while len(self._answers) > len(step.state.held):
+                self._answers.popleft()
+            self._answers.append(wanted)
         if isinstance(step.event, Resumption):
+            self._answers.clear()
             self._fall_behind(step.state)
             return
         if isinstance(step.event, Line):
@@ -259,20 +267,26 @@ class Selection:
         self._write_event(step)
 
     def _without(self, state: DecoderState, count: int) -> DecoderState:
-        """A state in which the first instructions, so many, wait no more."""
+        """A state in which the first instructions, so many, wait no more.
+
+        Nor does it hold an answer that is left out, which would be told without its byte.
+        """
+        known = list(self._answers)[-len(state.held) :] if state.held else []
+        written = [True] * (len(state.held) - len(known)) + known
+        held = tuple(answer for answer, one in zip(state.held, written, strict=True) if one)
         waiting = list(state.waiting)
         for _ in range(count):
             first = waiting.pop(0)
             rest = b"".join(list(first.split(self._protocol))[1:])
             if rest:
                 waiting.insert(0, replace(first, frames=rest))
-        return replace(state, waiting=tuple(waiting))
+        return replace(state, waiting=tuple(waiting), held=held)
 
     def _write_moment(self, step: Step, wanted: bool, tells: bool) -> None:
         """Nothing is written of a moment, but the part's decoder may have to come to it."""
         if wanted:
             if not self._in_step:
-                self._resume(step.state, step.t)
+                self._resume(self._without(step.state, 0), step.t)
             self.frames += sum(is_frame(record) for record in step.records)
             self._now = step.t
         elif tells:

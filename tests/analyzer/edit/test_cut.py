@@ -23,7 +23,7 @@ from bilprov.analyzer.decode.records import (
     Record,
     is_frame,
 )
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.edit.cut import CUT_THROUGH, write_selected, write_window
 from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
 from bilprov.analyzer.output.outputs import Window
@@ -186,6 +186,21 @@ def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(
     for side in ("host", "device"):  # no byte too many, and none told by a checkpoint alone
         told = [line for line in decoded if line.direction == side]
         assert raw(part, side) == bytes.fromhex("".join(line.hex for line in told))
+
+
+def test_an_answer_that_is_left_out_is_not_told_by_a_checkpoint(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    # Two answers come before the instruction that one of them answers; the other nobody asked for.
+    events = [
+        Chunk(0, "device", b"\x00\x00"),
+        Chunk(0, "host", b"\x20"),
+        Chunk(100 * MS, "host", b"\x00"),
+    ]
+    how = {"skew": 20 * MS, "timeout": None, "heard": BOTH, "attached": False}
+    part = cut(written(tmp_path / "a.mcap", events, how), protocol, ALL, "name == Forward")
+
+    assert [line.hex for line in seen(read_capture(part, protocol))] == ["20", "00"]
 
 
 def last_byte(record: Record) -> int:
