@@ -56,6 +56,12 @@ class _Entry:
         return self.step.hunt is not None and self.step.hunt.keep
 
     @property
+    def wanted(self) -> bool:
+        """Whether its byte is kept, once that is decided."""
+        assert self.owner is not None
+        return self.hunt_kept or self.owner.keep
+
+    @property
     def undecided(self) -> bool:
         """Whether it is not known yet if it is kept."""
         if self.step.event is not None and self.owner is None:
@@ -227,6 +233,7 @@ class Selection:
                 if first.undecided:
                     return
                 self._write(first)
+                self._note_answer(first)
             else:
                 self._write_chunk()
                 self._out.write(*first)
@@ -239,13 +246,7 @@ class Selection:
         if step.event is None:
             self._write_moment(step, entry.hunt_kept or any(one.keep for one in told), bool(told))
             return
-        owner = entry.owner
-        assert owner is not None
-        wanted = entry.hunt_kept or owner.keep
-        if isinstance(step.event, Chunk) and step.event.direction == "device":
-            while len(self._answers) > len(step.state.held):
-                self._answers.popleft()
-            self._answers.append(wanted)
+        wanted = entry.wanted
         if isinstance(step.event, Resumption):
             self._answers.clear()
             self._fall_behind(step.state)
@@ -258,13 +259,22 @@ class Selection:
                 return
         if not wanted:
             self._fall_behind(step.state)
-            self._left_out += isinstance(step.event, Chunk) and self._counts(step.t)
+            if isinstance(step.event, Chunk) and self._counts(step.t):
+                self._left_out += len(step.event.data)
             return
         self.frames += sum(is_frame(record) for record in step.records)
         passed_over = _passed_over(entry)
         if passed_over or not self._in_step:
             self._resume(self._without(step.state, passed_over), step.t)
         self._write_event(step)
+
+    def _note_answer(self, entry: _Entry) -> None:
+        """Note whether an answer was written, as a later state may hold it."""
+        step = entry.step
+        if isinstance(step.event, Chunk) and step.event.direction == "device" and step.event.data:
+            while len(self._answers) > len(step.state.held):
+                self._answers.popleft()
+            self._answers.append(entry.wanted)
 
     def _without(self, state: DecoderState, count: int) -> DecoderState:
         """A state in which the first instructions, so many, wait no more.
@@ -280,7 +290,10 @@ class Selection:
             rest = b"".join(list(first.split(self._protocol))[1:])
             if rest:
                 waiting.insert(0, replace(first, frames=rest))
-        return replace(state, waiting=tuple(waiting), held=held)
+        kept = replace(state, waiting=tuple(waiting), held=held)
+        if kept.out_of_step is not None and not kept.may_be_out_of_step:
+            kept = replace(kept, out_of_step=None)  # the answer that showed it is left out
+        return kept
 
     def _write_moment(self, step: Step, wanted: bool, tells: bool) -> None:
         """Nothing is written of a moment, but the part's decoder may have to come to it."""

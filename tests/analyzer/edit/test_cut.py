@@ -188,19 +188,57 @@ def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(
         assert raw(part, side) == bytes.fromhex("".join(line.hex for line in told))
 
 
-def test_an_answer_that_is_left_out_is_not_told_by_a_checkpoint(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    # Two answers come before the instruction that one of them answers; the other nobody asked for.
-    events = [
-        Chunk(0, "device", b"\x00\x00"),
-        Chunk(0, "host", b"\x20"),
-        Chunk(100 * MS, "host", b"\x00"),
-    ]
-    how = {"skew": 20 * MS, "timeout": None, "heard": BOTH, "attached": False}
-    part = cut(written(tmp_path / "a.mcap", events, how), protocol, ALL, "name == Forward")
+# Recordings that once were cut wrongly: their settings, and what comes when (ms).
+HELD = {"skew": 20 * MS, "timeout": None, "heard": BOTH, "attached": False}
+ATTACHED = HELD | {"skew": 0, "attached": True}
+CUT_BEFORE = {
+    "an answer is held behind others that are left out": (
+        HELD,
+        [
+            *[(0, "host", "00 00 01 21 00 00"), (1000, "host", "00 01 21")],
+            *[(1000, "device", "00 00 03 00 00 00 03"), *[(1000, "host", "00")] * 8],
+        ],
+    ),
+    "an answer that is left out comes within a frame": (
+        HELD,
+        [
+            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (0, "break", "")],
+            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (1, "host", "b2 32 41 0c 00 00")],
+            *[(1, "host", "b2 96 df 88 02 00"), (1, "device", "00 00 00 00")],
+            (1, "host", "00 00 00 00 00"),
+        ],
+    ),
+    "an empty chunk comes while frame boundaries are looked for": (
+        ATTACHED,
+        [(0, "host", "00"), (0, "host", ""), (0, "host", "00 00 00 00"), *[(0, "host", "00")] * 11],
+    ),
+    "an empty chunk comes before frame boundaries are looked for": (
+        ATTACHED,
+        [
+            *[(0, "host", ""), (15, "device", ""), (15, "host", "00 00 00 09" + "21" * 9 + "00")],
+            *[(15, "device", "00 00 00 03 00"), *[(15, "host", "00")] * 6],
+        ],
+    ),
+}
 
-    assert [line.hex for line in seen(read_capture(part, protocol))] == ["20", "00"]
+
+@pytest.mark.parametrize("name", CUT_BEFORE)
+def test_a_filtered_part_is_decoded_as_what_was_selected(
+    protocol: Protocol, tmp_path: Path, name: str
+) -> None:
+    how, pieces = CUT_BEFORE[name]
+    events = [
+        Line(t * MS, side, "host") if side == "break" else Chunk(t * MS, side, bytes.fromhex(data))
+        for t, side, data in pieces
+    ]
+    path = written(tmp_path / "a.mcap", events, how)
+    part = cut(path, protocol, ALL, "faulty")
+
+    test = compiled("faulty", protocol)
+    expected, more = selected(read_capture(path, protocol), ALL, test)
+    decoded = seen(read_capture(part, protocol))
+    assert expected
+    assert [line for line in decoded if line in expected or not more] == expected
 
 
 def last_byte(record: Record) -> int:
