@@ -66,7 +66,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     spoken: bool = False
 
     @property
-    def _may_be_out_of_step(self) -> bool:
+    def may_be_out_of_step(self) -> bool:
         """Whether an answer is held that came in the open frame and shows that it is given up."""
         times = [t + QUIET for t, _ in self.held]
         return bool(self.frame) and self.out_of_step in times
@@ -95,7 +95,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
             and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])
-            and (self.out_of_step is None or self._may_be_out_of_step)
+            and (self.out_of_step is None or self.may_be_out_of_step)
         )
         if not sane:
             raise ValueError("no session is ever in this state")

@@ -162,6 +162,8 @@ class Session:
         """Decode or buffer an event, after all that fell due before it."""
         if isinstance(event, Resumption) and self._resumed(event, out):
             return
+        if isinstance(event, Chunk) and not event.data:
+            return  # no byte came: no evidence of anything
         if isinstance(event, Chunk) and event.direction == "host":
             self._host(event.data, event.t, out)
         elif isinstance(event, Line) and event.event in LOSSES:

@@ -56,6 +56,12 @@ class _Entry:
         return self.step.hunt is not None and self.step.hunt.keep
 
     @property
+    def wanted(self) -> bool:
+        """Whether its byte is kept, once that is decided."""
+        assert self.owner is not None
+        return self.hunt_kept or self.owner.keep
+
+    @property
     def undecided(self) -> bool:
         """Whether it is not known yet if it is kept."""
         if self.step.event is not None and self.owner is None:
@@ -97,6 +103,8 @@ class Selection:
         self._now: int | None = None  # how far the part's decoder has come (ns)
         self._left_out = 0  # bytes since the last one that was written
         self._chunk: Chunk | None = None  # what is written next, as more bytes of it may follow
+        # Whether the last answers were written: at least those that the next step's state holds.
+        self._answers: deque[bool] = deque()
 
     def step(self, step: Step) -> None:
         """Take the next step."""
@@ -136,6 +144,7 @@ class Selection:
         self._forget()
         self._write_decided()
         self._fresh = True
+        self._answers.clear()
         self._fall_behind(state)
         self._left_out += size
 
@@ -224,6 +233,7 @@ class Selection:
                 if first.undecided:
                     return
                 self._write(first)
+                self._note_answer(first)
             else:
                 self._write_chunk()
                 self._out.write(*first)
@@ -236,10 +246,9 @@ class Selection:
         if step.event is None:
             self._write_moment(step, entry.hunt_kept or any(one.keep for one in told), bool(told))
             return
-        owner = entry.owner
-        assert owner is not None
-        wanted = entry.hunt_kept or owner.keep
+        wanted = entry.wanted
         if isinstance(step.event, Resumption):
+            self._answers.clear()
             self._fall_behind(step.state)
             return
         if isinstance(step.event, Line):
@@ -250,7 +259,8 @@ class Selection:
                 return
         if not wanted:
             self._fall_behind(step.state)
-            self._left_out += isinstance(step.event, Chunk) and self._counts(step.t)
+            if isinstance(step.event, Chunk) and self._counts(step.t):
+                self._left_out += len(step.event.data)
             return
         self.frames += sum(is_frame(record) for record in step.records)
         passed_over = _passed_over(entry)
@@ -258,21 +268,38 @@ class Selection:
             self._resume(self._without(step.state, passed_over), step.t)
         self._write_event(step)
 
+    def _note_answer(self, entry: _Entry) -> None:
+        """Note whether an answer was written, as a later state may hold it."""
+        step = entry.step
+        if isinstance(step.event, Chunk) and step.event.direction == "device" and step.event.data:
+            while len(self._answers) > len(step.state.held):
+                self._answers.popleft()
+            self._answers.append(entry.wanted)
+
     def _without(self, state: DecoderState, count: int) -> DecoderState:
-        """A state in which the first instructions, so many, wait no more."""
+        """A state in which the first instructions, so many, wait no more.
+
+        Nor does it hold an answer that is left out, which would be told without its byte.
+        """
+        known = list(self._answers)[-len(state.held) :] if state.held else []
+        written = [True] * (len(state.held) - len(known)) + known
+        held = tuple(answer for answer, one in zip(state.held, written, strict=True) if one)
         waiting = list(state.waiting)
         for _ in range(count):
             first = waiting.pop(0)
             rest = b"".join(list(first.split(self._protocol))[1:])
             if rest:
                 waiting.insert(0, replace(first, frames=rest))
-        return replace(state, waiting=tuple(waiting))
+        kept = replace(state, waiting=tuple(waiting), held=held)
+        if kept.out_of_step is not None and not kept.may_be_out_of_step:
+            kept = replace(kept, out_of_step=None)  # the answer that showed it is left out
+        return kept
 
     def _write_moment(self, step: Step, wanted: bool, tells: bool) -> None:
         """Nothing is written of a moment, but the part's decoder may have to come to it."""
         if wanted:
             if not self._in_step:
-                self._resume(step.state, step.t)
+                self._resume(self._without(step.state, 0), step.t)
             self.frames += sum(is_frame(record) for record in step.records)
             self._now = step.t
         elif tells:

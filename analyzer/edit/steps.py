@@ -146,7 +146,7 @@ class Stepper:
         apart = True
         for t, event, begins in hunted:
             if left and isinstance(event, Chunk) and event.direction == "host":
-                left -= 1
+                left -= len(event.data)  # a chunk may be empty
                 told = [garbage] if garbage and not left else []
                 yield Step(t, event, unclear, told, begins, apart, hunt)
                 unclear = replace(unclear, time=t, unsynced_since=t, spoken=False)

@@ -738,7 +738,7 @@ def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_re
     with simulate() as served:
         result = subprocess.run(
             [
-                *("/bin/sh", "-c", 'ulimit -f 80; exec "$@"', "sh"),
+                *("/bin/sh", "-c", 'ulimit -f 400; exec "$@"', "sh"),
                 *(sys.executable, "-m", "bilprov", "conform", served.port, "--yes"),
                 *("--probe", served.probe, "--only", "valid/*", "--record", str(file)),
             ],

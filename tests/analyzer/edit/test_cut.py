@@ -23,7 +23,7 @@ from bilprov.analyzer.decode.records import (
     Record,
     is_frame,
 )
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.edit.cut import CUT_THROUGH, write_selected, write_window
 from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
 from bilprov.analyzer.output.outputs import Window
@@ -186,6 +186,59 @@ def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(
     for side in ("host", "device"):  # no byte too many, and none told by a checkpoint alone
         told = [line for line in decoded if line.direction == side]
         assert raw(part, side) == bytes.fromhex("".join(line.hex for line in told))
+
+
+# Recordings that once were cut wrongly: their settings, and what comes when (ms).
+HELD = {"skew": 20 * MS, "timeout": None, "heard": BOTH, "attached": False}
+ATTACHED = HELD | {"skew": 0, "attached": True}
+CUT_BEFORE = {
+    "an answer is held behind others that are left out": (
+        HELD,
+        [
+            *[(0, "host", "00 00 01 21 00 00"), (1000, "host", "00 01 21")],
+            *[(1000, "device", "00 00 03 00 00 00 03"), *[(1000, "host", "00")] * 8],
+        ],
+    ),
+    "an answer that is left out comes within a frame": (
+        HELD,
+        [
+            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (0, "break", "")],
+            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (1, "host", "b2 32 41 0c 00 00")],
+            *[(1, "host", "b2 96 df 88 02 00"), (1, "device", "00 00 00 00")],
+            (1, "host", "00 00 00 00 00"),
+        ],
+    ),
+    "an empty chunk comes while frame boundaries are looked for": (
+        ATTACHED,
+        [(0, "host", "00"), (0, "host", ""), (0, "host", "00 00 00 00"), *[(0, "host", "00")] * 11],
+    ),
+    "an empty chunk comes before frame boundaries are looked for": (
+        ATTACHED,
+        [
+            *[(0, "host", ""), (15, "device", ""), (15, "host", "00 00 00 09" + "21" * 9 + "00")],
+            *[(15, "device", "00 00 00 03 00"), *[(15, "host", "00")] * 6],
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CUT_BEFORE)
+def test_a_filtered_part_is_decoded_as_what_was_selected(
+    protocol: Protocol, tmp_path: Path, name: str
+) -> None:
+    how, pieces = CUT_BEFORE[name]
+    events = [
+        Line(t * MS, side, "host") if side == "break" else Chunk(t * MS, side, bytes.fromhex(data))
+        for t, side, data in pieces
+    ]
+    path = written(tmp_path / "a.mcap", events, how)
+    part = cut(path, protocol, ALL, "faulty")
+
+    test = compiled("faulty", protocol)
+    expected, more = selected(read_capture(path, protocol), ALL, test)
+    decoded = seen(read_capture(part, protocol))
+    assert expected
+    assert [line for line in decoded if line in expected or not more] == expected
 
 
 def last_byte(record: Record) -> int:

@@ -427,7 +427,7 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
     [
         ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
         ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
-        ("--double often pty pty", "'--double': 'often' is not a valid float"),
+        ("--double often pty pty", "'--double': 'often' is no number"),
         ("--drop nan pty pty", "each is 0 to 1"),
         ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
         ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
