@@ -633,6 +633,7 @@ READING_IDS = (
     "R-stop-steering",
     "R-stop-speed",
     "R-drive-steering",
+    "R-resolution",
     "R-steering",
     "R-steer-rotating",
     "R-speed-moving",

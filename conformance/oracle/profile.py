@@ -14,6 +14,7 @@ from typing import Any
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
@@ -38,7 +39,8 @@ class Profile:
     `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
     was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
     the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
-    `moves` are the kinds of motion in which it was seen moving.
+    `moves` are the kinds of motion in which it was seen moving, `wheels` the curves of its wheels'
+    speeds.
     `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
     device has shown where the document is silent.
     """
@@ -56,6 +58,7 @@ class Profile:
     stop_latency: int = 0
     one_by_one: bool = False
     moves: set[Motion] | None = None
+    wheels: tuple[WheelCurve, ...] = ()
     choices: Choices = field(default_factory=Choices)
 
     def measured(self, heard: Received, sent: int) -> None:

@@ -6,6 +6,7 @@ import shlex
 import statistics
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import msgspec
@@ -154,6 +155,7 @@ def _measured(profile: Profile) -> dict[str, Any]:
         "led_id": profile.choices.led_id,
         "stop_latency_ms": ms(profile.stop_latency),
         "watchdog_ms": ms(profile.watchdog),
+        "wheels": [asdict(curve) for curve in profile.wheels],
         "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},
     }
 

@@ -14,12 +14,14 @@ import msgspec
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.wheel_sweep import sweep_wheels
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -49,6 +51,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if "pipelining" in allowed and isinstance(case, SequenceCase) and case.pipelined:
         axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
         return Attempt(result_of(case, {"answer": axis}))
+    if isinstance(case, WheelSweep):
+        return Attempt((yield from sweep_wheels(run, case)))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first
