@@ -18,6 +18,7 @@ from bilprov.spec.motion import WHEELS, Motion
 
 READING = "R-resolution"
 _SHARE, _STEPS = 0.05, 3  # of full scale; of the probe's numbers
+_MARGIN = 1.25  # medians of many settings may lie further apart than looks at one of them
 _SHOWN = 3  # plateaus that are told with their bounds
 
 
@@ -43,9 +44,9 @@ class WheelCurve:
         return max(map(abs, (*self.left, *self.right)), default=0)
 
     @property
-    def noise(self) -> int:
-        """The measured spread of what is judged: of steering it is a difference of two speeds."""
-        return self.spread * (2 if self.variable == "steering" else 1)
+    def noise(self) -> float:
+        """The spread to be expected of what is judged: of steering a difference of two speeds."""
+        return _MARGIN * self.spread * (2 if self.variable == "steering" else 1)
 
     @property
     def tolerance(self) -> float:

@@ -73,6 +73,7 @@ VERDICTS = {
     "R-steer-rotating=curve": INFORMATIONAL,
     "R-led-state=off": INFORMATIONAL,
     "R-speed-moving=next-motion": NON_STRICT,
+    "R-resolution=plateau": NON_STRICT,
     "R-power-on=another-speed": INFORMATIONAL,
 }
 
