@@ -327,6 +327,18 @@ READINGS = (
         (("reset, as by Stop", "informational"),),
     ),
     Reading(
+        "R-resolution",
+        "section 3, table 1",
+        "wheel speeds, where the probe shows them, swept over all speeds and all strengths",
+        "Datavärde mellan 0-255.",
+        "no wheel slower at a higher speed, the wheels never differ less at a higher strength",
+        (
+            ("unlike when straight, or left and right not mirrored", "informational"),
+            ("plateaus and a dead zone", "non-strict"),
+            ("order or sign reversed, by more than the spread and 5 % or 3 steps", "fail"),
+        ),
+    ),
+    Reading(
         "R-steering",
         "section 3, table 1",
         "Right after Left; strength 0; steering while stopped",

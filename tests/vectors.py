@@ -634,6 +634,7 @@ READING_IDS = (
     "R-stop-speed",
     "R-drive-steering",
     "R-rotate-steering",
+    "R-resolution",
     "R-steering",
     "R-steer-rotating",
     "R-speed-moving",

@@ -14,9 +14,11 @@ from bilprov.conformance.cases.coverage import Fact, facts
 from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.spec.protocol import Protocol
 
+_LOOKS = 3  # at each setting of a sweep
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line
 
 
@@ -80,6 +82,9 @@ def seconds(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float)
             total += 1.25 * timeout if burst.steps[-1].truncated else 0.0
             total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
         return total
+    if isinstance(case, WheelSweep):
+        each = (len(case.frame) + 1) * byte_time + (1 + _LOOKS) * _EXCHANGE
+        return home + case.frames * each
     total = home + (12 + len(case.frame)) * byte_time + 8 * _EXCHANGE
     if case.stop:
         total += timers.hold / MS / 1000 if case.thorough else silence
@@ -92,6 +97,8 @@ def answers_in(case: AnyCase) -> int:
     """How many times a case waits for an answer before it goes on, homing included."""
     if isinstance(case, SequenceCase):
         return len(case.setup) + len(case.bursts) + 2
+    if isinstance(case, WheelSweep):
+        return case.frames + 2
     return 9
 
 

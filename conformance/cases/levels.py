@@ -28,6 +28,7 @@ from bilprov.conformance.cases.sweeps import (
     soak,
 )
 from bilprov.conformance.cases.tours import Tours
+from bilprov.conformance.cases.wheel_sweeps import wheel_sweeps
 from bilprov.spec.protocol import Protocol
 
 AnyCase = Case | SequenceCase
@@ -189,10 +190,13 @@ def level_cases(
 
 @lru_cache(maxsize=8)
 def single_cases(protocol: Protocol, name: str, seed: int) -> tuple[Case, ...]:
-    """The cases of a level that are no sequences: they come first, and are soon made."""
+    """The cases of a level that are no sequences: they come first, and are soon made.
+
+    The sweeps of the wheels are the first of them: what they show holds for the cases after them.
+    """
     level = LEVELS[name]
     singles = all_cases(protocol, seed, every_cut=level.singles == "all")
-    return tuple(_few(singles)) if level.singles == "few" else singles
+    return tuple(_few(singles)) if level.singles == "few" else (*wheel_sweeps(protocol), *singles)
 
 
 def _few(singles: Sequence[Case]) -> Iterator[Case]:

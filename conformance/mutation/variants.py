@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
-from bilprov.captures.schemas import MS
+import msgspec
+
+from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import Event, Fault, React
 from bilprov.conformance.mutation import variant_behaviour as take
 from bilprov.conformance.mutation.faults.answers import under_other_ids
@@ -322,6 +324,11 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
     )
     yield from (_choosing(*row) for row in rows)
     yield Variant(
+        "R-resolution=plateau",
+        "the wheels turn no faster above half speed",
+        _fixed(show=_no_faster(protocol.limits.get("speed", (0, 0))[1] // 2)),
+    )
+    yield Variant(
         "R-steer-rotating=curve",
         "steering makes a rotation a curve",
         _reacting(take.steers_while_rotating, sets(motion=Motion.FORWARD)),
@@ -356,6 +363,18 @@ def _states(protocol: Protocol) -> Iterator[Variant]:
             )
         ),
     )
+
+
+def _no_faster(most: int) -> Callable[[Look], Look]:
+    """Return what a probe sees of wheels that turn as at speed `most` at every higher speed."""
+
+    def show(look: Look) -> Look:
+        if look.speed is None or look.left is None or look.right is None or look.speed <= most:
+            return look
+        left, right = (round(wheel * most / look.speed) for wheel in (look.left, look.right))
+        return msgspec.structs.replace(look, left=left, right=right)
+
+    return show
 
 
 def _pause(protocol: Protocol) -> int:

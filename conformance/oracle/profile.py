@@ -14,6 +14,7 @@ from typing import Any
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
@@ -40,7 +41,7 @@ class Profile:
     the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
     `slowest` is the longest time to an answer, `delays` the three longest.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
-    probe told each time.
+    probe told each time, `wheels` the curves of its wheels' speeds.
     `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
     device has shown where the document is silent.
     """
@@ -60,6 +61,7 @@ class Profile:
     one_by_one: bool = False
     moves: set[Motion] | None = None
     facets: frozenset[str] = frozenset()
+    wheels: tuple[WheelCurve, ...] = ()
     choices: Choices = field(default_factory=Choices)
 
     def tells_time_out(self, timeout: int) -> bool:

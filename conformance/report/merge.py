@@ -300,13 +300,18 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
 
 
 def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:
-    """The merged profile: the largest of each `..._max_ms`, else the value if all shards agree."""
+    """The merged profile: the largest of each `..._max_ms`, else the value if all shards agree.
+
+    The curves of the wheels are those of all shards.
+    """
     found: dict[str, Any] = {}
     for name in dict.fromkeys(name for part in parts for name in part.report.profile):
         values = [part.report.profile.get(name) for part in parts]
         numbers = [value for value in values if isinstance(value, int | float)]
         if name.endswith("_max_ms") and numbers:
             found[name] = max(numbers)
+        elif name == "wheels":  # each curve is measured in one shard
+            found[name] = [curve for value in values for curve in value or ()]
         else:
             found[name] = values[0] if all(value == values[0] for value in values) else None
     return found

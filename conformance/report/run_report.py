@@ -6,6 +6,7 @@ import shlex
 import statistics
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import msgspec
@@ -161,6 +162,7 @@ def _measured(profile: Profile) -> dict[str, Any]:
         "watchdog_ms": ms(profile.watchdog),
         "facets": sorted(profile.facets),
         "all_but_two_answers_ms": ms(profile.all_but_two),
+        "wheels": [asdict(curve) for curve in profile.wheels],
         "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},
     }
 

@@ -168,11 +168,31 @@ class _Options(msgspec.Struct):
             raise ValueError(f"shard {list(self.shard)} is none, it can be [I, N], I from 1 to N")
 
 
+Setting = Annotated[int, msgspec.Meta(ge=-1_000_000_000, le=1_000_000_000)]
+_Settings = Annotated[list[Setting], msgspec.Meta(min_length=2, max_length=4096)]
+
+
+class WheelCurve(msgspec.Struct):
+    """The wheels' speeds over a sweep; the fields are those of `oracle.wheel_curve.WheelCurve`."""
+
+    variable: str
+    motion: str
+    settings: _Settings
+    left: _Settings
+    right: _Settings
+    spread: Setting
+
+    def __post_init__(self) -> None:
+        if not len(self.settings) == len(self.left) == len(self.right):
+            raise ValueError("a curve of the wheels has one speed of each wheel for each setting")
+
+
 class _Profile(msgspec.Struct):
     truncation_timeout_ms: Milliseconds | None = None
     latency_median_ms: Milliseconds | None = None
     latency_max_ms: Milliseconds | None = None
     facets: list[str] = []
+    wheels: Annotated[list[WheelCurve], msgspec.Meta(max_length=64)] = []
     readings: dict[str, Any] = {}
 
 

@@ -15,6 +15,7 @@ import msgspec
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
@@ -23,6 +24,7 @@ from bilprov.conformance.runner.prediction import find_rhythm
 from bilprov.conformance.runner.rhythm import Rhythm, at_least
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.wheel_sweep import sweep_wheels
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -55,6 +57,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if isinstance(case, SequenceCase) and (missing := set(case.facets) - run.profile.facets):
         why = f"no probe tells the robot's {' and '.join(sorted(missing))}"
         return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
+    if isinstance(case, WheelSweep):
+        return Attempt((yield from sweep_wheels(run, case)))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first

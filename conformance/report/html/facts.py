@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bilprov.analyzer.html.markup import Safe, bar, tag, text
+from bilprov.analyzer.html.markup import Safe, bar, joined, tag, text
 from bilprov.conformance.oracle.choices import default_of
+from bilprov.conformance.report.html.wheels import wheel_curves
 from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.readings import READINGS
 
@@ -76,8 +77,10 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         choices = [report.profile.get(key) for report in reports]
         if key == "readings" and all(isinstance(value, dict | None) for value in choices):
             continue
+        if key == "wheels":
+            continue
         lines[_words(key)] = [_value(value) for value in choices]
-    return Safe(_table(lines, told) + _readings(reports, told))
+    return joined([_table(lines, told), wheel_curves(reports, told), _readings(reports, told)])
 
 
 def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:

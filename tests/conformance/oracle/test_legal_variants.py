@@ -79,6 +79,7 @@ VERDICTS = {
     "R-led-state=off-after-stops": INFORMATIONAL,
     "R-led-state=off-after-faults": INFORMATIONAL,
     "R-speed-moving=next-motion": NON_STRICT,
+    "R-resolution=plateau": NON_STRICT,
     "R-power-on=another-speed": INFORMATIONAL,
 }
 
