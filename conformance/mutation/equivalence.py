@@ -94,7 +94,7 @@ def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
         known = len(reads)
         found = _search(protocol, fault, inputs, reads, most)
         if not found.shown and not found.closed:  # too many states
-            words, different = _sequence(protocol, fault, random_search(protocol, fault, inputs))
+            words, different = try_sequence(protocol, fault, random_search(protocol, fault, inputs))
             return msgspec.structs.replace(found, shown=words, difference=different)
         # The fault has read a new part of its history: merged states may differ, so search again.
         if found.shown or len(reads) == known:
@@ -111,7 +111,7 @@ def difference(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
     for steps, stride in ((_QUICK, _QUICK // 4), (_LONG, _LONG // 5)):
         shown = random_search(protocol, fault, inputs, min(steps, most), min(stride, most))
         if shown:
-            words, different = _sequence(protocol, fault, shown)
+            words, different = try_sequence(protocol, fault, shown)
             return Search(words, different, False, 0, len(inputs), len(words))
     return search(protocol, fault, most)
 
@@ -136,7 +136,7 @@ def random_search(
     kinds = (valid, valid, inputs, *([hinted] if hinted else []))
     for _ in range(max(1, steps // stride)):
         sequence = [draw.pick(draw.pick(kinds)) for _ in range(stride)]
-        shown, _ = _sequence(protocol, fault, sequence)
+        shown, _ = try_sequence(protocol, fault, sequence)
         if shown:
             return _shortened(protocol, fault, sequence[: len(shown)])
     return []
@@ -153,7 +153,7 @@ def _shortened(protocol: Protocol, fault: Fault, sequence: list[Symbol]) -> list
         while start < len(sequence) and sent < _SHORTENING:
             sent += len(sequence)
             fewer = sequence[:start] + sequence[start + size :]
-            shown, _ = _sequence(protocol, fault, fewer)
+            shown, _ = try_sequence(protocol, fault, fewer)
             if shown:
                 sequence = fewer[: len(shown)]
             else:
@@ -168,7 +168,7 @@ def _started(protocol: Protocol, faulty: Simulator) -> tuple[_Pair, str]:
     return pair._replace(now=10 * MS), _watch(pair, 10 * MS)
 
 
-def _sequence(
+def try_sequence(
     protocol: Protocol, fault: Fault, sequence: Sequence[Symbol]
 ) -> tuple[tuple[str, ...], str]:
     """Send inputs to both devices until they differ; return their words and what differs."""

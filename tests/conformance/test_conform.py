@@ -40,7 +40,15 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.reports import timeless
-from tests.support.robots import PATIENCE, Served, judged_exit, sentence, served_here, simulate
+from tests.support.robots import (
+    PATIENCE,
+    READING_CASES,
+    Served,
+    judged_exit,
+    sentence,
+    served_here,
+    simulate,
+)
 from tests.support.signals import ignoring
 from tests.vectors import FRAME_COUNTS, READING_IDS
 
@@ -156,7 +164,7 @@ def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() ->
     assert b"conforms" in result.stderr
     assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
     assert report.grammar["name"] == "robot-car"
-    assert report.counts["pass"] == len(report.cases) == 10 + 8 + len(OPENING) + READINGS
+    assert report.counts["pass"] == len(report.cases) == 10 + 8 + len(OPENING) + READING_CASES
     assert (report.unusable, report.ended, report.ended_by) == (None, None, None)
     assert (report.dropped, report.expected_failures) == ({}, None)
     sent = [bytes.fromhex("".join(case.sent)) for case in report.cases]
@@ -251,8 +259,6 @@ OPENING = [
     *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few", "power-on/Forward"),
     "timing/truncation-timeout",
 ]
-# Then come the probes of what the document leaves open.
-READINGS = 18
 
 
 def listed(*arguments: str) -> list[str]:
@@ -269,11 +275,11 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
     ]
 
     assert ids[: len(OPENING)] == OPENING
-    assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READINGS])
+    assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READING_CASES])
     assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
     assert {sequence.id for sequence in sequences} <= set(ids)
     singles = sum(FRAME_COUNTS.values()) - 1920 + 240 + 20  # one cut of each frame
-    assert len(ids) == len(set(ids)) == len(OPENING) + READINGS + singles + len(sequences)
+    assert len(ids) == len(set(ids)) == len(OPENING) + READING_CASES + singles + len(sequences)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +293,7 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
         (["recovery/*Right"], 5),
         (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1),  # but readings, recoveries, sequences; and dense
         (["link/*"], 2),
-        (["reading/*"], READINGS),
+        (["reading/*"], READING_CASES),
         (["reading/watchdog", "power-on/Speed"], 2),
     ],
 )

@@ -19,7 +19,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.firmware import AVR, QEMU, built
-from tests.support.robots import PATIENCE, TIMED_PROBES, simulate
+from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, simulate
 from tests.support.signals import ignoring
 
 pytestmark = pytest.mark.waits
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.waits
 pytest_plugins = ["pytester"]
 
 PLUGIN = ("-p", "bilprov.conformance.pytest_plugin")
-PROBES = 19  # the time-out and reading/*: what every run asks of a device first
+PROBES = 1 + READING_CASES  # the time-out and reading/*: what every run asks of a device first
 FEW = ("--robot-only", "valid/LED/*", "--robot-only", "bad-data/LED/9")
 Result = pytest.RunResult
 
@@ -154,7 +154,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
 
     result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
 
-    result.assert_outcomes(passed=33)
+    result.assert_outcomes(passed=14 + PROBES)
     (case,) = [
         c for c in ET.parse(run.path / "j.xml").iter("testcase") if c.get("name") == ("valid/LED/3")
     ]
@@ -189,7 +189,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
 
     result = on_sim(run, *FEW)
 
-    result.assert_outcomes(passed=33, failed=1)
+    result.assert_outcomes(passed=14 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["FAILED conformance::line/unsolicited - *"])
 
 
@@ -225,7 +225,7 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
         "bench.SuiteThread.end = end\n"
     )
 
-    on_sim(run, "-k", "valid/LED/3 or valid/LED/6").assert_outcomes(passed=2, deselected=1862)
+    on_sim(run, "-k", "valid/LED/3 or valid/LED/6").assert_outcomes(passed=2, deselected=1863)
 
     ran = (run.path / "ran").read_text().split()
     assert [ident for ident in ran if ident.startswith("valid")] == ["valid/LED/3", "valid/LED/6"]
@@ -259,7 +259,7 @@ def test_collecting_sends_nothing(run: pytest.Pytester) -> None:
     result = pytested(run, "--robot-port", "/dev/no-such-port", "--co", "-q", *FEW)
 
     assert result.ret == 0
-    result.stdout.fnmatch_lines(["conformance::valid/LED/7", "33 tests collected*"])
+    result.stdout.fnmatch_lines(["conformance::valid/LED/7", f"{14 + PROBES} tests collected*"])
 
 
 def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> None:
@@ -268,7 +268,7 @@ def test_the_cases_keep_their_order_whatever_shuffles(run: pytest.Pytester) -> N
 
     result = on_sim(run, *FEW, "-v", "-p", "pytest_randomly")
 
-    result.assert_outcomes(passed=34)
+    result.assert_outcomes(passed=15 + PROBES)
     told = re.findall(r"^(conformance|test_\S+?)::(\S+) PASSED", text(result), re.M)
     ids = [name for _, name in told]
     assert ids[:2] == ["power-on/at-rest", "power-on/Speed"]
@@ -354,7 +354,7 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine=MINE)
 
     on_sim(run, "test_mine.py").assert_outcomes(passed=5, failed=1)
-    on_sim(run, *FEW).assert_outcomes(passed=38, failed=1)
+    on_sim(run, *FEW).assert_outcomes(passed=19 + PROBES, failed=1)
 
 
 METHODS = """\
@@ -397,7 +397,7 @@ def test_a_board_s_firmware_is_judged_and_driven(
     result = pytested(run, "-rs", "--robot-port", target, *FEW, "test_mine.py", "conformance")
 
     unsure = unjudged(result) if kind == "qemu" else 0
-    result.assert_outcomes(passed=38 - unsure, failed=1, skipped=unsure)
+    result.assert_outcomes(passed=19 + PROBES - unsure, failed=1, skipped=unsure)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:
@@ -528,4 +528,4 @@ def test_an_installed_kit_is_found_through_its_entry_point(
 
     result = run.runpytest_subprocess("--robot-port", "sim", *FEW, "-p", "no:randomly")
 
-    result.assert_outcomes(passed=34)
+    result.assert_outcomes(passed=15 + PROBES)

@@ -36,6 +36,9 @@ MS = 1_000_000
 BYTE_TIME = 86_806  # ns at 115,200 8N1
 PATIENCE = 60.0  # s; a test that waits longer hangs
 
+READING_CASES = 19
+"""How many cases named reading/* probe what the document leaves open."""
+
 # The probes that pause for a part of the device's time-out.
 TIMED_PROBES = ("reading/answer-point", "reading/truncation-timeout")
 
