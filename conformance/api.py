@@ -17,6 +17,7 @@ from bilprov.conformance.cases.levels import (
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
+    more_random,
     single_cases,
 )
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
@@ -111,7 +112,16 @@ def select_cases(
 
     if options.budget is not None:
         left = options.budget - before_the_cases(grammar.timing.truncation_timeout / 1000)
-        cases = within(grammar, cases, left, cost)
+        chosen = within(grammar, cases, left, cost)
+        if len(chosen) == len(cases) and not options.only:
+            left -= sum(map(cost, chosen))
+            more = more_random(grammar, options.level, options.seed, options.soak)
+            for case in more:
+                left -= cost(case)
+                if left < 0:
+                    break
+                chosen += (case,)
+        cases = chosen
     return cases if options.shard is None else share(cases, options.shard, cost)
 
 
@@ -191,7 +201,7 @@ def run_suite(
     one is made). Raises ValueError when no case is left to run.
     """
     grammar = target.protocol
-    log, meter = WireLog(), Meter(target.line.byte_time)
+    log, meter = WireLog(), Meter(target.byte_time)
     everyone = (*listeners, meter, log) if logged else (*listeners, meter)
     link = ObservedLink(target.connect, everyone)
     cases = select_cases(grammar, options, target.line)
@@ -305,12 +315,15 @@ def estimated_seconds(
     cases: Sequence[AnyCase],
     options: Options,
     line: LineSettings | None = None,
+    *,
+    byte_time: int | None = None,
 ) -> float:
     """About how long the cases take on a port, in s: the wire, silences and time-outs, looks.
 
-    `line` are the line's settings, the grammar's own if None.
+    `line` are the line's settings, the grammar's own if None; `byte_time` (ns) is given where a
+    byte takes another time than these say, as on a pty or a socket.
     """
     timeout = (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000
-    line = line or line_settings(grammar, None, None, None)
-    byte_time = line.byte_time / 1e9
-    return sum(seconds(grammar, case, byte_time, timeout) for case in cases)
+    if byte_time is None:
+        byte_time = (line or line_settings(grammar, None, None, None)).byte_time
+    return sum(seconds(grammar, case, byte_time / 1e9, timeout) for case in cases)

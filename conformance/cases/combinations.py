@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.covering_array import (
@@ -45,8 +45,9 @@ _CLASS = {value: number for number, some in enumerate(BYTE_CLASSES, 1) for value
 _ID, _LENGTH, _FIRST, _SECOND, _LAST, _MOTION, _STEERING, _SPEED, _LED, _BEFORE, _WAY = range(11)
 _BYTES = ((_FIRST, 1), (_SECOND, 3), (_LAST, 2))  # and from how many data bytes on each stands
 WAITED, PIPELINED, SPLIT = range(3)
-DELIVERED, CUT = ("waited", "pipelined", "split"), "cut"
+DELIVERED, CUT, RANDOM = ("waited", "pipelined", "split"), "cut", "random"
 _STIMULI = 48  # rows of a sequence
+_RANDOM_BURSTS = 64  # of a sequence of random frames
 _SIZES = (2, 8)  # frames of a random burst, at least and at most
 
 
@@ -230,11 +231,41 @@ def _rows(protocol: Protocol, *, cut: bool) -> tuple[Row, ...]:
     return CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear).rows
 
 
-class Combinations:
-    """The sequences of combinations of a protocol and a seed: those of the arrays, and random ones.
+def random_sequences(protocol: Protocol, seed: int, first: int = 1) -> Iterator[SequenceCase]:
+    """The sequences of random frames from number `first` on, every second one pipelined.
 
-    The arrays begin each frame from a state that was set; the random ones go on from wherever the
-    frames before have led.
+    They go on from wherever the frames before have led. Each depends on its number and the seed,
+    and on no other sequence.
+    """
+    for number in count(first):
+        draw = random.Random(f"random sequence {seed} {number}")
+        inputs = Inputs(protocol, draw.getrandbits(64))
+        bursts = []
+        for _ in range(_RANDOM_BURSTS):
+            size = 1 if number % 2 else draw.randint(*_SIZES)
+            bursts.append(Burst(tuple(_any_frame(protocol, inputs, draw) for _ in range(size))))
+        what = "any frame in any state is answered"
+        yield _seeded(protocol, f"{RANDOM}/{number:03}", what, bursts)
+
+
+def _any_frame(protocol: Protocol, inputs: Inputs, draw: random.Random) -> Step:
+    """A random frame: as often a motion or a setting as any header with any data."""
+    if draw.random() < 0.5:
+        return inputs.next(draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds))
+    header = draw.randrange(len(protocol.headers))
+    data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
+    return complete_frame(protocol, header, data)
+
+
+def _seeded(protocol: Protocol, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
+    clause = protocol.clauses.instructions
+    return SequenceCase(f"{ARRAY}/{name}", clause, what, (), tuple(bursts), seeded=True)
+
+
+class Combinations:
+    """The sequences of the arrays of a protocol and a seed.
+
+    They begin each frame from a state that was set.
     """
 
     def __init__(self, protocol: Protocol, seed: int) -> None:
@@ -251,32 +282,10 @@ class Combinations:
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
             bursts = list(self._bursts(word, space, rows[start : start + _STIMULI]))
-            yield self._sequence(f"{word}/{number:03}", what, bursts)
+            yield self._sequence(word, number, what, bursts)
 
-    def random(self, number: int, bursts: int) -> SequenceCase:
-        """The sequence of that number of random frames, every second one pipelined."""
-        made = []
-        for _ in range(bursts):
-            count = 1 if number % 2 else self._draw.randint(*_SIZES)
-            made.append(Burst(tuple(self._any() for _ in range(count))))
-        return self._sequence(f"random/{number:03}", "any frame in any state is answered", made)
-
-    def _any(self) -> Step:
-        """A random frame: as often a motion or a setting as any header with any data."""
-        inputs, draw, protocol = self._inputs, self._draw, self._protocol
-        if draw.random() < 0.5:
-            return inputs.next(
-                draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds)
-            )
-        header = draw.randrange(len(protocol.headers))
-        data = bytes(
-            draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header])
-        )
-        return complete_frame(protocol, header, data)
-
-    def _sequence(self, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
-        clause = self._protocol.clauses.instructions
-        return SequenceCase(f"{ARRAY}/{name}", clause, what, (), tuple(bursts), seeded=True)
+    def _sequence(self, word: str, number: int, what: str, bursts: list[Burst]) -> SequenceCase:
+        return _seeded(self._protocol, f"{word}/{number:03}", what, bursts)
 
     def _bursts(self, word: str, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""

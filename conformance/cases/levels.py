@@ -10,10 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import islice
+from math import ceil
 from typing import NamedTuple, TypeAlias
 
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.combinations import CUT, DELIVERED, Combinations
+from bilprov.conformance.cases.combinations import (
+    ARRAY,
+    CUT,
+    DELIVERED,
+    RANDOM,
+    Combinations,
+    random_sequences,
+)
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, proof_sequences
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
@@ -33,7 +42,8 @@ from bilprov.spec.protocol import Protocol
 
 AnyCase = Case | SequenceCase
 
-_RANDOM_BURSTS = 64  # of a sequence of random frames
+_SOAKED = 1000  # faults of a soak for each random sequence in it
+_MOST_MORE = 2000  # random sequences with which a budget is filled
 # How long (ms) the robot is sent nothing after each frame of a left-alone sequence.
 _DWELLS = (65, 35, 130, 65, 35, 65, 140, 35, 65, 20, 130, 65)
 
@@ -113,6 +123,8 @@ def _proving(proof: Proof) -> Make:
     return lambda of, _: proof_sequences(of.protocol, proof, of.seed, of.extra)
 
 
+_RANDOM = f"{ARRAY}/{RANDOM}"
+
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
 GENERATORS = (
     Generator("pipelined/dense", (0, 1, 1), lambda of, _: [dense(of.protocol)]),
@@ -150,11 +162,11 @@ GENERATORS = (
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
     ),
-    *(Generator(f"combined/{word}", (0, 1, 1), _combined(word)) for word in (*DELIVERED, CUT)),
+    *(Generator(f"{ARRAY}/{word}", (0, 1, 1), _combined(word)) for word in (*DELIVERED, CUT)),
     Generator(
-        "combined/random",
+        _RANDOM,
         (0, 130, 1300),
-        _numbered(lambda of, n: of.combinations.random(n, _RANDOM_BURSTS)),
+        lambda of, amount: islice(random_sequences(of.protocol, of.seed), amount),
     ),
     *(Generator(f"{GROUP}/{one.name}", (0, 0, 0, 1), _proving(one)) for one in PROOFS),
 )
@@ -177,7 +189,8 @@ def level_cases(
 ) -> tuple[AnyCase, ...]:
     """All cases of a level, in the order in which they run.
 
-    `soaked` is how many faults more to send at the end, `extra` how many states more than the
+    `soaked` is how many faults more to send at the end, with a random sequence for every
+    `_SOAKED` of them, `extra` how many states more than the
     machine the level `complete` allows a device. `left_out` are groups of `PROOF_GROUPS` that are
     not made. Raises UserError where `extra` takes too many sequences.
     """
@@ -185,7 +198,21 @@ def level_cases(
         *single_cases(protocol, name, seed),
         *_sequences(protocol, LEVELS[name], seed, extra, left_out),
         *(soak(protocol, seed, soaked) if soaked else ()),
+        *islice(more_random(protocol, name, seed), _of_soak(soaked)),
     )
+
+
+def more_random(
+    protocol: Protocol, name: str, seed: int, soaked: int = 0
+) -> Iterator[SequenceCase]:
+    """The random sequences after those of a level and its soak, with which a budget is filled."""
+    held = next(row.amount(LEVELS[name]) for row in GENERATORS if row.group == _RANDOM)
+    return islice(random_sequences(protocol, seed, held + _of_soak(soaked) + 1), _MOST_MORE)
+
+
+def _of_soak(soaked: int) -> int:
+    """How many random sequences a soak of so many faults holds."""
+    return ceil(soaked / _SOAKED)
 
 
 @lru_cache(maxsize=8)

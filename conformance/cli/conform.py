@@ -36,7 +36,7 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
-from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.budget import before_the_cases, group
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.selection import matching, shard_named
@@ -159,12 +159,18 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     default=0,
     help="With --level complete: find devices of up to N more states than the Protocol's machine.",
 )
-@click.option("--soak", metavar="N", type=click.IntRange(0), default=0, help="And N faults more.")
+@click.option(
+    "--soak",
+    metavar="N",
+    type=click.IntRange(0),
+    default=0,
+    help="And N faults more, a random sequence for every 1,000 of them.",
+)
 @click.option(
     "--budget",
     metavar="S",
     type=click.FloatRange(1, 86_400),
-    help="Drop the cases that add least a second, and say which.",
+    help="Drop the cases that add least a second, and say which; fill time left with random ones.",
 )
 @click.option(
     "--allow",
@@ -287,6 +293,13 @@ def conform(
     return report.exit
 
 
+def _estimate(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
+    """About how long (s) the cases take at a target."""
+    timeout = options.truncation_timeout or target.protocol.timing.truncation_timeout
+    before = before_the_cases(timeout / 1000)
+    return before + estimated_seconds(target.protocol, cases, options, byte_time=target.byte_time)
+
+
 def _tested(
     opened: Callable[[Stopper], AbstractContextManager[Target]],
     options: Options,
@@ -306,13 +319,13 @@ def _tested(
         target = stack.enter_context(opened(stopper))
         count = planned(target.protocol, options, cases)
         if options.level == COMPLETE.name:
-            seconds = estimated_seconds(target.protocol, cases, options, target.line)
+            seconds = _estimate(target, options, cases)
             groups = {group(case.id) for case in cases}
             said = announcement(target.protocol, options.extra, groups)
             note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
         if target.moves:
             note_hindrances(robot.target)
-            seconds = estimated_seconds(target.protocol, cases, options, target.line)
+            seconds = _estimate(target, options, cases)
             what = f"the robot at {robot.target} will drive and turn for about {_time(seconds)}"
             confirm_motion(what, yes=robot.yes)
             note(

@@ -94,6 +94,11 @@ class Target:
         """The settings of its line."""
         return line_named(self.protocol, str(self.environment.link.get("line", "")))
 
+    @property
+    def byte_time(self) -> int:
+        """How long (ns) a byte takes on its line: nothing on a pty or a socket."""
+        return int(self.environment.link.get("byte_ns", self.line.byte_time))
+
 
 @contextmanager
 def open_target(
@@ -188,7 +193,13 @@ def _port_target(
         why = f"{probe_name} is asked only about a few cases"
         observability = Observability(True, probe.costly, why)
     line = port.settings
-    about = {"kind": "port", "line": str(line), "baud": line.baud, "probe": probe_name}
+    about = {
+        "kind": "port",
+        "line": str(line),
+        "baud": line.baud,
+        "byte_ns": port.byte_time,
+        "probe": probe_name,
+    }
 
     def halt() -> None:
         with suppress(LinkError):

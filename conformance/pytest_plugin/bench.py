@@ -88,7 +88,13 @@ class SuiteThread(RunListener):
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""
         chosen = [case for case in self._cases if case.id in ids]
-        return estimated_seconds(self.protocol, chosen, self.options, self._settings)
+        return estimated_seconds(
+            self.protocol,
+            chosen,
+            self.options,
+            self._settings,
+            byte_time=self._port.byte_time if self._port else None,
+        )
 
     def open(self, confirm: Callable[[], None]) -> None:
         """Open port and probe, once; then call `confirm`, which raises if the robot may not move.
