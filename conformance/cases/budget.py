@@ -72,25 +72,27 @@ def seconds(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float)
     `byte_time` and `timeout` (the pause that ends a truncated frame) are in s.
     """
     timers = Timers()
-    home = 4 * protocol.longest_frame * byte_time
-    silence = timers.silence / MS / 1000
+    home = 4 * protocol.longest_frame * byte_time + timers.settle / MS / 1000
     if isinstance(case, SequenceCase):
         size = sum(len(data) + 1 for data in case.sent)
         bursts = len(case.bursts) + len(case.setup)
         total = home + size * byte_time + bursts * _EXCHANGE
         for burst in case.bursts:
-            total += 1.25 * timeout if burst.steps[-1].truncated else 0.0
+            total += timeout if burst.steps[-1].truncated else 0.0
             total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
         return total
     if isinstance(case, WheelSweep):
         each = (len(case.frame) + 1) * byte_time + (1 + _LOOKS) * _EXCHANGE
         return home + case.frames * each
-    total = home + (12 + len(case.frame)) * byte_time + 8 * _EXCHANGE
+    # A stop is preceded by a motion, and followed by a setting and a motion.
+    frames = 10 if case.stop else 4
+    total = (2 * frames + len(case.frame)) * byte_time + frames * _EXCHANGE
     if case.stop:
-        total += timers.hold / MS / 1000 if case.thorough else silence
-    if case.kind in (FrameClass.BAD_DATA, FrameClass.TRUNCATED) and not case.thorough:
-        total -= silence * 3 / 4
-    return total + (1.1 * timeout if case.truncated or case.short else 0.0)
+        # One fault in four waits for silence.
+        share = 1 if case.thorough or case.kind is FrameClass.VALID else 4
+        total += timers.silence / share / MS / 1000
+    total += timers.settle / MS / 1000
+    return total + (1.1 * timeout if case.truncated else 0.0)
 
 
 def answers_in(case: AnyCase) -> int:
