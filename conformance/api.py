@@ -192,6 +192,7 @@ def run_suite(
     skip: SkipPolicy | None = None,
     logged: bool = True,
     experiments: frozenset[str] | None = None,
+    short_homing: bool = True,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
@@ -241,6 +242,7 @@ def run_suite(
             environment.virtual,
             environment.lossless,
             experiments,
+            short_homing,
         ),
         profile,
         begin=begin,

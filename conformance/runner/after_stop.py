@@ -17,6 +17,9 @@ from bilprov.spec.by_effect import moving_to, setting
 from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 
+_MANY = (FrameClass.BAD_DATA, FrameClass.TRUNCATED)
+"""The classes of faulty frames with the most cases."""
+
 
 def stays_stopped(
     trial: Trial, case: Case, looks: bool, judged: Callable[[Received, int], Axis]
@@ -28,11 +31,13 @@ def stays_stopped(
     run = trial.run
     # Of the many faulty frames, one in four waits for silence: a late answer shows in the next
     # homing, and a stop that does not last shows in the sequences too.
-    many = case.kind is not FrameClass.VALID and not case.thorough
+    short = run.config.short_homing
+    most = case.kind is not FrameClass.VALID if short else case.kind in _MANY
+    many = most and not case.thorough
     brief = many and run.counters.next_check() % 4
     window = run.timers.settle if brief else run.timers.silence
     costly = run.config.observability.costly
-    long = not costly and run.counters.holds(case)
+    long = case.thorough and not costly and (not short or run.counters.holds(case))
     rounds = max(1, run.timers.hold // window) if long else 1
     trial.settled = True
     for _ in range(rounds):

@@ -78,9 +78,10 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     # a sequence there are many, and time for an answer that comes late.
     slow = run.profile.slowest > _SLOW
     single = trial is not None and isinstance(trial.case, Case)
-    few = 1 if slow else 2 if single else due
-    at_once = (few, due, due) if in_step else (due, due)
-    settle = 0 if trial is not None and trial.settled else run.timers.settle
+    few = 1 if slow else 2 if single and run.config.short_homing else due
+    at_once = (few, due, due) if in_step and few < due else (due, due)
+    settled = trial is not None and trial.settled and run.config.short_homing
+    settle = 0 if settled else run.timers.settle
     between_frames = in_step or trial is None
     lost = 0
     for count in () if run.profile.one_by_one else at_once:

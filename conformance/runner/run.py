@@ -33,7 +33,9 @@ class RunConfig:
     `power` says whether the robot can be switched off and on, `virtual` whether the device is an
     object in virtual time: what answers is then no other device, baud rate or program. `lossless`
     declares that the line loses nothing: what is not reproduced there is no noise. `experiments`
-    are the ids of those that a recording holds, for a run over one; None for all.
+    are the ids of those that a recording holds, for a run over one; None for all. With
+    `short_homing` few stops home a device that is in step, and few faults are waited after, which
+    recordings of older kits did not do.
     """
 
     protocol: Protocol
@@ -43,6 +45,7 @@ class RunConfig:
     virtual: bool = True
     lossless: bool = False
     experiments: frozenset[str] | None = None
+    short_homing: bool = True
 
     @property
     def observable(self) -> bool:

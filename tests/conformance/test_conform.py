@@ -35,6 +35,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target, open_target, target_named
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.report.schema import WheelCurve
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -92,6 +93,7 @@ class CaseForm(msgspec.Struct, forbid_unknown_fields=True):
     reading: str | None
     sent: list[str]
     received: list[ByteForm]
+    frames: int
     reproduce: str
     expected_failure: bool
     log: list[EntryForm]
@@ -115,6 +117,9 @@ class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
     led_id: int | None
     stop_latency_ms: float | None
     watchdog_ms: float | None
+    facets: list[str]
+    all_but_two_answers_ms: float | None
+    wheels: list[WheelCurve]
     readings: dict[str, str]
 
 
@@ -142,6 +147,7 @@ class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     timing: dict[str, float]
     dropped: dict[str, int]
     profile: ProfileForm
+    proof: str | None
     expected_failures: ExpectedForm | None
     cases: list[CaseForm]
     begun: str
@@ -278,7 +284,7 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
     assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READING_CASES])
     assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
     assert {sequence.id for sequence in sequences} <= set(ids)
-    singles = sum(FRAME_COUNTS.values()) - 1920 + 240 + 20  # one cut of each frame
+    singles = sum(FRAME_COUNTS.values()) - 1920 + 20 + 20 + 3  # few cuts, sweeps of the wheels
     assert len(ids) == len(set(ids)) == len(OPENING) + READING_CASES + singles + len(sequences)
 
 
@@ -288,10 +294,10 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
         (["unused-id/*"], 112),
         (["*/Speed/3"], 1 + 1),  # wrong-length/Speed/3 and valid/Speed/3
         (["valid/LED/?", "bad-data/LED/8"], 9),
-        (["truncated/*"], 240),
+        (["truncated/*"], 20),
         (["valid/Stop", "valid/S*p"], 1),
         (["recovery/*Right"], 5),
-        (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1),  # but readings, recoveries, sequences; and dense
+        (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1 + 3),  # but readings, recoveries, sequences; dense
         (["link/*"], 2),
         (["reading/*"], READING_CASES),
         (["reading/watchdog", "power-on/Speed"], 2),
@@ -445,7 +451,7 @@ def test_fail_fast_skips_the_rest() -> None:
 
 
 def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
-    slow = ["--deadline", "100", "--only", "truncated/9/3/*"]
+    slow = ["--level", "deep", "--deadline", "100", "--only", "truncated/9/3/*"]
     # runs-data-of-too-long is non-strict in what it answers to long frames that are cut short
     fault = ["--fault", "runs-data-of-too-long", "--only", "truncated/LED/15/1?"]
 

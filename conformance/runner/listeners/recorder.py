@@ -132,6 +132,7 @@ class RunRecorder(Closing, RunListener):
                 "grammar": {"sha256": protocol.sha256, "file": protocol.origin},
                 "options": options,
                 "circumstances": environment,
+                "short_homing": True,
             }
         )
         self._attach(GRAMMAR, "text/x-python", protocol.source.encode())

@@ -9,6 +9,7 @@ import pytest
 
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.conformance.api import Options, conform, estimated_seconds, run_suite, select_cases
+from bilprov.conformance.cases.budget import before_the_cases
 from bilprov.conformance.cases.opening import opening_cases
 from bilprov.conformance.cases.selection import matching, shard_named, share
 from bilprov.conformance.dut.link import Environment
@@ -113,7 +114,9 @@ def test_the_line_that_is_given_is_announced_and_its_cases_are_listed(protocol: 
         refused = command("conform", port, *given, "--stopbits", "2")
     listed = command("conform", "/dev/nowhere", *given, "--stopbits", "2", "--list")
 
-    seconds = estimated_seconds(protocol, cases, options, line)
+    # The line's settings choose the cases; on a pty no byte takes time.
+    seconds = estimated_seconds(protocol, cases, options, byte_time=0)
+    seconds += before_the_cases(protocol.timing.truncation_timeout / 1000)
     assert f"for about {seconds:.0f} s" in sentence(refused)
     ids = [row.split()[0] for row in listed.stdout.decode().splitlines()]
     assert [ident for ident in ids if not ident.startswith(OPENING)] == [c.id for c in cases]

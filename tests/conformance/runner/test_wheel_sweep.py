@@ -193,7 +193,8 @@ def test_no_legal_variant_fails_a_sweep(protocol: Protocol) -> None:
         options = replace(ONLY, allow=(variant.allow,) if variant.allow else ())
         report = conform(Simulator(protocol, variant.fault), grammar=protocol, options=options)
 
-        assert {v for v in verdicts(report).values() if v > TOLD} == set(), name
+        most = NON_STRICT if variant.reading == "R-resolution" else TOLD
+        assert max(verdicts(report).values()) <= most, name
 
 
 def test_a_fall_that_shows_once_is_flaky(protocol: Protocol) -> None:
