@@ -117,8 +117,9 @@ class Space:
             self.protocol.data_lengths.index(length),
             *(_CLASS[step.frame[places[f]]] if length >= least else 0 for f, least in _BYTES),
             *(
-                of.get(getattr(state, n))
-                for of, (n, _) in zip(self._numbers, self.states, strict=True)
+                # A variable that no instruction sets alone is no factor, whatever its value.
+                of.get(getattr(state, n)) if len(values) > 1 else 0
+                for of, (n, values) in zip(self._numbers, self.states, strict=True)
             ),
             self.faults.index(before) + 1 if before else 0,
             way,

@@ -147,6 +147,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.option("--fail-fast", is_flag=True, help="End after the first failure.")
 @click.option(
     "--level",
+    metavar="LEVEL",
     type=click.Choice(list(LEVELS)),
     default=STANDARD.name,
     show_default=True,

@@ -1,1 +1,1 @@
-"""Finite-state machines and their complete test suites: pure theory, no protocol in it."""
+"""Finite-state machines and their complete test suites: the Wp-method. Knows no protocol."""

@@ -52,7 +52,10 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
     axis = Axis(Verdict.FAIL, *words, why or reason, reading)
     name = "stop" if stops and seen.look.moving else "state"
     clauses = run.protocol.clauses
-    safety = name == "stop" or step.faulty
+    # An instruction that is to stop it and does not breaks what the table says of it.
+    effect = step.frame_effect.effect
+    told = effect is not None and effect.sets("motion")
+    safety = step.faulty or (name == "stop" and not told)
     clause = clauses.safety if safety else clauses.instructions
     return Mismatch(step, name, axis, clause)
 

@@ -13,7 +13,7 @@ from bilprov.spec.motion import Motion
 SEQUENCE = ("sequence/*",)
 PIPELINED = ("pipelined/*",)
 SPLIT = ("split/*",)
-SOAK = ("pipelined/soak/*",)
+MANY_FRAMES = ("combined/*", "pipelined/soak/*")
 READING = ("reading/*",)
 POWER_ON = ("power-on/*",)
 

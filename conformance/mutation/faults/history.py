@@ -10,8 +10,8 @@ from bilprov.captures.text import ordinal
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.mutation.faults.family import (
     EVERYTHING,
+    MANY_FRAMES,
     POWER_ON,
-    SOAK,
     WATCHED_FAULTS,
     Family,
 )
@@ -47,7 +47,7 @@ history_fault = Family("history", "safety responses instructions", WATCHED_FAULT
 count_fault = Family("history", "instructions")
 stop_count_fault = Family("history", "safety instructions")
 answer_count_fault = Family("history", "responses instructions")
-soak_fault = Family("history", "instructions", SOAK)
+after_many = Family("history", "instructions", MANY_FRAMES)
 
 _WRAP, _LONG_WRAP = 1 << 8, 1 << 16
 
@@ -123,7 +123,7 @@ def count_faults(protocol: Protocol) -> Iterator[Fault]:
     yield from _after_so_many(protocol)
     yield from _every_so_often()
     yield from _after_an_event(protocol)
-    yield from _only_a_soak()
+    yield from _after_many_frames()
 
 
 def _after_so_many(protocol: Protocol) -> Iterator[Fault]:
@@ -224,25 +224,29 @@ def _after_an_event(protocol: Protocol) -> Iterator[Fault]:
         )
 
 
-def _only_a_soak() -> Iterator[Fault]:
-    yield soak_fault(
+def _after_many_frames() -> Iterator[Fault]:
+    yield after_many(
         f"no-stop-after-{_LONG_WRAP}-frames",
         f"after {_LONG_WRAP} frames no fault stops it",
         when(every(faulty, from_count("frames", _LONG_WRAP)), drives_on),
         clauses="safety",
-        needs="soak",
     )
-    yield soak_fault(
+    yield after_many(
         f"silent-after-{_LONG_WRAP}-frames",
         f"after {_LONG_WRAP} frames it answers nothing any more",
         when(from_count("frames", _LONG_WRAP), silent),
         clauses="responses instructions",
-        needs="soak",
     )
-    yield soak_fault(
+    yield after_many(
         "dark-after-40000-frames",
         "after 40,000 frames its light goes out and stays out",
         when(from_count("frames", 40_000), sets(led=0)),
+    )
+    yield after_many(
+        f"no-stop-after-{_LONG_WRAP}-faults",
+        f"after {_LONG_WRAP} faults no fault stops it",
+        when(every(faulty, from_count("faults", _LONG_WRAP)), drives_on),
+        clauses="safety",
         needs="soak",
     )
 

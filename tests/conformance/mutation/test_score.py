@@ -24,7 +24,7 @@ from tests.support.robots import sentence
 
 pytestmark = pytest.mark.slow
 
-FEW = ("ok-to-bad-data", "sent-ahead-merged", "echo", "never-moves", "no-stop-after-65536-frames")
+FEW = ("ok-to-bad-data", "sent-ahead-merged", "echo", "never-moves", "no-stop-after-65536-faults")
 
 
 def test_each_fault_is_caught_as_it_must_be_and_the_groups_that_fail_are_named(
@@ -37,8 +37,8 @@ def test_each_fault_is_caught_as_it_must_be_and_the_groups_that_fail_are_named(
     assert caught["ok-to-bad-data"]
     assert caught["echo"]  # the line is told to be unusable
     assert caught["never-moves"]  # nothing failed, and nothing vouched for
-    assert not caught["no-stop-after-65536-frames"]
-    assert few.soak == ("no-stop-after-65536-frames",)
+    assert few.soak == ("no-stop-after-65536-faults",)
+    assert not caught["no-stop-after-65536-faults"]
     assert few.reference == {level: "pass"}
     assert few.bytes[level] > 10_000
     result = few.at(level)["ok-to-bad-data"]

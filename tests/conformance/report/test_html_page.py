@@ -430,3 +430,26 @@ def test_a_run_of_nothing_still_makes_a_page(protocol: Protocol, show: Open) -> 
     words = page.eval("document.body.innerText")
     assert "not judged: it echoes" in words
     assert "No case was judged." in words
+
+
+@needs_chromium
+def test_the_curves_of_the_wheels_are_drawn(protocol: Protocol, show: Open) -> None:
+    report = a_run(protocol, "wheels/*")
+    curves = report.profile["wheels"]
+    page = show(report, every_verdict(protocol))
+
+    drawn = Seen(as_html([report], protocol)).elements
+    lines = [seen["points"] for name, seen in drawn if name == "polyline"]
+    assert len(curves) == 3
+    assert len(lines) == 2 * len(curves)
+    assert [len((line or "").split()) for line in lines[::2]] == [
+        len(curve["settings"]) for curve in curves
+    ]
+    assert page.eval("document.querySelectorAll('svg.wheels').length") == len(curves)
+    assert page.eval("document.documentElement.scrollWidth <= innerWidth") is True
+
+
+def test_a_report_without_wheels_has_no_curves(protocol: Protocol) -> None:
+    drawn = Seen(as_html([every_verdict(protocol)], protocol)).elements
+
+    assert "wheels" not in {attributes.get("class") for _, attributes in drawn}

@@ -178,7 +178,7 @@ def test_a_variant_that_is_a_measured_time_shows_no_choice(protocol: Protocol) -
     rest = set(variants(protocol)) - set(SHOWS)
     times = ("R-truncation-timeout", "R-answer-deadline", "R-stop-", "R-unsolicited", "R-power-on")
 
-    assert all(name.startswith((*times, "R-pipelining=no")) for name in rest)
+    assert all(name.startswith((*times, "R-pipelining=no", "R-resolution=")) for name in rest)
     for name in sorted(rest - {"R-pipelining=no"}):
         run = probed(protocol, variants(protocol)[name].fault)
         assert others(run) == {}, name

@@ -1,0 +1,82 @@
+"""Combinations: what a run covers, counted from its frames, and the random sequences after them."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import pytest
+
+from bilprov.conformance.api import Options, conform, estimated_seconds, select_cases
+from bilprov.conformance.cases.combinations import random_sequences, space_of, total
+from bilprov.conformance.cases.coverage import COMBINED
+from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.spec.protocol import Protocol
+
+RANDOM = "combined/random/"
+
+
+def randoms(protocol: Protocol, level: str, soaked: int = 0) -> list[SequenceCase]:
+    cases = level_cases(protocol, level, 1, soaked)
+    return [c for c in cases if isinstance(c, SequenceCase) and c.id.startswith(RANDOM)]
+
+
+@pytest.mark.slow
+def test_the_arrays_cover_every_feasible_combination_of_three(each_protocol: Protocol) -> None:
+    def covered(*only: str) -> tuple[int, int]:
+        options = Options(only=only)
+        return conform(
+            Simulator(each_protocol), grammar=each_protocol, options=options, logged=False
+        ).coverage[COMBINED]
+
+    every = total(each_protocol)
+
+    assert covered("combined/waited/*", "combined/pipelined/*", "combined/split/*") == (every,) * 2
+    assert covered("combined/pipelined/*")[0] < every
+
+
+def test_every_frame_of_a_factor_fits_the_row_that_it_is_in(each_protocol: Protocol) -> None:
+    for cut in (False, True):
+        space = space_of(each_protocol, cut=cut)
+        assert all(shape.arrived < shape.announced for shape in space.shapes) is cut
+        assert len(space.sizes) == 11
+
+
+def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Protocol) -> None:
+    first = list(islice(random_sequences(protocol, 1), 4))
+
+    assert list(islice(random_sequences(protocol, 1, 3), 2)) == first[2:]
+    assert next(random_sequences(protocol, 2)).bursts != first[0].bursts
+    assert [case.id for case in first] == [f"{RANDOM}{number:03}" for number in range(1, 5)]
+    assert [any(len(b.steps) > 1 for b in case.bursts) for case in first] == [False, True] * 2
+
+
+def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol) -> None:
+    standard, deep = randoms(protocol, "standard"), randoms(protocol, "deep")
+
+    assert len(deep) == 10 * len(standard) > 0
+    assert deep[: len(standard)] == standard
+
+
+def test_a_budget_that_is_left_is_filled_with_random_sequences(protocol: Protocol) -> None:
+    whole = select_cases(protocol, Options())
+    seconds = estimated_seconds(protocol, whole, Options())
+
+    more = select_cases(protocol, Options(budget=seconds + 30, soak=1500))[len(whole) :]
+
+    added = [case for case in more if case.id.startswith(RANDOM)]
+    assert 0 < len(added) < 1000
+    assert len({case.id for case in (*whole, *more)}) == len(whole) + len(more)
+    spent = estimated_seconds(protocol, (*whole, *more), Options())
+    assert seconds + 20 < spent < seconds + 30
+
+
+def test_sequences_that_pass_are_kept_as_counts_and_others_whole(protocol: Protocol) -> None:
+    options = Options(only=(f"{RANDOM}00?",))
+    good = conform(Simulator(protocol), grammar=protocol, options=options)
+
+    kept = [result for result in good.results if result.id.startswith(RANDOM)]
+    assert len(kept) == 9
+    assert all(result.frames >= 64 for result in kept)
+    assert {(result.sent, result.received, result.log) for result in kept} == {((), (), ())}
