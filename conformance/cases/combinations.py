@@ -24,7 +24,13 @@ from bilprov.conformance.cases.covering_array import (
 from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame, valid_frame
+from bilprov.conformance.cases.steps import (
+    Step,
+    complete_frame,
+    truncated_frame,
+    valid_frame,
+    valid_frames,
+)
 from bilprov.spec.by_effect import moving_motions, setting
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
@@ -91,11 +97,16 @@ class Space:
 
     def feasible(self, chosen: Partial) -> bool:
         """Whether a frame in a state can have these values."""
-        present = (chosen[factor] > 0 if factor in chosen else None for factor, _ in _BYTES)
-        key = (chosen.get(_LENGTH), chosen.get(_WAY), *present)
-        if key not in self._possible:
-            self._possible[key] = any(True for _ in self.fitting(chosen))
-        return self._possible[key] and (not chosen.get(_BEFORE) or self._after_fault(chosen))
+        get = chosen.get
+        first, second, last = get(_FIRST, -1), get(_SECOND, -1), get(_LAST, -1)
+        # Of a byte it counts whether it is there: 1 is the first of its classes.
+        key = (get(_LENGTH), get(_WAY), min(first, 1), min(second, 1), min(last, 1))
+        possible = self._possible.get(key)
+        if possible is None:
+            possible = self._possible[key] = any(True for _ in self.fitting(chosen))
+        if possible and get(_BEFORE):
+            return all(get(factor, only) == only for factor, only in self._left_by_fault)
+        return possible
 
     @cached_property
     def _numbers(self) -> tuple[dict[object, int], ...]:
@@ -139,14 +150,16 @@ class Space:
                 if bytes_fit and chosen.get(_WAY, shape.way) == shape.way:
                     yield shape
 
-    def _after_fault(self, chosen: Partial) -> bool:
-        """Whether a fault can leave the robot in the chosen state."""
+    @cached_property
+    def _left_by_fault(self) -> tuple[tuple[int, int], ...]:
+        """The factors that a fault sets, with the value that it gives each."""
         on_fault = self.protocol.on_fault
         left = on_fault.apply(self.protocol.power_on)
-        return all(
-            getattr(left, name) in values[chosen[factor]]
+        return tuple(
+            (factor, number)
             for factor, (name, values) in enumerate(self.states, _MOTION)
-            if factor in chosen and on_fault.sets(name)
+            for number, some in enumerate(values)
+            if on_fault.sets(name) and getattr(left, name) in some
         )
 
 
@@ -238,21 +251,21 @@ def random_sequences(protocol: Protocol, seed: int, first: int = 1) -> Iterator[
     They go on from wherever the frames before have led. Each depends on its number and the seed,
     and on no other sequence.
     """
+    valid = [valid_frames(protocol, spec.name) for spec in protocol.instructions]
     for number in count(first):
         draw = random.Random(f"random sequence {seed} {number}")
-        inputs = Inputs(protocol, draw.getrandbits(64))
         bursts = []
         for _ in range(_RANDOM_BURSTS):
             size = 1 if number % 2 else draw.randint(*_SIZES)
-            bursts.append(Burst(tuple(_any_frame(protocol, inputs, draw) for _ in range(size))))
+            bursts.append(Burst(tuple(_any_frame(protocol, valid, draw) for _ in range(size))))
         what = "any frame in any state is answered"
         yield _seeded(protocol, f"{RANDOM}/{number:03}", what, bursts)
 
 
-def _any_frame(protocol: Protocol, inputs: Inputs, draw: random.Random) -> Step:
-    """A random frame: as often a motion or a setting as any header with any data."""
+def _any_frame(protocol: Protocol, valid: Sequence[Sequence[Step]], draw: random.Random) -> Step:
+    """A random frame: as often one of the valid ones as any header with any data."""
     if draw.random() < 0.5:
-        return inputs.next(draw.choice((*inputs.movers, *inputs.settings) or inputs.valid_kinds))
+        return draw.choice(draw.choice(valid))
     header = draw.randrange(len(protocol.headers))
     data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
     return complete_frame(protocol, header, data)
