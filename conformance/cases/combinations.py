@@ -226,10 +226,10 @@ def _cut_classes(protocol: Protocol) -> tuple[list[range], list[range]]:
 
 
 @lru_cache(maxsize=8)
-def total(protocol: Protocol) -> int:
-    """How many feasible combinations of `STRENGTH` factors complete frames have."""
+def total(protocol: Protocol, strength: int) -> int:
+    """How many feasible combinations of so many factors complete frames have."""
     space = space_of(protocol, cut=False)
-    return sum(1 for _ in feasible_combinations(space.sizes, STRENGTH, space.feasible))
+    return sum(1 for _ in feasible_combinations(space.sizes, strength, space.feasible))
 
 
 @lru_cache(maxsize=8)

@@ -21,6 +21,7 @@ from bilprov.conformance.cases.combinations import (
     space_of,
     total,
 )
+from bilprov.conformance.cases.covering_array import Row
 from bilprov.conformance.cases.frame_source import TOO_FEW, TOO_MANY
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
@@ -40,7 +41,7 @@ STATES = "instructions and faults x kinds of motion"
 PAIRS = "pairs in a row"
 TRIPLES = "pairs in a row x kinds of motion"
 WAYS = "instructions and faults x deliveries"
-COMBINED = "combinations of three"
+COMBINED = {2: "combinations of two", STRENGTH: "combinations of three"}
 
 
 def kind_of(protocol: Protocol, step: Step) -> str:
@@ -141,16 +142,16 @@ def covered(protocol: Protocol, cases: Iterable[AnyCase]) -> dict[str, tuple[int
     combined = [
         case for case in cases if isinstance(case, SequenceCase) and case.id.startswith(f"{ARRAY}/")
     ]
-    return found | {COMBINED: _combined(protocol, combined)} if combined else found
+    return found | _combined(protocol, combined) if combined else found
 
 
-def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> tuple[int, int]:
-    """How many combinations of three factors these cases exercise, out of how many.
+def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> dict[str, tuple[int, int]]:
+    """How many combinations of two and of three factors these cases exercise, out of how many.
 
     Of each burst the last frame counts, after which the robot is observed; truncated frames do not.
     """
     space = space_of(protocol, cut=False)
-    met: set[tuple[tuple[int, int], ...]] = set()
+    rows: set[Row] = set()
     for case in cases:
         state, last = protocol.power_on, ""
         for burst in case.bursts:
@@ -158,6 +159,14 @@ def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> tuple[int, i
             for step in burst.steps:
                 if burst.looks and step is burst.steps[-1] and not step.truncated:
                     row = space.row(state, last, step, way)
-                    met.update(combinations(enumerate(row or ()), STRENGTH))
+                    if row:
+                        rows.add(row)
                 state, last = _after(protocol, state, step), kind_of(protocol, step) * step.faulty
-    return len(met), total(protocol)
+    found = {}
+    for strength, name in COMBINED.items():
+        met: set[tuple[int, ...]] = set()
+        for row in rows:
+            # A number stands for a factor and its value.
+            met.update(combinations([factor << 16 | v for factor, v in enumerate(row)], strength))
+        found[name] = len(met), total(protocol, strength)
+    return found
