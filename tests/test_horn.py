@@ -143,6 +143,7 @@ def test_the_faults_of_the_horns_grammar_are_caught(horn: Protocol, name: str) -
     assert report.exit == 1
 
 
+@pytest.mark.slow
 def test_the_command_conforms_with_the_copy(grammar: str, tmp_path: Path) -> None:
     result = command(
         *("--grammar", grammar, "conform", "sim", "--only", "*/Horn/*", "--json", "-"),

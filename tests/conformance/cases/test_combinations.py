@@ -51,6 +51,7 @@ def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Pr
     assert [any(len(b.steps) > 1 for b in case.bursts) for case in first] == [False, True] * 2
 
 
+@pytest.mark.slow
 def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol) -> None:
     standard, deep = randoms(protocol, "standard"), randoms(protocol, "deep")
 
@@ -58,6 +59,7 @@ def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol)
     assert deep[: len(standard)] == standard
 
 
+@pytest.mark.slow
 def test_a_budget_that_is_left_is_filled_with_random_sequences(protocol: Protocol) -> None:
     whole = select_cases(protocol, Options())
     seconds = estimated_seconds(protocol, whole, Options())

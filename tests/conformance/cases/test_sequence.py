@@ -227,6 +227,7 @@ def test_every_kind_is_left_alone_in_each_kind_of_motion(protocol: Protocol, lev
         assert wanted - met == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "count"), [("smoke", 30), ("standard", 300), ("deep", 1100)])
 def test_so_many_faults_come_in_a_row_each_while_the_robot_moves(
     protocol: Protocol, level: str, count: int
@@ -342,6 +343,7 @@ def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
     assert found == {row.group for row in GENERATORS if row.amount(LEVELS[level])}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", TOURS)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
     counted = Counter(case.id for case in level_cases(protocol, level, 1, 500))
@@ -377,6 +379,7 @@ def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol:
         assert ids == [case.id for case in cases[len(singles) :]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("glob", "reached"),
     [

@@ -271,6 +271,7 @@ def test_expected_failures_hold_for_the_whole(files: list[str], tmp_path: Path) 
     assert f"{expected}, line 2" in sentence_of_it
 
 
+@pytest.mark.slow
 def test_what_each_shard_expected_is_still_expected(tmp_path: Path) -> None:
     expected = tmp_path / "expected.txt"
     expected.write_text("valid/LED/* : state: led is\n")

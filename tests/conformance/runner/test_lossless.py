@@ -100,6 +100,7 @@ def test_another_grammar_fails_too(each_protocol: Protocol) -> None:
     assert conform(device, grammar=each_protocol, options=Options(level="smoke")).exit == 1
 
 
+@pytest.mark.slow
 def test_a_recording_is_judged_by_what_its_link_declared(
     tmp_path: Path, protocol: Protocol
 ) -> None:

@@ -188,6 +188,7 @@ def test_a_robot_that_never_moves_leaves_the_sweeps_out(protocol: Protocol) -> N
     assert set(verdicts(report).values()) == {SKIPPED}
 
 
+@pytest.mark.slow
 def test_no_legal_variant_fails_a_sweep(protocol: Protocol) -> None:
     for name, variant in variants(protocol).items():
         options = replace(ONLY, allow=(variant.allow,) if variant.allow else ())
