@@ -296,10 +296,7 @@ class Combinations:
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
             bursts = list(self._bursts(word, space, rows[start : start + _STIMULI]))
-            yield self._sequence(word, number, what, bursts)
-
-    def _sequence(self, word: str, number: int, what: str, bursts: list[Burst]) -> SequenceCase:
-        return _seeded(self._protocol, f"{word}/{number:03}", what, bursts)
+            yield _seeded(self._protocol, f"{word}/{number:03}", what, bursts)
 
     def _bursts(self, word: str, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""

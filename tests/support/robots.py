@@ -46,6 +46,14 @@ ALL_SEEING = Observability(available=True)
 FEW_LOOKS = Observability(available=True, costly=True)
 
 
+class Hidden:
+    """A device object that says nothing of its line, or what a test says."""
+
+    def __init__(self, device: Simulator) -> None:
+        self.receive, self.advance = device.receive, device.advance
+        self.deadline, self.look = device.deadline, device.look
+
+
 class CountingLink:
     """Virtual time; counts what it is asked. `broken` is asked before each ask and may raise."""
 

@@ -25,16 +25,9 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
 from tests.support.recordings import recorded
+from tests.support.robots import Hidden
 
 ONCE = "on a line that loses nothing: "
-
-
-class Hidden:
-    """A device object that says nothing of its line, or what a test says."""
-
-    def __init__(self, device: Simulator) -> None:
-        self.receive, self.advance = device.receive, device.advance
-        self.deadline, self.look = device.deadline, device.look
 
 
 def once(number: int) -> Fault:

@@ -28,8 +28,7 @@ from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.tally import FAULT, FRAME, Place, Tally, tallied
 from bilprov.spec.protocol import Protocol
-from tests.conformance.runner.test_lossless import Hidden
-from tests.support.robots import ALL_SEEING, MS, CountingLink, Timers
+from tests.support.robots import ALL_SEEING, MS, CountingLink, Hidden, Timers
 
 wrong = answers_with(2)
 

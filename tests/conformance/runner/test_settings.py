@@ -15,7 +15,7 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.settings import IDENT, settings
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from tests.conformance.runner.test_lossless import Hidden
+from tests.support.robots import Hidden
 
 
 def fast(event: Event) -> bool:
