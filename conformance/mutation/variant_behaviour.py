@@ -138,9 +138,12 @@ def answers_at(time: Callable[[Event, int], int]) -> React:
     """Return an effect: the answers come at the time (ns) that the function gives.
 
     It gets the frame and the time at which the device is free: that of the answer before, or now.
+    A frame without an answer takes no time.
     """
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if not reaction.answers:
+            return reaction
         free = max(event.now, device.memory.get("answered at", 0))
         due = device.memory["answered at"] = time(event, free)
         return answers(reaction, *(code for _, code in reaction.answers), delay=due - event.now)

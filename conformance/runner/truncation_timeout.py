@@ -1,4 +1,8 @@
-"""Measures the truncation time-out: from a header whose data never come to answer and stop."""
+"""Measures the truncation time-out: from a header whose data never come to answer and stop.
+
+A robot may also stop because the line is silent (R-watchdog): where its stop comes without the
+answer, the same silence after a complete instruction shows whether it is that of the time-out.
+"""
 
 from __future__ import annotations
 
@@ -15,22 +19,28 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen, obse
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words
-from bilprov.conformance.runner.homing import home_after, set_up, watch
+from bilprov.conformance.runner.homing import home, home_after, set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.motion import State
 
-_STEP = 10 * MS
+# Between two looks: half of the time since the header, within these limits.
+_FINEST, _COARSEST = MS, 10 * MS
 _JITTER = 20 * MS  # of the link; times that differ by less count as equal
 _TWICE, _TRIES = 2, 6
 
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """One measurement: the case's result, and the time-out (ns), None where none showed."""
+    """One measurement: the case's result, and the time-out (ns), None where none showed.
+
+    `silent` is how long (ns) the line had been silent at a stop that came without the answer, 0
+    where there was none.
+    """
 
     result: CaseResult
     timeout: int | None
+    silent: int = 0
 
     @property
     def failed(self) -> bool:
@@ -60,8 +70,14 @@ def measure_timeout(run: Run) -> Procedure[None]:
     run.begin(case.id)
     made: list[_Measured] = []
     alike: list[_Measured] = []
+    stop_tells, checked = True, False
     while len(made) < _TRIES and len(alike) < (_TWICE + 1 if alike and alike[0].failed else _TWICE):
-        made.append((yield from _measure(run, case)))
+        one = yield from _measure(run, case, stop_tells=stop_tells)
+        if one.silent and not checked:
+            checked, stop_tells = True, not (yield from _stops_by_itself(run, one.silent))
+            if not stop_tells:
+                continue
+        made.append(one)
         alike = max(([m for m in made if m.agrees(one)] for one in made), key=len)
     best = alike[0]
     times = [one.timeout for one in alike if one.timeout is not None]
@@ -88,29 +104,51 @@ def measure_timeout(run: Run) -> Procedure[None]:
     run.publish(result)
 
 
-def _measure(run: Run, case: Case) -> Procedure[_Measured]:
+def _measure(run: Run, case: Case, *, stop_tells: bool) -> Procedure[_Measured]:
     """Measure once and home the line; late answers found while homing count against it.
 
-    One that is stopped after its answer is published, as no pass, and the run ends.
+    `stop_tells` if a stop shows that the time-out is over. One that is stopped after its answer is
+    published, as no pass, and the run ends.
     """
     trial = Trial(run, case)
-    timeout = yield from _once(trial, case)
+    timeout, silent = yield from _once(trial, case, stop_tells=stop_tells)
     homed = yield from home_after(run, trial)
     result = trial.end(homed)
     if homed.stopped:
         run.publish(result)
         raise homed.stopped
-    return _Measured(result, timeout)
+    return _Measured(result, timeout, silent)
 
 
-def _once(trial: Trial, case: Case) -> Procedure[int | None]:
+def _drive(run: Run) -> Procedure[None]:
+    """Set the robot moving."""
+    assert run.profile.moves
+    _, fast = run.protocol.limits.get("speed", (0, 0))
+    yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+
+
+def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:
+    """Whether the robot stops in such a silence (ns) after a complete instruction too.
+
+    Leaves the line homed.
+    """
+    yield from _drive(run)
+    begun = yield from watch(run, moving=True, patience=run.timers.deadline)
+    yield from listen(None, silent + _JITTER)
+    seen = yield from observe()
+    yield from home(run)
+    return begun.look.moving is True and seen.look.moving is False
+
+
+def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int | None, int]]:
+    """Measure once: the time-out, and how silent the line was at a stop without the answer."""
     run = trial.run
     watched = run.config.observable and bool(run.profile.moves)
-    if watched and run.profile.moves:
-        _, fast = run.protocol.limits.get("speed", (0, 0))
-        yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+    if watched:
+        yield from _drive(run)
     sent = yield from send(case.frame)
-    heard, stopped = yield from _wait(run, sent, watched)
+    heard, seen_still = yield from _wait(run, sent, watched)
+    stopped = seen_still if stop_tells else None
     moment = next((t for t, _ in heard.answers if t >= sent), stopped)
     # The answer is due when the time-out is over, which only a stop shows.
     axes = {
@@ -138,6 +176,9 @@ def _once(trial: Trial, case: Case) -> Procedure[int | None]:
         seen_stopped = stopped - sent if stopped is not None else answered
         timeout = max(MS, min(answered, seen_stopped))
         axes["state"] = _in_limits(run, (stopped or moment) - sent)
+    elif seen_still is not None:
+        reason = "stops by itself while the line is silent, which hides the time-out"
+        axes["stop"] = Axis(Verdict.INCONCLUSIVE, "stopped", "stopped", reason, "R-watchdog")
     elif watched:
         reason = "never timed out and kept driving"
         axes["stop"] = Axis(Verdict.FAIL, "stopped", "moving", reason, case.reading)
@@ -147,7 +188,9 @@ def _once(trial: Trial, case: Case) -> Procedure[int | None]:
     if stop and stop.verdict is Verdict.FAIL and axes["answer"].verdict is not Verdict.FAIL:
         case = replace(case, clause=run.protocol.clauses.safety)
     trial.begin(case, axes, heard, sent)
-    return timeout
+    answer = heard.answers[0][0] if heard.answers else heard.now
+    alone = stopped is not None and answer - stopped > _JITTER
+    return timeout, stopped - sent if stopped is not None and alone else 0
 
 
 def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int | None]]:
@@ -159,7 +202,8 @@ def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int |
     stopped: int | None = None
     until = sent + run.timers.never
     while heard.now < until and not heard.answers:
-        more = yield from listen(1, _STEP if watched else until - heard.now)
+        step = min(_COARSEST, max(_FINEST, (heard.now - sent) // 2))
+        more = yield from listen(1, step if watched else until - heard.now)
         heard = Received(heard.answers + more.answers, more.now)
         if watched and stopped is None and not heard.answers:
             seen = yield from observe()

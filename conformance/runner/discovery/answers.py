@@ -172,28 +172,32 @@ def _answer_point(run: Run, many: Step, some: Step) -> Procedure[Finding]:
 def _whole_frame(run: Run, step: Step) -> Procedure[Finding]:
     """Find out whether the time-out counts from the header or between two bytes.
 
-    Each pause inside the frame is shorter than the time-out, all together are longer.
+    Each pause inside the frame is shorter than the time-out, all together are longer. Where the
+    frame was truncated, its other bytes are answered as instructions of their own.
     """
     pause, point, early = run.waiting.timeout * 6 // 10, "R-truncation-timeout", 0
     usable = (run.profile.jitter or 0) < run.waiting.timeout - pause
-    codes: list[tuple[int, int]] = []
-    for index in range(len(step.frame)):
-        sent = yield from send(step.frame[index : index + 1])
-        last = index == len(step.frame) - 1
-        heard = yield from listen(None if not last else 1, run.waiting.usual if last else pause)
-        codes += heard.answers
-        early += 0 if last else len(heard.answers)
-        usable = usable and (last or heard.now - sent < run.waiting.timeout * 9 // 10)
-    # A truncated frame leaves bytes over that are headers of their own, answered later.
-    more = yield from listen(
-        None, run.waiting.timeout + run.waiting.usual if early else run.timers.silence
-    )
-    heard_all = (*codes, *more.answers)
+    got: tuple[tuple[int, int], ...] = ()
+    for byte in step.frame[:-1]:
+        sent = yield from send(bytes([byte]))
+        heard = yield from listen(None, pause)
+        got += heard.answers
+        usable = usable and heard.now - sent < run.waiting.timeout * 9 // 10
+    early = len(got)
+    yield from send(step.frame[-1:])
+    rest = yield from run.waiting.all_answers(1)
+    # A slow device answers what is left over one by one.
+    patience = max(run.timers.silence, 2 * run.profile.slowest)
+    patience = run.waiting.timeout + run.waiting.usual if early else patience
+    more = yield from run.waiting.all_answers(len(step.frame), patience)
+    heard_all = got + rest.answers + more.answers
     expected = "between two bytes"
     if not usable:
         reason = "the time-out is too short for pauses inside it on this link"
         return Finding(((point, ""),), expected, "", coarse=reason)
-    run.profile.whole_frame = early > 0 and not run.profile.choices.differs("R-answer-point")
+    left_over = code_of(run.protocol, Outcome.VALID) in [code for _, code in heard_all]
+    apart = early > 0 or left_over
+    run.profile.whole_frame = apart and not run.profile.choices.differs("R-answer-point")
     word = "whole-frame" if run.profile.whole_frame else "between-bytes"
     fault = "" if heard_all else "no answer came"
     return Finding(((point, word),), expected, word, fault, heard_all)
