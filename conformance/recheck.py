@@ -39,7 +39,7 @@ SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile
 
 # Keys that were added to a report later: older recordings lack them.
 _LATER = (
-    *("planned_clause", "frames", "facets", "all_but_two_answers_ms", "wheels"),
+    *("planned_clause", "frames", "facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels"),
     *COMBINED.values(),
 )
 

@@ -59,7 +59,8 @@ class MutatedDevice(typing.Protocol):
     """The part of a device that the hooks of its fault may read and change.
 
     `byte_time` is a byte's time on the line (ns), `over_at` when the frame before was over (ns,
-    None after power-on); `faults` and `row` count as in Event.
+    None after power-on); `faults` and `row` count as in Event. `timeouts` are the pauses (ns, None
+    for never) that truncate a frame, by its header.
     """
 
     protocol: Protocol
@@ -70,6 +71,7 @@ class MutatedDevice(typing.Protocol):
     over_at: int | None
     faults: int
     row: int
+    timeouts: Sequence[int | None]
     step: Callable[[bytes, State], tuple[Judgement, State]]
 
     @property
@@ -81,6 +83,9 @@ class MutatedDevice(typing.Protocol):
 
     def drop(self) -> None:
         """Discard the incomplete frame: the next byte is a header."""
+
+    def react_at_header(self, frame: bytes, now: int) -> None:
+        """React at `now` (ns) to a frame of which only the header has come."""
 
 
 React = Callable[[MutatedDevice, Event, Reaction], Reaction]

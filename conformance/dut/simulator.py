@@ -60,7 +60,7 @@ class Simulator:
         self._lengths: Sequence[int] = self.fault.lengths or protocol.lengths
         usual = int(protocol.timing.truncation_timeout * MS)
         timeout = usual if isinstance(self.fault.timeout, str) else self.fault.timeout
-        self._timeouts = [
+        self.timeouts: Sequence[int | None] = [
             self.fault.timeouts(header) if self.fault.timeouts else timeout for header in range(256)
         ]
         self.power_cycle(0)
@@ -203,7 +203,7 @@ class Simulator:
             if now - self._byte_at > self._pause:
                 self._pause = now - self._byte_at
             if self._missing and not self.fault.whole_frame:
-                timeout = self._timeouts[held[0]]
+                timeout = self.timeouts[held[0]]
                 self._cut = None if timeout is None else now + timeout
         else:
             held.append(byte)
@@ -211,7 +211,7 @@ class Simulator:
             self._gap = None if self.over_at is None else now - self.over_at
             self._missing = self._lengths[byte]
             if self._missing:
-                timeout = self._timeouts[byte]
+                timeout = self.timeouts[byte]
                 self._cut = None if timeout is None else now + timeout
                 if self.fault.begins:
                     for code in self.fault.begins(self, byte):
@@ -243,6 +243,11 @@ class Simulator:
         while self._unasked and self._unasked[0][0] <= now:
             at, code = self._unasked.popleft()
             self.answer(code, at)
+
+    def react_at_header(self, frame: bytes, now: int) -> None:
+        """React at `now` (ns) to a frame of which only the header has come."""
+        self._pause, self._gap = 0, None if self.over_at is None else now - self.over_at
+        self._handle(frame, "instruction", now)
 
     def _handle(self, frame: bytes, kind: str, known: int) -> None:
         if self.fault.lengths:

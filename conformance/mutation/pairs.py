@@ -8,30 +8,16 @@ from itertools import combinations
 from typing import Any
 
 from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.mutation import variant_behaviour as take
 from bilprov.conformance.mutation.faults.vocabulary import then
 from bilprov.conformance.mutation.variants import FAMILY, Variant, variants
 from bilprov.spec.protocol import Protocol
 
 # A device has each of these hooks and settings once.
 _ONCE = ("hear", "begins", "power_on", "banner", "whole_frame")
-# What the simulated variants cannot be at once: one ends a wait that the other counts (both have an
-# idle time of their own, or delay the same stop or answer), or loses what the other remembers.
-_EXCLUSIVE = {
-    frozenset(pair)
-    for pair in (
-        ("R-answer-point", "R-truncation-timeout"),
-        ("R-answer-point", "R-stop-latency"),
-        ("R-stop-point", "R-stop-latency"),
-        ("R-answer-deadline", "R-stop-latency"),
-        ("R-answer-deadline", "R-watchdog"),
-        ("R-drain-known", "R-truncation-timeout"),
-        ("R-drain-unused", "R-truncation-timeout"),
-        ("R-pipelining", "R-truncation-timeout"),
-        ("R-pipelining", "R-drain-known"),
-        ("R-pipelining", "R-drain-unused"),
-        ("R-pipelining", "R-speed-moving"),
-    )
-}
+# What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices
+# of words at open points come before other answers and states ("").
+_ORDER = ("R-pipelining", "", "R-answer-deadline", "R-watchdog", "R-stop-latency")
 _USUAL = Fault("", FAMILY, "", exit=0)
 
 
@@ -39,8 +25,8 @@ _USUAL = Fault("", FAMILY, "", exit=0)
 def pairs(protocol: Protocol) -> dict[str, Fault]:
     """Return every pair of variants that one device can be, named after both.
 
-    Left out are variants that need an option, two choices at one point, and pairs that a simulated
-    device cannot be, since it has each hook once.
+    Left out are variants that need an option, two choices of one reading or at one point, and pairs
+    that a simulated device cannot be, since it has each hook once.
     """
     legal = [variant for variant in variants(protocol).values() if not variant.allow]
     found = (_both(one, other) for one, other in combinations(legal, 2) if _fit(one, other))
@@ -50,9 +36,7 @@ def pairs(protocol: Protocol) -> dict[str, Fault]:
 def _fit(one: Variant, other: Variant) -> bool:
     points, others = ({point for point, _ in variant.words} for variant in (one, other))
     hooks = _hooks(one.fault).keys() & _hooks(other.fault)
-    readings = frozenset((one.reading, other.reading))
-    exclusive = len(readings) == 1 or readings in _EXCLUSIVE
-    return not exclusive and points.isdisjoint(others) and not hooks
+    return one.reading != other.reading and points.isdisjoint(others) and not hooks
 
 
 def _hooks(fault: Fault) -> dict[str, Any]:
@@ -62,17 +46,20 @@ def _hooks(fault: Fault) -> dict[str, Any]:
 
 
 def _both(one: Variant, other: Variant) -> Fault:
-    """Return the device that is both.
-
-    Answers and states are chosen first, then what delays or loses them.
-    """
-    in_order = sorted((other, one), key=lambda variant: not variant.words)
-    reacts = [variant.fault.react for variant in in_order if variant.fault.react]
+    """Return the device that is both: each reacts to what the one before has made of a frame."""
+    first, second = sorted((one, other), key=_place)
+    reacts = [variant.fault.react for variant in (first, second) if variant.fault.react]
+    joined = take.behind if first.reading == _ORDER[0] else then
     return replace(
         _USUAL,
         name=f"{one.name} and {other.name}",
         doc=f"{one.doc}; {other.doc}",
-        react=then(*reacts) if reacts else None,
+        react=joined(*reacts) if len(reacts) > 1 else next(iter(reacts), None),
         **_hooks(one.fault),
         **_hooks(other.fault),
     )
+
+
+def _place(variant: Variant) -> tuple[int, bool]:
+    """Return where its reaction comes among those of a device."""
+    return _ORDER.index(variant.reading if variant.reading in _ORDER else ""), not variant.words

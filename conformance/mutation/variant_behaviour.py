@@ -180,15 +180,39 @@ def flushing(pause: int, condition: Condition, chooses: Chooses) -> tuple[React,
     return react, hear
 
 
-def at_the_header(pause: int, chooses: Chooses) -> Hear:
+def behind(loses: React, reacts: React) -> React:
+    """Return an effect: a frame that the first one loses is not reacted to, any other is."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        left = loses(device, event, reaction)
+        return reacts(device, event, reaction) if left is reaction else left
+
+    return react
+
+
+def stops_late(milliseconds: int) -> React:
+    """Return an effect: a moving robot stops that much after the answer to a fault."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if event.judgement.valid or not event.before.moving:
+            return reaction
+        answered = max((delay for delay, _ in reaction.answers), default=0)
+        stops = (answered + milliseconds * MS, reaction.state)
+        return replace(reaction, state=event.before, later=(stops,))
+
+    return react
+
+
+def at_the_header(chooses: Chooses) -> Hear:
     """Return a hook that answers a wrong header at once and drops the data of that frame.
 
-    The data end when all have come, or after a pause of `pause` ms.
+    The data end when all have come, or after a pause that truncates a frame.
     """
 
     def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         memory, protocol = device.memory, device.protocol
-        if memory.get("skips") and now < memory["skips at"] + pause * MS:
+        pause = device.timeouts[data[0]] or 0
+        if memory.get("skips") and now < memory["skips at"] + pause:
             memory["skips"], memory["skips at"] = memory["skips"] - 1, now
             return b""
         memory.pop("skips", None)
@@ -199,14 +223,7 @@ def at_the_header(pause: int, chooses: Chooses) -> Hear:
         if not wrong or device.held or not chooses(device, identity):
             return data
         memory["skips"], memory["skips at"] = length, now
-        judgement, after = device.step(data + bytes(length), device.state)
-        reaction = Reaction(((0, judgement.response.code),), after)
-        if device.fault.react:
-            event = Event(judgement, device.state, 0, device.faults, "instruction", now)
-            reaction = device.fault.react(device, event, reaction)
-        device.state = reaction.state
-        for delay, code in reaction.answers:
-            device.answer(code, now + delay)
+        device.react_at_header(data + bytes(length), now)
         return b""
 
     return hear

@@ -17,12 +17,10 @@ from bilprov.conformance.mutation import variant_behaviour as take
 from bilprov.conformance.mutation.faults.answers import under_other_ids
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
-    faulty,
     is_outcome,
     late,
     pipelined,
     sets,
-    stops_after,
     watchdog,
     when,
 )
@@ -175,7 +173,7 @@ def _answers(protocol: Protocol) -> Iterator[Variant]:
     yield Variant(
         "R-answer-point=header",
         "answers a frame that is wrong at its header at once, and takes its data without a word",
-        lambda chooses: _device(hear=take.at_the_header(_pause(protocol), chooses)),
+        lambda chooses: _device(hear=take.at_the_header(chooses)),
         mixes=True,
     )
 
@@ -224,7 +222,7 @@ def _times(protocol: Protocol) -> Iterator[Variant]:
     yield Variant(
         "R-stop-latency=50-ms",
         "stops 50 ms after the answer to a fault",
-        _fixed(when(faulty, stops_after(50))),
+        _fixed(take.stops_late(50)),
     )
     yield Variant(
         "R-watchdog=stops",

@@ -23,6 +23,7 @@ _TIMES = {
     "truncation_timeout_ms": "truncation_timeout",
     "stop_latency_ms": "stop_latency",
     "watchdog_ms": "watchdog",
+    "flushes_for_ms": "flushes_for",
 }
 _FLAGS = {
     "truncated_frames_answered": "truncation_answered",
@@ -36,13 +37,15 @@ class Profile:
     """What was measured on the device; times in ns, None where it was not.
 
     `flushes` is true for a device that discards what follows a fault until the line is idle,
-    `whole_frame` for one whose time-out counts over the whole frame. `stop_latency` is how late it
-    was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the time to
-    the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
+    `flushes_for` is how long it must be idle where the truncation time-out is not enough.
+    `whole_frame` is true for one whose time-out counts over the whole frame. `stop_latency` is how
+    late it was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the
+    time to the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
     `slowest` is the longest time to an answer, `delays` the three longest.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
     probe told each time, `wheels` the curves of its wheels' speeds.
-    `round_trip` and `jitter` are the line's and the device's together. `choices` are those that the
+    `round_trip` and `jitter` are the line's and the device's together, `pace` is how long an
+    instruction that was sent ahead takes. `choices` are those that the
     device has shown where the document is silent.
     """
 
@@ -52,10 +55,12 @@ class Profile:
     slowest: int = 0
     delays: list[int] = field(default_factory=list)
     flushes: bool = False
+    flushes_for: int | None = None
     whole_frame: bool = False
     watchdog: int | None = None
     round_trip: int | None = None
     jitter: int | None = None
+    pace: int = 0
     boot: int | None = None
     stop_latency: int = 0
     one_by_one: bool = False

@@ -156,6 +156,7 @@ def _measured(profile: Profile) -> dict[str, Any]:
         "jitter_ms": ms(profile.jitter),
         "boot_ms": ms(profile.boot),
         "flushes": profile.flushes,
+        "flushes_for_ms": ms(profile.flushes_for),
         "whole_frame": profile.whole_frame,
         "led_id": profile.choices.led_id,
         "stop_latency_ms": ms(profile.stop_latency),

@@ -101,7 +101,7 @@ def _step(trial: Trial, frame: bytes, name: str) -> Procedure[None]:
     shown this gets its pause first, one that has not gets the instruction a second time.
     """
     run = trial.run
-    pause = run.waiting.timeout + run.timers.settle
+    pause = run.waiting.idle
     if run.profile.flushes:
         yield from listen(None, pause)
     yield from send(frame)

@@ -64,7 +64,7 @@ def _sent_ahead(run: Run, burst: bytes) -> Procedure[None]:
     heard = yield from run.waiting.all_answers(len(burst))
     if heard.codes == (code_of(run.protocol, Outcome.UNKNOWN_ID),):
         run.profile.choices.record("R-pipelining unused-id", "lost-after-fault", _CASE)
-        yield from listen(None, run.waiting.timeout + run.timers.settle)
+        yield from listen(None, run.waiting.idle)
 
 
 def _drives_on(run: Run, full: State) -> Procedure[bool]:

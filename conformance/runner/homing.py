@@ -64,7 +64,7 @@ def home_after(run: Run, trial: Trial | None) -> Procedure[Homed]:
 def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     waiting, due = run.waiting, run.protocol.longest_frame
     patience = waiting.usual
-    pause = (run.profile.truncation_timeout or 0) + patience
+    pause = max(run.profile.truncation_timeout or 0, run.profile.flushes_for or 0) + patience
     if waiting.answer_pending:
         # A missing answer may still come: it belongs to the case, not to the next.
         heard = yield from listen(None, waiting.patience)
@@ -99,11 +99,12 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
             run.strays.missing(lost)
             return
     # A device that loses instructions sent ahead still takes one at a time. It may take the first
-    # of them for data that it still waits for.
+    # of them for data that it still waits for, or discard them until the line is idle for longer.
     in_time = tries = 0
     while tries < 2 * due and (tries < 4 or in_time):
         yield from send(pad(run)[:1])
-        heard = yield from waiting.answers(1, pause)
+        longer = tries > 1 and not in_time
+        heard = yield from waiting.answers(1, max(pause, run.timers.longest * longer))
         tries += 1
         in_time = in_time + 1 if heard.answers else 0
         if in_time == 2:

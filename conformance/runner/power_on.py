@@ -57,7 +57,7 @@ def first_bytes(run: Run) -> Procedure[str]:
         if first and _chatter(case, heard):
             # A board that was reset by opening its port sends a banner: send the instruction again.
             outcomes[0][1]["answer"] = _banner(run, heard)
-            yield from listen(None, run.timers.deadline)
+            yield from listen(None, run.waiting.patience)  # the instruction's own answer, if slow
             heard, sent = yield from _exchange(run, case, boot)
         run.profile.measured(heard, sent)
         if first and heard.answers:
@@ -109,12 +109,14 @@ def _ahead(run: Run) -> Procedure[None]:
     if "pipelining" in run.profile.choices.allowed:
         run.profile.one_by_one = True
         return
-    due, short = run.protocol.longest_frame, list[int]()
+    due, short, paces = run.protocol.longest_frame, list[int](), list[int]()
     for _ in range(_TRIES):
-        yield from send(pad(run))
+        sent = yield from send(pad(run))
         heard = yield from run.waiting.all_answers(due)
+        paces += [max(0, t - sent) // len(heard.answers) for t, _ in heard.answers[-1:]]
         if len(heard.answers) < due:
             short.append(len(heard.answers))
+    run.profile.pace = min(paces, default=0)
     if len(short) < _TRIES:
         run.strays.missing(sum(due - count for count in short))
         return
@@ -237,7 +239,7 @@ def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Rec
     else:
         heard, sent = yield from _exchange(run, case, run.timers.boot)
     if _chatter(case, heard):
-        yield from listen(None, run.timers.deadline)
+        yield from listen(None, run.waiting.usual)
         heard, sent = yield from _exchange(run, case, run.timers.boot)
     answer = _judged(run, case, heard, sent)
     state = yield from _still(run, case.expected, case.reading, may_move=True)
@@ -259,8 +261,7 @@ def _exchange(run: Run, case: Case, boot: int) -> Procedure[tuple[Received, int]
     heard = yield from run.waiting.answers(1)
     waited = run.timers.longest
     if not heard.answers and not boot:
-        pause = run.waiting.timeout + run.timers.settle
-        heard = yield from listen(None, max(pause, run.waiting.patience))
+        heard = yield from listen(None, max(run.waiting.idle, run.waiting.patience))
         if not heard.answers:
             # It may discard what follows a fault until the line was idle (R-drain-known).
             sent = yield from send(case.frame)

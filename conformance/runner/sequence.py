@@ -83,18 +83,22 @@ class _SequenceRun:
         """Split a burst where a device that loses frames or lags may react in more than one way.
 
         One that discards what follows a fault until the line is idle may or may not do so at a
-        pause; one that stops late has not stopped yet when the next frame comes.
+        pause; one that stops late has not stopped yet when the next frame comes. A slow one may
+        stop by itself while its answers are waited for, in a longer silence than was tried.
         """
         profile = self._run.profile
         apart = profile.stop_latency or (burst.pauses and profile.flushes)
+        tried = profile.watchdog or self._run.timers.idle
+        most = max(1, tried // (2 * profile.pace)) if profile.pace else len(chosen)
         whole = replace(burst, steps=tuple(chosen))
-        if not apart or len(chosen) == 1:
+        if len(chosen) == 1 or not (apart or len(chosen) > most):
             yield whole if whole.steps != burst.steps else burst
             return
         steps: list[Step] = []
         for step in chosen:
             steps.append(step)
-            if step.faulty or step.frame_effect.stops or step is chosen[-1]:
+            ends = apart and (step.faulty or step.frame_effect.stops)
+            if ends or len(steps) >= most or step is chosen[-1]:
                 yield Burst(tuple(steps), looks=burst.looks, idle_ms=burst.idle_ms)
                 steps = []
 

@@ -84,7 +84,7 @@ def judge_burst(
     trial.hear(heard)
     heard = Received(before + heard.answers, heard.now)
     if any(step.faulty for step in taken) and run.profile.flushes:
-        more = yield from listen(None, run.waiting.timeout + run.timers.settle)
+        more = yield from listen(None, run.waiting.idle)
         heard = Received(heard.answers + more.answers, more.now)
         trial.hear(more)
     for step, code in zip(taken, (*heard.codes, *[None] * len(taken)), strict=False):

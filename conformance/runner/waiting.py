@@ -64,6 +64,11 @@ class Waiting:
         return self._profile.truncation_timeout or self._usual_timeout
 
     @property
+    def idle(self) -> int:
+        """The silence (ns) after which a device that discards what follows a fault listens."""
+        return max(self.timeout, self._profile.flushes_for or 0) + self._timers.settle
+
+    @property
     def silence(self) -> int:
         """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out."""
         return self.timeout + self.timeout // 4 + self._timers.settle

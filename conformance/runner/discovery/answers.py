@@ -19,6 +19,7 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
+from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
 from bilprov.spec.codec import bad_data
@@ -104,7 +105,9 @@ def _burst(ident: str, steps: tuple[Step, ...]) -> Experiment:
         word, fault = point.default, ""
         if heard.codes[1:] == ():
             word = point.word_of(Behaviour.DISCARDED) if heard.codes else ""
-            run.profile.flushes = run.profile.flushes or bool(heard.codes)
+            if heard.codes:
+                run.profile.flushes = True
+                yield from _find_idle(run, data)
             fault = "" if heard.codes else "no answer came"
         elif heard.codes[1:] != behind:
             word = "run"
@@ -114,6 +117,23 @@ def _burst(ident: str, steps: tuple[Step, ...]) -> Experiment:
 
     requirement = "what follows a faulty instruction is run, each instruction answered once"
     return Experiment(_name(ident), (ident,), requirement, make, data)
+
+
+def _find_idle(run: Run, burst: bytes) -> Procedure[None]:
+    """Find out how long the line must be silent until what follows the burst is taken again.
+
+    It is no more than twice what is needed, and at most the longest time allowed for an answer.
+    """
+    while run.waiting.idle < run.timers.longest:
+        yield from home(run)
+        yield from send(burst)
+        heard = yield from listen(None, run.waiting.idle)
+        yield from send(bytes([run.protocol.pad_byte]))
+        # One answer is that to the fault.
+        more = yield from run.waiting.all_answers(max(1, 2 - len(heard.answers)))
+        if len(heard.answers) + len(more.answers) > 1:
+            return
+        run.profile.flushes_for = 2 * run.waiting.idle
 
 
 def _name(point: str) -> str:

@@ -159,7 +159,7 @@ def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) ->
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     look, actual = seen.look, look_words(seen.look)
     fault = lost or ("still moves" if look.moving else "")
-    yield from listen(None, run.waiting.timeout if run.profile.flushes else 0)
+    yield from listen(None, run.waiting.idle if run.profile.flushes else 0)
     again = look
     if look.speed is None or look.steering is None:
         # What the probe does not tell shows when the robot drives again.

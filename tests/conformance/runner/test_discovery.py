@@ -15,7 +15,8 @@ from bilprov.conformance.dut.operations import Observation, Operation, Procedure
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_mixture
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.faults.vocabulary import answers_with, sets
+from bilprov.conformance.mutation.faults.vocabulary import answers_with, late, sets
+from bilprov.conformance.mutation.variant_behaviour import always, flushing
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
 from bilprov.conformance.oracle.profile import Profile
@@ -459,3 +460,27 @@ def test_a_probe_that_showed_another_thing_once_is_inconclusive(
     assert [r.verdict for r in odd] == [FAIL, INCONCLUSIVE, INCONCLUSIVE]
     assert "the first frames after power-on" in odd[0].reason
     assert "flaky: shown once in 4 tries" in odd[time].reason
+
+
+@pytest.mark.parametrize(("idle", "timeout"), [(50, 3), (200, 50), (500, 500)])
+def test_a_device_that_discards_is_left_alone_for_as_long_as_it_needs(
+    protocol: Protocol, idle: int, timeout: int
+) -> None:
+    react, hear = flushing(idle, lambda event: True, always)
+    device = Fault("", "", "", react=react, hear=hear, timeout=timeout * MS)
+
+    run = probed(protocol, device)
+
+    assert max(result.verdict for result in run.results) is NON_STRICT
+    assert idle * MS <= run.waiting.idle <= 5 * max(idle, timeout) * MS
+
+
+def test_the_answer_of_a_slow_device_behind_its_banner_is_not_unsolicited(
+    protocol: Protocol,
+) -> None:
+    device = Simulator(protocol, Fault("", "", "", react=late(150), banner=b"ROBOT\r\n"))
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
+
+    assert report.exit == 0
+    assert not [result.id for result in report.results if result.id.startswith("line/")]
