@@ -319,13 +319,15 @@ def estimated_seconds(
     line: LineSettings | None = None,
     *,
     byte_time: int | None = None,
+    answer: float = 0.0,
 ) -> float:
     """About how long the cases take on a port, in s: the wire, silences and time-outs, looks.
 
     `line` are the line's settings, the grammar's own if None; `byte_time` (ns) is given where a
-    byte takes another time than these say, as on a pty or a socket.
+    byte takes another time than these say, as on a pty or a socket. `answer` is for how long (s)
+    the line holds an answer back, as a USB adapter does.
     """
     timeout = (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000
     if byte_time is None:
         byte_time = (line or line_settings(grammar, None, None, None)).byte_time
-    return sum(seconds(grammar, case, byte_time / 1e9, timeout) for case in cases)
+    return sum(seconds(grammar, case, byte_time / 1e9, timeout, answer) for case in cases)

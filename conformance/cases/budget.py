@@ -19,6 +19,7 @@ from bilprov.conformance.oracle.timers import Timers
 from bilprov.spec.protocol import Protocol
 
 _LOOKS = 3  # at each setting of a sweep
+_ANSWERS_BEFORE = 190  # that are waited for before the first case
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line
 
 
@@ -66,11 +67,18 @@ def group(ident: str) -> str:
     return "/".join(ident.split("/")[:parts])
 
 
-def seconds(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float) -> float:
+def seconds(
+    protocol: Protocol, case: AnyCase, byte_time: float, timeout: float, answer: float = 0.0
+) -> float:
     """About how long (s) a case takes.
 
-    `byte_time` and `timeout` (the pause that ends a truncated frame) are in s.
+    `byte_time`, `timeout` (the pause that ends a truncated frame) and `answer` (how long the line
+    or the device holds an answer back) are in s.
     """
+    return _undelayed(protocol, case, byte_time, timeout) + answers_in(case) * answer
+
+
+def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float) -> float:
     timers = Timers()
     home = 4 * protocol.longest_frame * byte_time + timers.settle / MS / 1000
     if isinstance(case, SequenceCase):
@@ -104,6 +112,6 @@ def answers_in(case: AnyCase) -> int:
     return 9
 
 
-def before_the_cases(timeout: float) -> float:
-    """About how long (s) the opening cases and the probes of a run take; `timeout` is in s."""
-    return 2.5 + 8 * timeout
+def before_the_cases(timeout: float, answer: float = 0.0) -> float:
+    """About how long (s) the opening cases and the probes of a run take; arguments in s."""
+    return 2.5 + 8 * timeout + _ANSWERS_BEFORE * answer

@@ -294,11 +294,13 @@ def conform(
     return report.exit
 
 
-def _estimate(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
+def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
     """About how long (s) the cases take at a target."""
     timeout = options.truncation_timeout or target.protocol.timing.truncation_timeout
-    before = before_the_cases(timeout / 1000)
-    return before + estimated_seconds(target.protocol, cases, options, byte_time=target.byte_time)
+    before = before_the_cases(timeout / 1000, target.latency / 1e9)
+    return before + estimated_seconds(
+        target.protocol, cases, options, byte_time=target.byte_time, answer=target.latency / 1e9
+    )
 
 
 def _tested(
@@ -320,13 +322,13 @@ def _tested(
         target = stack.enter_context(opened(stopper))
         count = planned(target.protocol, options, cases)
         if options.level == COMPLETE.name:
-            seconds = _estimate(target, options, cases)
+            seconds = estimated(target, options, cases)
             groups = {group(case.id) for case in cases}
             said = announcement(target.protocol, options.extra, groups)
             note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
         if target.moves:
             note_hindrances(robot.target)
-            seconds = _estimate(target, options, cases)
+            seconds = estimated(target, options, cases)
             what = f"the robot at {robot.target} will drive and turn for about {_time(seconds)}"
             confirm_motion(what, yes=robot.yes)
             note(

@@ -13,9 +13,11 @@ from pathlib import Path
 from bilprov.analyzer.client.wire import stops
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.checked_device import CheckedDevice
 from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
@@ -98,6 +100,11 @@ class Target:
     def byte_time(self) -> int:
         """How long (ns) a byte takes on its line: nothing on a pty or a socket."""
         return int(self.environment.link.get("byte_ns", self.line.byte_time))
+
+    @property
+    def latency(self) -> int:
+        """For how long (ns) its adapter holds bytes back, as far as the system tells."""
+        return int(self.environment.link.get("latency_ns", 0))
 
 
 @contextmanager
@@ -198,6 +205,7 @@ def _port_target(
         "line": str(line),
         "baud": line.baud,
         "byte_ns": port.byte_time,
+        "latency_ns": (Machine().latency_timer(port.name) or 0) * MS,
         "probe": probe_name,
     }
 

@@ -29,6 +29,11 @@ class VirtualLink:
         self._ready = 0
         self._heard: list[tuple[int, int]] = []
 
+    @property
+    def now(self) -> int:
+        """The virtual time (ns) since the link was made."""
+        return self._now
+
     def do(self, operation: Operation) -> Reply:
         """Do one operation at once. Raises RuntimeError for a deadline that does not advance."""
         match operation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from pathlib import Path
@@ -9,6 +10,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.taps.impairment import Noise
+from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, planned, select_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -60,6 +64,20 @@ def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(protocol:
     count = planned(protocol, Options(), cases)
     assert f"{count:,} cases, about".encode() in result.stderr  # the estimate comes first
     assert state["moving"] is False
+
+
+def test_a_line_that_holds_answers_back_is_told_with_what_that_takes(protocol: Protocol) -> None:
+    robot = Simulator(protocol)
+    late = NoisyDevice(robot, Noise(), 1, delay=8 * MS)  # in each direction
+    late.probe = robot.probe  # type: ignore[attr-defined]  # what is served has a probe
+    with served_here(late, pty=True) as (port, probe):
+        result = process(
+            *("conform", port, "--probe", probe, "--yes", "--level", "smoke", "--only", "valid/*"),
+            timeout=60,
+        )
+
+    told = rb"an answer takes (1[6-9]|2\d) ms: the run takes about \d+ s more"
+    assert re.search(told, result.stderr), result.stderr
 
 
 # One fault of each family (some have more to say), and cases that catch it.
