@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bilprov.conformance.cases.budget import seconds, within
+from bilprov.conformance.cases.budget import before_the_cases, seconds, within
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
@@ -24,7 +24,6 @@ from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs
 from bilprov.conformance.runner.waiting import GaveUp
 
 _SLOW = 0.005  # s for an answer
-_PROBE_ANSWERS = 60  # that are waited for, about, to find out the device's choices
 SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
 
 
@@ -119,7 +118,8 @@ class Runner:
         if on_time and (run.config.virtual or takes < _SLOW * 1e9):
             return
         whole, cases = run.timers.run_budget, sum(map(self._cost, self._left))
-        probes = _PROBE_ANSWERS * takes / 1e9 if self._discover else 0.0
+        timeout = run.waiting.timeout / 1e9
+        probes = before_the_cases(timeout, takes / 1e9) if self._discover else 0.0
         about = f"the run takes about {probes + cases:.0f} s more"
         if whole is not None and cases > whole / 1e9:
             about = (
