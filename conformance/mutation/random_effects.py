@@ -12,6 +12,7 @@ from bilprov.conformance.mutation.draw import Draw
 from bilprov.conformance.mutation.faults.vocabulary import (
     answers_again,
     answers_ok,
+    answers_twice,
     answers_with,
     drives_on,
     late,
@@ -38,21 +39,24 @@ class Effect(NamedTuple):
     hear: Hear | None = None
 
 
-def effects(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
+def effects(protocol: Protocol, draw: Draw, what: What, *, in_silence: bool = True) -> list[Effect]:
     """Return the effects that a fault may have on such frames; no reading allows them.
 
-    An effect that stands in the list several times is drawn more often.
+    An effect that stands in the list several times is drawn more often. Without `in_silence` those
+    are left out that show only where nothing is sent after the frame: a trigger that ten thousand
+    frames are sent to meet would take a silence after each of them.
     """
-    found, spec = _answers(protocol, draw, what), what.spec
+    found, spec = _answers(protocol, draw, what, in_silence=in_silence), what.spec
     if spec is None:
         found += 3 * [Effect("does not stop it", drives_on)]
         too_late = stops_after(3 * protocol.timing.stop_longest)
         found.append(Effect("stops it much too late", too_late))
-        found += [_resumes(pause) for pause in (12, 60, 120)]
+        if in_silence:
+            found += [_resumes(pause) for pause in (12, 60, 120)]
         return found + _astray(protocol, draw, ("led", "speed"))
     motion = spec.effect.motion
     if motion is Motion.STOPPED:
-        found += 2 * [Effect("does nothing", drives_on), _resumes(15)]
+        found += 2 * [Effect("does nothing", drives_on), *([_resumes(15)] if in_silence else [])]
         return found + _astray(protocol, draw, ("led",))
     if not spec.effect.assignments:
         return found
@@ -69,13 +73,13 @@ def effects(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
     return found + _astray(protocol, draw, ("speed", "led"))
 
 
-def _answers(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
+def _answers(protocol: Protocol, draw: Draw, what: What, *, in_silence: bool) -> list[Effect]:
     ok = protocol.answers[Outcome.VALID]
     code = draw.pick([code for code in range(256) if code not in protocol.codes])
     found = [
         Effect(f"is answered {code}, an unused code", answers_with(code)),
         Effect("is answered twice", twice),
-        Effect("is answered again 12 ms later", answers_again(12)),
+        again(12, in_silence=in_silence),
         Effect("is answered much too late", late(1.2 * protocol.timing.answer_longest)),
         Effect("makes it lose the next byte", _marks, _loses),
     ]
@@ -91,6 +95,16 @@ def _answers(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
     if what.outcome is not None or what.spec:  # not to answer a truncated frame is legal
         found.append(Effect("is not answered", silent))
     return found
+
+
+def again(milliseconds: int, *, in_silence: bool) -> Effect:
+    """Return the effect of a second answer so much later.
+
+    With `in_silence` it comes only if no frame comes before it.
+    """
+    if in_silence:
+        return Effect(f"is answered again {milliseconds} ms later", answers_again(milliseconds))
+    return Effect(f"is answered twice, {milliseconds} ms apart", answers_twice(milliseconds))
 
 
 def _resumes(pause: int) -> Effect:

@@ -23,7 +23,6 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     after,
     after_outcome,
     after_truncated,
-    answers_again,
     answers_with,
     drives_on,
     every,
@@ -36,7 +35,7 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     valid,
     when,
 )
-from bilprov.conformance.mutation.random_effects import Effect, effects
+from bilprov.conformance.mutation.random_effects import Effect, again, effects
 from bilprov.conformance.mutation.random_frames import faulty_frames, with_byte, with_first_value
 from bilprov.conformance.mutation.random_triggers import (
     What,
@@ -82,7 +81,7 @@ def needle(protocol: Protocol, draw: Draw) -> Fault:
     conditions = [with_byte(draw, found, any_value=not found.narrow)]
     if not found.narrow and draw.below(3) == 0:
         conditions.append(in_a_state(protocol, draw, found.what))
-    effect = draw.pick(effects(protocol, draw, found.what))
+    effect = draw.pick(effects(protocol, draw, found.what, in_silence=False))
     return _triggered("random needle", found.what, conditions, effect)
 
 
@@ -102,7 +101,7 @@ def in_context(protocol: Protocol, draw: Draw) -> Fault:
         hints = () if conditions else (found.frame,)
     before = in_a_state if in_state else _right_after
     conditions.append(before(protocol, draw, what))
-    effect = draw.pick(effects(protocol, draw, what))
+    effect = draw.pick(effects(protocol, draw, what, in_silence=False))
     return _triggered("random context", what, conditions, effect, hints)
 
 
@@ -244,10 +243,10 @@ def _at_times(protocol: Protocol, draw: Draw, what: What) -> list[Effect]:
         Effect("is not answered", silent),
         Effect(f"is answered {code}, an unused code", answers_with(code)),
         Effect(f"is answered {other.name}", answers_with(other.code)),
-        Effect("is answered again 12 ms later", answers_again(12)),
+        again(12, in_silence=False),
     ]
     if what.spec or what.outcome:
-        found.append(draw.pick(effects(protocol, draw, what)))
+        found.append(draw.pick(effects(protocol, draw, what, in_silence=False)))
     return found
 
 

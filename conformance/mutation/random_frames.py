@@ -20,8 +20,8 @@ _BYTES = (0, 1, 127, 128, 255, *(1 << bit for bit in range(1, 7)))
 class FaultyFrames(NamedTuple):
     """Faulty frames with data: the trigger, and one of them with pad bytes as its data.
 
-    `narrow` is true where both an ID and a length are given. With one value of 256 besides they
-    would be too few for any suite to meet.
+    `narrow` is true where any value of 256 besides would make them too few to be met: where both an
+    ID and a length are given, and of truncated frames, each of which takes a time-out.
     """
 
     what: What
@@ -108,10 +108,12 @@ def _unused(protocol: Protocol, draw: Draw) -> FaultyFrames:
 def _cut(protocol: Protocol, draw: Draw) -> FaultyFrames:
     arrived = draw.between(1, min(3, protocol.data_lengths[-1] - 1))
     length = draw.between(arrived + 1, protocol.data_lengths[-1])
-    identity = draw.pick(protocol.ids)
-    any_id = draw.below(2) == 0
-    ids = list(protocol.ids) if any_id else [identity]
-    name = "a frame" if any_id else f"ID {identity}"
+    kinds = [
+        ("a frame", list(protocol.ids)),
+        ("a frame of a known ID", list(protocol.by_id)),
+        ("a frame of an unused ID", list(protocol.unused_ids)),
+    ]
+    name, ids = draw.pick([(name, ids) for name, ids in kinds if ids])
     words = f"{name} cut short after {arrived} of its data bytes"
     return _found(protocol, words, ids, None, length, arrived=arrived)
 
@@ -151,4 +153,5 @@ def _found(
     known = judge(protocol, frame).outcome if arrived is None else None
     assert known is outcome
     what = What(words, matches, outcome=outcome, cut=arrived is not None)
-    return FaultyFrames(what, frame, narrow=announced is not None and len(ids) < 3)
+    narrow = arrived is not None or (announced is not None and len(ids) < 3)
+    return FaultyFrames(what, frame, narrow=narrow)

@@ -181,6 +181,14 @@ def answers_again(milliseconds: int) -> React:
     )
 
 
+def answers_twice(milliseconds: int) -> React:
+    """Return an effect: the answers come, and once more that much later, whatever comes between."""
+    return lambda device, event, reaction: replace(
+        reaction,
+        answers=(*reaction.answers, *((d + milliseconds * MS, c) for d, c in reaction.answers)),
+    )
+
+
 def twice(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
     """Effect: each answer is sent twice."""
     return replace(reaction, answers=reaction.answers * 2)

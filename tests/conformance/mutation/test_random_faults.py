@@ -31,7 +31,7 @@ DOCS = {
 }
 WIDER = {
     "random:1.15": "ID 4 or 5 with 8 data bytes announced, the first data byte with bit 0x4 set: "
-    "stops it, and it drives on 60 ms later",
+    "stops it much too late",
     "random:1.48": "a valid Left, with the value 0, right after TOO_FEW_DATA: "
     "is answered TOO_MANY_DATA",
     "random:1.44": "each 256th time, a valid Left: is not answered",
