@@ -24,6 +24,7 @@ from tests.support.robots import TIMED_PROBES, judged_exit, served_here, simulat
 pytestmark = pytest.mark.waits
 
 Verdicts = dict[str, str]
+SHARDS = 4  # of level standard, each a run of some 20 s
 
 
 def judged(output: bytes) -> tuple[int, Verdicts]:
@@ -48,20 +49,24 @@ def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> t
 
 
 @pytest.mark.timeout(600)
-def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(protocol: Protocol) -> None:
-    """The whole of level standard."""
-    cases = select_cases(protocol, Options())
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("part", range(1, SHARDS + 1))
+def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(
+    protocol: Protocol, part: int
+) -> None:
+    """The whole of level standard, in shards."""
+    options = Options(shard=(part, SHARDS))
+    cases = select_cases(protocol, options)
     with simulate() as robot:
-        result = process(
-            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), timeout=500
-        )
+        words = ("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-")
+        result = process(*words, "--shard", f"{part}/{SHARDS}", timeout=500)
         state = robot.state()
 
     _, verdicts = judged(result.stdout)
     # Without a power switch there is no second power-on to begin with a motion.
     assert unwell(result) == {"power-on/Forward": "skipped"}
     assert {case.id for case in cases} < set(verdicts)
-    count = planned(protocol, Options(), cases)
+    count = planned(protocol, options, cases)
     assert f"{count:,} cases, about".encode() in result.stderr  # the estimate comes first
     assert state["moving"] is False
 
