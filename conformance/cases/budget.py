@@ -96,8 +96,8 @@ def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: flo
     frames = 10 if case.stop else 4
     total = (2 * frames + len(case.frame)) * byte_time + frames * _EXCHANGE
     if case.stop:
-        # One fault in four waits for silence.
-        share = 1 if case.thorough or case.kind is FrameClass.VALID else 4
+        # One fault in eight waits for silence.
+        share = 1 if case.thorough or case.kind is FrameClass.VALID else 8
         total += timers.silence / share / MS / 1000
     total += timers.settle / MS / 1000
     return total + (1.1 * timeout if case.truncated else 0.0)

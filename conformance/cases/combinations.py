@@ -2,8 +2,8 @@
 
 The factors are ID, announced length, the classes of the first, second and last data byte, kind of
 motion, steering, speed, LED, the outcome before and the delivery. A covering array of strength 3
-holds every feasible combination of three of them. Truncated frames, each of which costs a time-out,
-have an array of strength 2 of their own; how many bytes arrive stands in place of the delivery.
+holds every feasible combination of three of them. Random sequences come after it. Truncated frames
+are no part of either (`contexts`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import random
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import count, pairwise
+from itertools import count
 from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.covering_array import (
@@ -27,7 +27,6 @@ from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import (
     Step,
     complete_frame,
-    truncated_frame,
     valid_frame,
     valid_frames,
 )
@@ -42,6 +41,8 @@ STRENGTH = 3
 
 _BOUNDARIES = (0, 1, 127, 128, 255)  # of a byte, signed and unsigned; each a class of its own
 _BITS = tuple(1 << bit for bit in range(1, 7))  # the single bits that are no boundary
+MARKED = (*_BOUNDARIES, *_BITS)
+"""The data bytes with a value of their own: boundaries and single bits."""
 _OTHERS = tuple(sorted(set(range(256)) - {*_BOUNDARIES, *_BITS}))
 BYTE_CLASSES: tuple[Sequence[int], ...] = (*((value,) for value in _BOUNDARIES), _BITS, _OTHERS)
 """The values of each class of a data byte, which a row numbers from 1; 0 is a byte that is not."""
@@ -51,36 +52,30 @@ _CLASS = {value: number for number, some in enumerate(BYTE_CLASSES, 1) for value
 _ID, _LENGTH, _FIRST, _SECOND, _LAST, _MOTION, _STEERING, _SPEED, _LED, _BEFORE, _WAY = range(11)
 _BYTES = ((_FIRST, 1), (_SECOND, 3), (_LAST, 2))  # and from how many data bytes on each stands
 WAITED, PIPELINED, SPLIT = range(3)
-DELIVERED, CUT, RANDOM = ("waited", "pipelined", "split"), "cut", "random"
+DELIVERED, RANDOM = ("waited", "pipelined", "split"), "random"
 _STIMULI = 48  # rows of a sequence
 _RANDOM_BURSTS = 64  # of a sequence of random frames
 _SIZES = (2, 8)  # frames of a random burst, at least and at most
 
 
 class _Shape(NamedTuple):
-    """A frame as far as its values depend on each other: announced length and bytes that arrive.
+    """A frame as far as its values depend on each other: its data bytes and its delivery.
 
     `lengths` and `way` are the row's values of these two factors.
     """
 
     lengths: int
     way: int
-    announced: int
-    arrived: int
+    length: int
 
 
 @dataclass(frozen=True)
 class Space:
-    """The factors of a protocol: the numbers that each value of them stands for.
-
-    `ways` are the deliveries of complete frames, or how many bytes of truncated frames arrive.
-    """
+    """The factors of a protocol: the numbers that each value of them stands for."""
 
     protocol: Protocol
     states: tuple[tuple[str, tuple[Sequence[object], ...]], ...]
     faults: tuple[str, ...]
-    lengths: int
-    ways: int
     shapes: tuple[_Shape, ...]
 
     @cached_property
@@ -88,8 +83,8 @@ class Space:
         """How many values each factor has."""
         data = (len(BYTE_CLASSES) + 1,) * len(_BYTES)
         states = (len(values) for _, values in self.states)
-        ids = len(self.protocol.ids)
-        return (ids, self.lengths, *data, *states, 1 + len(self.faults), self.ways)
+        ids, lengths = len(self.protocol.ids), len(self.protocol.data_lengths)
+        return (ids, lengths, *data, *states, 1 + len(self.faults), len(DELIVERED))
 
     @cached_property
     def _possible(self) -> dict[tuple[int | None, ...], bool]:
@@ -121,6 +116,8 @@ class Space:
 
         `before` is the kind of the fault before it, "" for a valid frame.
         """
+        if before and before not in self.faults:
+            return None
         identity, length = self.protocol.headers[step.frame[0]]
         places = {_FIRST: 1, _SECOND: 2, _LAST: -1}
         found: tuple[int | None, ...] = (
@@ -143,7 +140,7 @@ class Space:
         for shape in self.shapes:
             if chosen.get(_LENGTH, shape.lengths) == shape.lengths:
                 bytes_fit = all(
-                    (chosen[factor] > 0) == (shape.arrived >= least)
+                    (chosen[factor] > 0) == (shape.length >= least)
                     for factor, least in _BYTES
                     if factor in chosen
                 )
@@ -163,7 +160,7 @@ class Space:
         )
 
 
-def _states(protocol: Protocol) -> tuple[tuple[str, tuple[Sequence[object], ...]], ...]:
+def state_classes(protocol: Protocol) -> tuple[tuple[str, tuple[Sequence[object], ...]], ...]:
     """The variables of the state, with the values of each class of them."""
     motions = tuple((motion,) for motion in (Motion.STOPPED, *moving_motions(protocol)))
     low, high = _limits(protocol, "steering")
@@ -193,54 +190,31 @@ def _limits(protocol: Protocol, variable: str) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=8)
-def space_of(protocol: Protocol, *, cut: bool) -> Space:
-    """The factors of complete frames, or of truncated ones."""
-    if cut:
-        lengths, arrivals = _cut_classes(protocol)
-        shapes = tuple(
-            _Shape(i, j, length, arrived)
-            for i, some in enumerate(lengths)
-            for length in some
-            for j, counts in enumerate(arrivals)
-            for arrived in counts
-            if arrived < length
-        )
-        counts = len(lengths), len(arrivals)
-    else:
-        shapes = tuple(
-            _Shape(index, way, length, length)
-            for index, length in enumerate(protocol.data_lengths)
-            for way in range(len(DELIVERED))
-            if length or way != SPLIT
-        )
-        counts = len(protocol.data_lengths), len(DELIVERED)
-    faults = Inputs(protocol, 0).faulty_kinds
-    return Space(protocol, _states(protocol), faults, *counts, shapes)
-
-
-def _cut_classes(protocol: Protocol) -> tuple[list[range], list[range]]:
-    """The classes of announced lengths, and those of how many bytes of them arrive."""
-    most = protocol.data_lengths[-1]
-    lengths, arrivals = sorted({1, 2, 4, most + 1}), sorted({0, 1, 2, 4, most})
-    return [range(*ends) for ends in pairwise(lengths)], [range(*e) for e in pairwise(arrivals)]
+def space_of(protocol: Protocol) -> Space:
+    """The factors of a protocol's complete frames."""
+    shapes = tuple(
+        _Shape(index, way, length)
+        for index, length in enumerate(protocol.data_lengths)
+        for way in range(len(DELIVERED))
+        if length or way != SPLIT
+    )
+    return Space(protocol, state_classes(protocol), Inputs(protocol, 0).faulty_kinds, shapes)
 
 
 @lru_cache(maxsize=8)
 def total(protocol: Protocol, strength: int) -> int:
     """How many feasible combinations of so many factors complete frames have."""
-    space = space_of(protocol, cut=False)
+    space = space_of(protocol)
     return sum(1 for _ in feasible_combinations(space.sizes, strength, space.feasible))
 
 
 @lru_cache(maxsize=8)
-def _rows(protocol: Protocol, *, cut: bool) -> tuple[Row, ...]:
-    """The rows of the covering array of complete frames, or of truncated ones.
+def _rows(protocol: Protocol) -> tuple[Row, ...]:
+    """The rows of the covering array.
 
     They are the same in each run: a run's seed draws their data, and the values of their states.
     """
-    space, draw = space_of(protocol, cut=cut), random.Random("combinations")
-    if cut:
-        return CoveringArray(space.sizes, 2, space.feasible, draw, tries=16).rows
+    space, draw = space_of(protocol), random.Random("combinations")
     dear = {(_WAY, SPLIT)}  # a pause each
     return CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear).rows
 
@@ -288,11 +262,9 @@ class Combinations:
         self._inputs = Inputs(protocol, seed)
 
     def array(self, word: str) -> Iterator[SequenceCase]:
-        """The sequences of the array of truncated frames (`CUT`), or of one delivery of others."""
-        space = space_of(self._protocol, cut=word == CUT)
-        rows: Sequence[Row] = _rows(self._protocol, cut=word == CUT)
-        if word != CUT:
-            rows = [row for row in rows if row[_WAY] == DELIVERED.index(word)]
+        """The sequences of one delivery."""
+        space = space_of(self._protocol)
+        rows = [row for row in _rows(self._protocol) if row[_WAY] == DELIVERED.index(word)]
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
             bursts = list(self._bursts(word, space, rows[start : start + _STIMULI]))
@@ -339,11 +311,9 @@ class Combinations:
         """The frame of a row, its bytes drawn from their classes."""
         protocol, identity = self._protocol, self._protocol.ids[row[_ID]]
         shape = self._draw.choice(list(space.fitting(dict(enumerate(row)))))
-        data = bytearray(self._inputs.fill(shape.arrived))
-        for at, factor in ((0, _FIRST), (1, _SECOND), (shape.arrived - 1, _LAST)):
+        data = bytearray(self._inputs.fill(shape.length))
+        for at, factor in ((0, _FIRST), (1, _SECOND), (shape.length - 1, _LAST)):
             if row[factor]:
                 data[at] = self._draw.choice(BYTE_CLASSES[row[factor] - 1])
-        if shape.arrived < shape.announced:
-            return truncated_frame(protocol, identity, shape.announced, bytes(data))
-        header = protocol.header_bytes[identity, shape.announced]
+        header = protocol.header_bytes[identity, shape.length]
         return complete_frame(protocol, header, bytes(data))

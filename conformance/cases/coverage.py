@@ -150,8 +150,20 @@ def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> dict[str, tu
 
     Of each burst the last frame counts, after which the robot is observed; truncated frames do not.
     """
-    space = space_of(protocol, cut=False)
-    rows: set[Row] = set()
+    met: dict[int, set[tuple[int, ...]]] = {strength: set() for strength in COMBINED}
+    of = {strength: total(protocol, strength) for strength in COMBINED}
+    for row in dict.fromkeys(_rows(protocol, cases)):
+        for strength, found in met.items():
+            if len(found) < of[strength]:
+                # A number stands for a factor and its value.
+                values = [factor << 16 | value for factor, value in enumerate(row)]
+                found.update(combinations(values, strength))
+    return {name: (len(met[strength]), of[strength]) for strength, name in COMBINED.items()}
+
+
+def _rows(protocol: Protocol, cases: Iterable[SequenceCase]) -> Iterator[Row]:
+    """The rows of the frames after which these cases observe the robot."""
+    space = space_of(protocol)
     for case in cases:
         state, last = protocol.power_on, ""
         for burst in case.bursts:
@@ -160,13 +172,5 @@ def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> dict[str, tu
                 if burst.looks and step is burst.steps[-1] and not step.truncated:
                     row = space.row(state, last, step, way)
                     if row:
-                        rows.add(row)
+                        yield row
                 state, last = _after(protocol, state, step), kind_of(protocol, step) * step.faulty
-    found = {}
-    for strength, name in COMBINED.items():
-        met: set[tuple[int, ...]] = set()
-        for row in rows:
-            # A number stands for a factor and its value.
-            met.update(combinations([factor << 16 | v for factor, v in enumerate(row)], strength))
-        found[name] = len(met), total(protocol, strength)
-    return found

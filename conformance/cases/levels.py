@@ -17,11 +17,18 @@ from typing import NamedTuple, TypeAlias
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.combinations import (
     ARRAY,
-    CUT,
     DELIVERED,
     RANDOM,
     Combinations,
     random_sequences,
+)
+from bilprov.conformance.cases.contexts import (
+    AFTER,
+    ALONE,
+    CUT,
+    after_each_kind,
+    left_alone,
+    truncations,
 )
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, proof_sequences
 from bilprov.conformance.cases.sequence import SequenceCase
@@ -44,8 +51,6 @@ AnyCase = Case | SequenceCase
 
 _SOAKED = 1000  # faults of a soak for each random sequence in it
 _MOST_MORE = 2000  # random sequences with which a budget is filled
-# How long (ms) the robot is sent nothing after each frame of a left-alone sequence.
-_DWELLS = (65, 35, 130, 65, 35, 65, 140, 35, 65, 20, 130, 65)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +67,7 @@ class Level:
 
 SMOKE = Level("smoke", "a look at everything", cuts=0, cut_each=1, singles="few", idle=300)
 STANDARD = Level(
-    "standard", "every frame and pair", cuts=1, cut_each=8, singles="headers", idle=1200
+    "standard", "every frame and pair", cuts=1, cut_each=16, singles="headers", idle=1200
 )
 DEEP = Level("deep", "every cut", cuts=2, cut_each=2, singles="all", idle=5000)
 COMPLETE = replace(STANDARD, name="complete", promise="standard and a proof")
@@ -118,6 +123,11 @@ def _combined(word: str) -> Make:
     return lambda source, _: source.combinations.array(word)
 
 
+def _in_context(make: Callable[[Protocol, int, int], Iterator[SequenceCase]]) -> Make:
+    """Make the sequences of frames in context, as many turns of them as a level holds."""
+    return lambda of, turns: make(of.protocol, of.seed, turns)
+
+
 def _proving(proof: Proof) -> Make:
     """Make the sequences of a proof."""
     return lambda of, _: proof_sequences(of.protocol, proof, of.seed, of.extra)
@@ -134,9 +144,11 @@ GENERATORS = (
         _numbered(lambda of, n: of.tours.waited("tour", n, cuts=of.level.cuts * of.cut(n))),
     ),
     Generator(
-        "sequence/left-alone",
-        (1, 6, 40),
-        _numbered(lambda of, n: of.tours.left_alone("left-alone", n, _DWELLS)),
+        ALONE,
+        (1, 1, 10),
+        lambda of, n: islice(
+            left_alone(of.protocol, of.seed, n), 1 if of.level.singles == "few" else None
+        ),
     ),
     Generator(
         "pipelined/tour",
@@ -148,7 +160,7 @@ GENERATORS = (
         (1, 3, 10),
         _numbered(lambda of, n: of.tours.pipelined("long", n, 4, (30, 60), cut=True)),
     ),
-    Generator("split/tour", (2, 10, 40), _numbered(lambda of, n: of.tours.split("tour", n, 30))),
+    Generator("split/tour", (2, 8, 40), _numbered(lambda of, n: of.tours.split("tour", n, 30))),
     Generator("sequence/data", (0, 1, 1), lambda of, _: data_sweep(of.protocol)),
     Generator("sequence/bad-data", (0, 1, 1), lambda of, _: bad_data_sweep(of.protocol)),
     Generator("sequence/headers", (0, 1, 1), lambda of, _: header_sweep(of.protocol)),
@@ -162,10 +174,12 @@ GENERATORS = (
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
     ),
-    *(Generator(f"{ARRAY}/{word}", (0, 1, 1), _combined(word)) for word in (*DELIVERED, CUT)),
+    *(Generator(f"{ARRAY}/{word}", (0, 1, 1), _combined(word)) for word in DELIVERED),
+    Generator(AFTER, (0, 1, 5), _in_context(after_each_kind)),
+    Generator(CUT, (0, 1, 10), _in_context(truncations)),
     Generator(
         _RANDOM,
-        (0, 130, 1300),
+        (0, 20, 200),
         lambda of, amount: islice(random_sequences(of.protocol, of.seed), amount),
     ),
     *(Generator(f"{GROUP}/{one.name}", (0, 0, 0, 1), _proving(one)) for one in PROOFS),

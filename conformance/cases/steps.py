@@ -59,6 +59,7 @@ def code_of(protocol: Protocol, outcome: Outcome) -> int:
     return protocol.answers[outcome].code
 
 
+@lru_cache(maxsize=1 << 6)
 def _others(protocol: Protocol, point: str) -> tuple[Accepted, ...]:
     """The answers that other choices of an open point allow; none for "", no point."""
     return tuple(
@@ -178,6 +179,7 @@ def open_frames(protocol: Protocol) -> dict[str, Step]:
     return {step.point: step for step in steps}
 
 
+@lru_cache(maxsize=1 << 14)
 def complete_frame(protocol: Protocol, header: int, data: bytes) -> Step:
     """A header byte with all the data that it announces, as a step of whatever class it is."""
     identity, length = protocol.headers[header]

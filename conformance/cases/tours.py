@@ -8,7 +8,6 @@ random test. The data rotate through all their values by themselves (`frame_sour
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.frame_source import Inputs
@@ -55,27 +54,6 @@ class Tours:
         ]
         return self._sequence(f"sequence/{name}/{number:03}", setup, made)
 
-    def left_alone(self, name: str, number: int, dwells: Sequence[int]) -> SequenceCase:
-        """A sequence of frames, after each of which the robot is sent nothing for a time.
-
-        `dwells` are these times in ms, one for each frame.
-        """
-        setup, where = self._begin()
-        made = [Burst((self._alone(where),), idle_ms=dwell) for dwell in dwells]
-        return self._sequence(f"sequence/{name}/{number:03}", setup, made)
-
-    def _alone(self, where: _Where) -> Step:
-        """The next frame of a left-alone sequence: a kind that is new in this motion, if any is."""
-        kinds = (*self._inputs.kinds, CUT)
-        motion = where.state.visible_motion
-        met = self._met.setdefault((8, motion), set())
-        new = [k for k in kinds if k not in met]
-        if not new and motion is Motion.STOPPED and self._inputs.movers:
-            new = list(self._inputs.movers)
-        kind = self._draw.choice(new or kinds)
-        met.add(kind)
-        return self._go(where, kind)
-
     def pipelined(
         self, name: str, number: int, bursts: int, sizes: tuple[int, int], *, cut: bool
     ) -> SequenceCase:
@@ -85,15 +63,12 @@ class Tours:
         """
         setup, where = self._begin()
         made = []
-        last, alone, long = self._draw.sample(range(bursts), 3)
+        last = self._draw.randrange(bursts)
         for index in range(bursts):
             steps = [self._next(where) for _ in range(self._draw.randint(*sizes))]
             if index == last and cut:
                 steps[-1] = self._go(where, CUT)
-            dwell = 0
-            if number % 2:
-                dwell = 25 if index == alone else 130 if index == long and number % 4 == 1 else 0
-            made.append(Burst(tuple(steps), idle_ms=dwell))
+            made.append(Burst(tuple(steps)))
         return self._sequence(f"pipelined/{name}/{number:03}", setup, made)
 
     def split(self, name: str, number: int, bursts: int) -> SequenceCase:

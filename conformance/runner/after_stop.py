@@ -29,12 +29,12 @@ def stays_stopped(
     Returns whether the checks that follow (`restart_guard`) can be made.
     """
     run = trial.run
-    # Of the many faulty frames, one in four waits for silence: a late answer shows in the next
+    # Of the many faulty frames, one in eight waits for silence: a late answer shows in the next
     # homing, and a stop that does not last shows in the sequences too.
     short = run.config.short_homing
     most = case.kind is not FrameClass.VALID if short else case.kind in _MANY
     many = most and not case.thorough
-    brief = many and run.counters.next_check() % 4
+    brief = many and run.counters.next_check() % 8
     window = run.timers.settle if brief else run.timers.silence
     costly = run.config.observability.costly
     long = case.thorough and not costly and (not short or run.counters.holds(case))

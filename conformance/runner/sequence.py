@@ -23,7 +23,7 @@ from bilprov.conformance.runner.sequence_answers import (
     judge_burst,
     unasked,
 )
-from bilprov.conformance.runner.sequence_state import look_after, watch_idle
+from bilprov.conformance.runner.sequence_state import look_after, watch_idle, watch_time_out
 from bilprov.conformance.runner.trial import Trial
 
 
@@ -116,7 +116,14 @@ class _SequenceRun:
         found = answered_early(trial, chosen, early, self._pause)
         if found:
             return found
-        found = yield from judge_burst(trial, taken, early, sent)
+        watched = 0
+        if taken[-1].truncated and burst.looks and not self._blind:
+            heard, found = yield from watch_time_out(trial, taken[-1], before)
+            if found:
+                return found
+            early.append((len(burst.data), heard.answers))
+            watched = max(0, heard.now - sent)
+        found = yield from judge_burst(trial, taken, early, sent, watched)
         if found or self._blind or not burst.looks:
             return found
         found = yield from look_after(trial, taken[-1], before)

@@ -63,9 +63,12 @@ def answered_early(trial: Trial, steps: list[Step], early: Early, pause: int) ->
 
 
 def judge_burst(
-    trial: Trial, taken: list[Step], early: Early, sent: int
+    trial: Trial, taken: list[Step], early: Early, sent: int, watched: int
 ) -> Procedure[Mismatch | None]:
-    """Receive and judge the answers to the steps `taken`; their last byte went at `sent` (ns)."""
+    """Receive and judge the answers to the steps `taken`; their last byte went at `sent` (ns).
+
+    For `watched` ns of the time-out of a truncated frame the robot was watched already.
+    """
     run, last = trial.run, taken[-1]
     before = tuple(entry for _, answers in early for entry in answers)
     silent = last.truncated and run.profile.choices.word(last.point) == "silent"
@@ -73,10 +76,10 @@ def judge_burst(
     left = max(0, due - len(before))
     if last.truncated:
         # Nothing is sent during its time-out.
-        pause = run.waiting.silence
+        pause = run.waiting.silence - watched
         answers = run.waiting.all_answers(left, pause + run.waiting.usual)
         heard = yield from answers if left else listen(None, pause)
-        heard = yield from run.waiting.left_alone(heard, sent)
+        heard = yield from run.waiting.left_alone(heard, sent, watched)
     else:
         heard = yield from run.waiting.all_answers(left, run.waiting.patience)
         if len(heard.answers) < left:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.dut.operations import Procedure, listen, observe
+from bilprov.conformance.dut.operations import Procedure, Received, listen, observe
 from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -74,15 +74,43 @@ def watch_idle(trial: Trial, step: Step, time: int) -> Procedure[Mismatch | None
         found = differences(run.model, trial.expected, seen.look)
         asleep = run.profile.watchdog is not None and seen.look.moving is False
         if found and not asleep:
-            facet, _, actual = found[0]
-            moves = trial.expected.still and seen.look.moving
-            reason = "moved again by itself" if moves else f"{facet} became {actual} by itself"
-            words = state_words(trial.expected.state), look_words(seen.look)
-            axis = Axis(Verdict.FAIL, *words, reason)
-            clauses = run.protocol.clauses
-            clause = clauses.safety if moves else clauses.instructions
-            return Mismatch(step, "stop" if moves else "state", axis, clause)
+            return _by_itself(trial, step, trial.expected, found[0], seen.look)
     return None
+
+
+def watch_time_out(
+    trial: Trial, step: Step, before: ExpectedState
+) -> Procedure[tuple[Received, Mismatch | None]]:
+    """Look at a robot that stood before a truncated frame, half-way through its time-out.
+
+    What the frame before may do by itself shows there. Returns what was heard (at time 0 where it
+    moved before, and is not looked at), and the mismatch where it moves. `before` is the expected
+    state before the truncated frame.
+    """
+    run, half = trial.run, trial.run.waiting.timeout // 2
+    if not before.still or run.profile.stop_latency > half:
+        return Received((), 0), None
+    heard = yield from listen(None, half)
+    trial.hear(heard)
+    seen = yield from observe()
+    if seen.look.moving:
+        found = ("moving", False, True)
+        return heard, _by_itself(trial, step, before, found, seen.look)
+    return heard, None
+
+
+def _by_itself(
+    trial: Trial, step: Step, expected: ExpectedState, found: tuple[str, object, object], look: Look
+) -> Mismatch:
+    """The mismatch of a state that changed although nothing was sent."""
+    facet, _, actual = found
+    moves = expected.still and look.moving
+    reason = "moved again by itself" if moves else f"{facet} became {actual} by itself"
+    words = state_words(expected.state), look_words(look)
+    axis = Axis(Verdict.FAIL, *words, reason)
+    clauses = trial.run.protocol.clauses
+    clause = clauses.safety if moves else clauses.instructions
+    return Mismatch(step, "stop" if moves else "state", axis, clause)
 
 
 def _rest_on(trial: Trial, look: Look) -> None:

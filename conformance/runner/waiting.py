@@ -73,12 +73,13 @@ class Waiting:
         """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out."""
         return self.timeout + self.timeout // 4 + self._timers.settle
 
-    def left_alone(self, heard: Received, sent: int) -> Procedure[Received]:
+    def left_alone(self, heard: Received, sent: int, watched: int = 0) -> Procedure[Received]:
         """Wait for the rest of the silence after a truncated frame that had gone at `sent` (ns).
 
-        Returns what was `heard`, and what came after it.
+        Of its time-out `watched` ns were a silence of their own. Returns what was `heard`, and what
+        came after it.
         """
-        self.timeouts += self.timeout if heard.answers else 0
+        self.timeouts += max(0, self.timeout - watched) if heard.answers else 0
         if heard.now - sent < self.timeout // 2:
             # Answered at its header: bytes sent now would still be taken for its data.
             more = yield from listen(None, sent + self.silence - heard.now)

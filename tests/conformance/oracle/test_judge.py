@@ -751,7 +751,7 @@ def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
 
     assert report.exit == 1
     found = Counter(r.verdict for r in report.results if r.id.startswith("wrong"))
-    assert found[FAIL] >= found.total() // 4  # one in four waits long enough to meet it
+    assert found[FAIL] >= found.total() // 8  # one in eight waits long enough to meet it
 
 
 def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:

@@ -158,10 +158,14 @@ def test_a_power_cycle_begins_anew(protocol: Protocol) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("period", [64, 256, 1000])
+@pytest.mark.parametrize(
+    ("period", "level"), [(64, "smoke"), (256, "smoke"), (1000, "standard")], ids=str
+)
 @pytest.mark.parametrize("change", [twice, silent, wrong])
-def test_a_rhythm_of_frames_fails(protocol: Protocol, period: int, change: React) -> None:
-    report = over_a_line(protocol, when(every_nth("frames", period), change))
+def test_a_rhythm_of_frames_fails(
+    protocol: Protocol, period: int, level: str, change: React
+) -> None:
+    report = over_a_line(protocol, when(every_nth("frames", period), change), level)
 
     assert report.exit == 1
 

@@ -1,0 +1,308 @@
+"""Contexts: frames right after each kind of frame, while the robot moves, with data that rotate.
+
+Complete frames come after every kind of frame, with the marked values of a byte and with all of
+them in turn. Truncated frames do so too, and share their time-outs: in one of them the robot is
+watched for what the frame before may still do, and after it comes a frame that is in context as
+well. Some frames are followed by a silence.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import count, cycle, product
+from math import ceil
+from typing import Any, NamedTuple, TypeVar
+
+from bilprov.conformance.cases.combinations import MARKED, state_classes
+from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import frames_to
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.steps import (
+    FrameClass,
+    Step,
+    bad_data_frames,
+    complete_frame,
+    truncated_frame,
+    valid_frame,
+    valid_frames,
+)
+from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.protocol import Protocol
+
+AFTER, CUT, ALONE = "combined/after", "combined/cut", "sequence/left-alone"
+"""The groups of complete frames, of truncated ones, and of those that are followed by silence."""
+
+_CONTEXTS, _CUTS, _ALONE = 48, 24, 11  # of a sequence
+_ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frames of each ID
+_SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
+# ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 15.
+_LONG, _SHORT, _PAUSE = 125, 65, 16
+_TIMES = 2  # that each value of a byte stands in a place, in two states
+_ODD = 83  # from one value of a byte to the next: no value is met twice before all are
+
+
+T = TypeVar("T")
+
+
+class _Context(NamedTuple):
+    """A frame under test, the kind of the frame right before it, and the frames that go before."""
+
+    before: str
+    step: Step
+
+
+def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
+    """The sequences of complete frames in context, `turns` times with other states and data.
+
+    Every second one is pipelined: each frame under test with those that lead to it.
+    """
+    numbers = count(1)
+    for turn in range(turns):
+        draw = random.Random(f"contexts {seed} {turn}")
+        walk = _Walk(protocol, draw, Inputs(protocol, seed + turn))
+        contexts = list(_complete(protocol, walk.inputs, turn))
+        draw.shuffle(contexts)
+        for some, number in zip(_chunks(contexts, _CONTEXTS), numbers, strict=False):
+            walk.begin()
+            bursts: list[Burst] = []
+            for context in some:
+                steps = (*walk.lead(context.before), walk.took(context.step))
+                if number % 2:
+                    unseen = len(steps) - 2
+                    bursts += (Burst((s,), looks=at >= unseen) for at, s in enumerate(steps))
+                else:
+                    bursts.append(Burst(steps))
+            what = "each frame is answered right after each kind of frame, whatever its data"
+            yield _sequence(protocol, f"{AFTER}/{number:03}", what, bursts)
+
+
+def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
+    """The sequences of truncated frames: `turns` times each ID with each number of bytes.
+
+    Each comes after a pair of kinds, and before a frame that is right after a truncated one.
+    """
+    numbers = count(1)
+    for turn in range(turns):
+        draw = random.Random(f"truncations {seed} {turn}")
+        walk = _Walk(protocol, draw, Inputs(protocol, seed + turn))
+        cuts = list(_cut(protocol, draw))
+        draw.shuffle(cuts)
+        kinds = walk.inputs.kinds
+        pairs = cycle(draw.sample(list(product(kinds, kinds)), len(kinds) ** 2))
+        following = cycle(_after_cuts(protocol, draw))
+        for some, number in zip(_chunks(cuts, _CUTS), numbers, strict=False):
+            walk.begin()
+            bursts: list[Burst] = []
+            for cut in some:
+                first, second = next(pairs)
+                bursts += (Burst((step,), looks=False) for step in walk.lead(first))
+                bursts += (
+                    Burst((walk.took(step),))
+                    for step in (walk.inputs.next(second), cut, next(following))
+                )
+            what = "a frame that is cut short stops it, whatever came before, and ends nothing"
+            yield _sequence(protocol, f"{CUT}/{number:03}", what, bursts)
+
+
+def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
+    """The sequences of frames after which the robot is sent nothing for a time.
+
+    They are faults while it moves, after each kind that lets it move; and each valid kind, while it
+    moves or stands. A frame of each kind in turn ends the silences, and each kind a short one in
+    each motion. In further `turns` all of them come again with other data and states, and faults
+    while it stands.
+    """
+    numbers = count(1)
+    for turn in range(turns):
+        draw = random.Random(f"left alone {seed} {turn}")
+        walk = _Walk(protocol, draw, Inputs(protocol, seed + turn))
+        inputs = walk.inputs
+        stop, movers = protocol.stop.name, inputs.movers
+        # The first time what shows best: faults while it moves.
+        before = (*inputs.settings, *movers, *([stop] if turn else []))
+        faults = (*inputs.faulty_kinds, FrameClass.TRUNCATED)
+        ways = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
+        leading = cycle(ways[::-1] if turn % 2 else ways)
+        going = cycle(inputs.settings or movers)
+        contexts = [
+            *((first, second, _LONG, "") for first, second in product(before, faults)),
+            *((next(leading), kind, _SHORT, "") for kind in inputs.valid_kinds),
+            *((first, next(going), _PAUSE, end) for first, end in product(movers, inputs.kinds)),
+        ]
+        draw.shuffle(contexts)
+        # A silence while it moves, and one while it stands, are each ended by all kinds in turn.
+        ends = [cycle(draw.sample(inputs.kinds, len(inputs.kinds))) for _ in range(2)]
+        for some, number in zip(_chunks(contexts, _ALONE), numbers, strict=False):
+            walk.begin()
+            bursts: list[Burst] = []
+            for first, second, dwell, end in some:
+                bursts += (Burst((step,), looks=False) for step in walk.lead(first))
+                bursts.append(Burst((walk.took(inputs.next(second)),), idle_ms=dwell))
+                bursts.append(Burst((walk.took(inputs.next(end or next(ends[walk.moving]))),)))
+            what = "what a frame does holds while nothing else is sent"
+            yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
+
+
+def _sequence(protocol: Protocol, ident: str, what: str, bursts: list[Burst]) -> SequenceCase:
+    clause = protocol.clauses.instructions
+    return SequenceCase(ident, clause, what, (), tuple(bursts), seeded=True)
+
+
+def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Context]:
+    """Each complete frame under test with the kind that comes right before it.
+
+    Each faulty header comes after each kind with marked values. Then it comes while the robot moves
+    with all values of a byte in turn, which the headers of one ID, or of one length of unused IDs,
+    meet together. Each setting comes after each kind with its marked values, each valid frame once
+    more.
+    """
+    kinds, moving = inputs.kinds, (*inputs.settings, *inputs.movers)
+    unused, longest = protocol.unused_ids, protocol.data_lengths[-1]
+    for header, (identity, length) in enumerate(protocol.headers):
+        if not _faulty(protocol, identity, length):
+            continue
+        spec = protocol.by_id.get(identity)
+        # How many headers with data share the values: of one ID, or of one length of unused IDs.
+        if spec is None:
+            beside = min(longest, len(unused) + 2)
+        else:
+            beside = longest - spec.length if length > spec.length else spec.length - 1
+        # The shortest two have no second byte beside the first and the last.
+        visits = ceil(_TIMES * 256 / max(1, beside - 2)) if length else 0
+        place = identity + length
+        for number, kind in enumerate(kinds):
+            data = _marked(length, place + number + turn)
+            yield _Context(kind, complete_frame(protocol, header, data))
+        for visit in range(visits):
+            data = _rotating(length, visit + visits * (place + turn))
+            kind = moving[(visit + place + turn) % len(moving)]
+            yield _Context(kind, complete_frame(protocol, header, data))
+    for spec in protocol.instructions:
+        steps = valid_frames(protocol, spec.name)
+        marked = [s for s in (*steps, *bad_data_frames(protocol, spec.name)) if _is_marked(s)]
+        yield from (_Context(kind, step) for kind in kinds for step in marked)
+        for number, step in enumerate(steps):
+            yield _Context(kinds[(number + turn) % len(kinds)], step)
+
+
+def _cut(protocol: Protocol, draw: random.Random) -> Iterator[Step]:
+    """Truncated frames of each ID; each group of IDs meets the marked values at each place."""
+    lengths = protocol.data_lengths
+    longer = cycle(draw.sample(lengths, len(lengths)))
+    met: dict[tuple[bool, int], int] = {}
+    for identity in protocol.ids:
+        for arrived in _ARRIVE:
+            if arrived >= lengths[-1]:
+                continue
+            announced = next(length for length in longer if length > arrived)
+            group = identity in protocol.by_id, arrived
+            turn = met[group] = met.get(group, draw.randrange(len(MARKED))) + 1
+            # Others of the 256 values now and then.
+            data = draw.randbytes(arrived) if turn % 3 == 0 else _marked(arrived, turn - turn // 3)
+            yield truncated_frame(protocol, identity, announced, data)
+
+
+def _after_cuts(protocol: Protocol, draw: random.Random) -> list[Step]:
+    """The frames that follow truncated ones: each marked valid one, then each faulty header."""
+    valid = [
+        step
+        for spec in protocol.instructions
+        for step in valid_frames(protocol, spec.name)
+        if _is_marked(step)
+    ]
+    faulty = [
+        complete_frame(protocol, header, _marked(length, identity + length))
+        for header, (identity, length) in enumerate(protocol.headers)
+        if _faulty(protocol, identity, length)
+    ]
+    return [*draw.sample(valid, len(valid)), *draw.sample(faulty, len(faulty))]
+
+
+def _faulty(protocol: Protocol, identity: int, length: int) -> bool:
+    """Whether a header is faulty whatever its data."""
+    spec = protocol.by_id.get(identity)
+    return spec is None or spec.length != length
+
+
+def _is_marked(step: Step) -> bool:
+    """Whether the first data byte has one of the marked values, or there is none."""
+    return len(step.frame) == 1 or step.frame[1] in MARKED
+
+
+def _marked(length: int, turn: int) -> bytes:
+    """Data of marked values; in turn each of them stands at each place."""
+    return bytes(MARKED[(turn + 3 * place) % len(MARKED)] for place in range(length))
+
+
+def _rotating(length: int, turn: int) -> bytes:
+    """Data of any values; in turn each of the 256 stands first, second and last."""
+    data = bytearray((_ODD * turn + 97 * place) % 256 for place in range(length))
+    data[-1:] = [(_ODD * turn + 201) % 256] if length > 1 else data[-1:]
+    return bytes(data)
+
+
+class _Walk:
+    """Leads a robot from wherever it is into contexts, in which it moves where it can.
+
+    `inputs` supplies the frames of each kind.
+    """
+
+    def __init__(self, protocol: Protocol, draw: random.Random, inputs: Inputs) -> None:
+        self.inputs = inputs
+        self._protocol = protocol
+        self._draw = draw
+        self._classes = {name: values for name, values in state_classes(protocol) if values}
+        self._motions = moving_motions(protocol)
+        self._state: State | None = None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the robot moves now."""
+        return self._state is not None and self._state.moving
+
+    def begin(self) -> None:
+        """Begin where the state is not known, the motion apart: the robot stands."""
+        self._state = None
+
+    def lead(self, kind: str) -> tuple[Step, ...]:
+        """Go to a state in which it moves, if it stands or by chance, and on to a frame of a kind.
+
+        Returns the frames; the last is that of the kind.
+        """
+        draw, protocol = self._draw, self._protocol
+        known, steps = self._state, list[Step]()
+        state = known or protocol.power_on
+        if known is None or not state.moving or draw.random() < _SETS_ALL:
+            wanted = replace(state, motion=draw.choice(self._motions or [Motion.STOPPED]))
+            if known is None or not state.speed or draw.random() < _SETS_ALL:
+                wanted = replace(wanted, **self._any_settings())
+            # Steering while it rotates may make a curve of it (R-steer-rotating).
+            if rotates(state.motion):
+                steps.append(self.took(valid_frame(protocol, protocol.stop, {})))
+            now = frames_to(protocol, replace(known, motion=Motion.STOPPED)) if known else ()
+            some = (frame for frame in frames_to(protocol, wanted) if frame not in now)
+            steps += (self.took(complete_frame(protocol, f[0], f[1:])) for f in some)
+        return (*steps, self.took(self.inputs.next(kind)))
+
+    def took(self, step: Step) -> Step:
+        """Go on past a step, and return it."""
+        effect = step.frame_effect.effect or self._protocol.on_fault
+        state = self._state or self._protocol.power_on
+        self._state = effect.apply(state, dict(step.frame_effect.values))
+        return step
+
+    def _any_settings(self) -> dict[str, Any]:
+        """A speed, a steering and a light, each of any of its classes; it moves if it can."""
+        found: dict[str, Any] = {}
+        for name, values in self._classes.items():
+            if name != "motion":
+                moving = [some for some in values if name != "speed" or tuple(some) != (0,)]
+                found[name] = self._draw.choice(self._draw.choice(moving or values))
+        return found
+
+
+def _chunks(values: Sequence[T], size: int) -> Iterator[Sequence[T]]:
+    return (values[start : start + size] for start in range(0, len(values), size))

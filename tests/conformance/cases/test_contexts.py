@@ -1,0 +1,135 @@
+"""Frames in context: after each kind, with each marked value and in turn all; cuts; silences."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+
+from bilprov.conformance.cases.combinations import MARKED
+from bilprov.conformance.cases.contexts import after_each_kind, left_alone, truncations
+from bilprov.conformance.cases.coverage import kind_of
+from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.steps import FrameClass, Step, valid_frames
+from bilprov.spec.protocol import Protocol
+
+
+def neighbours(protocol: Protocol, cases: Iterator[SequenceCase]) -> Iterator[tuple[str, Step]]:
+    """Each frame with the kind of the frame right before it, counted from what is sent."""
+    for case in cases:
+        for before, step in pairwise(case.steps):
+            yield kind_of(protocol, before), step
+
+
+def places(step: Step) -> Iterator[tuple[str, int]]:
+    """The values of the first, the second and the last data byte of a frame."""
+    data = step.frame[1:]
+    yield from (("first", data[0]), ("last", data[-1])) if data else ()
+    yield from (("second", data[1]),) if len(data) > 2 else ()
+
+
+@pytest.mark.slow
+def test_each_faulty_header_comes_right_after_each_kind(each_protocol: Protocol) -> None:
+    kinds = set(Inputs(each_protocol, 1).kinds)
+    met = defaultdict(set)
+    for before, step in neighbours(each_protocol, after_each_kind(each_protocol, 1, 1)):
+        if step.faulty and step.kind is not FrameClass.BAD_DATA:
+            met[step.frame[0]].add(before)
+
+    known = {s.id: s.length for s in each_protocol.instructions}
+    faulty = [h for h, (i, n) in enumerate(each_protocol.headers) if known.get(i) != n]
+    assert sorted(met) == faulty
+    assert all(kinds <= met[header] for header in faulty)
+
+
+@pytest.mark.slow
+def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_each_place(
+    protocol: Protocol,
+) -> None:
+    marked, values, lengths = defaultdict(set), defaultdict(set), defaultdict(set)
+    for before, step in neighbours(protocol, after_each_kind(protocol, 1, 1)):
+        if not step.faulty or step.kind is FrameClass.BAD_DATA:
+            continue
+        identity, length = protocol.headers[step.frame[0]]
+        for place, value in places(step):
+            if value in MARKED:
+                marked[identity, kind_of(protocol, step), place, before].add(value)
+                marked[identity, length, place].add(value)
+            values[identity, kind_of(protocol, step), place].add(value)
+            lengths[step.kind, length, place].add(value)
+
+    assert all(found == set(MARKED) for found in marked.values())
+    assert all(len(found) == 256 for found in values.values())
+    # Of the unused IDs together, each length; of two bytes each value is first or last.
+    assert min(len(lengths[FrameClass.UNUSED_ID, length, "first"]) for length in range(1, 16)) > 250
+
+
+def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
+    inputs = Inputs(each_protocol, 1)
+    met = defaultdict(set)
+    for before, step in neighbours(each_protocol, after_each_kind(each_protocol, 1, 1)):
+        if not step.faulty:
+            met[before, kind_of(each_protocol, step)].update(step.frame[1:2])
+
+    for before in inputs.kinds:
+        for spec in each_protocol.instructions:
+            assert (before, spec.name) in met
+            if spec.length == 1:
+                low, high = spec.fields[0].low, spec.fields[0].high
+                assert {v for v in MARKED if low <= v <= high} <= met[before, spec.name]
+
+
+def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
+    protocol: Protocol,
+) -> None:
+    cases = list(truncations(protocol, 1, 1))
+    values, before, after, arrived = defaultdict(set), set(), set(), defaultdict(set)
+    for case in cases:
+        steps = list(case.steps)
+        for at, step in enumerate(steps):
+            if step.truncated:
+                identity = protocol.headers[step.frame[0]][0]
+                arrived[identity].add(len(step.frame) - 1)
+                before.add(tuple(kind_of(protocol, s) for s in steps[at - 2 : at]))
+                after.add(steps[at + 1].frame)
+                for place, value in places(step):
+                    values[identity in protocol.by_id, len(step.frame), place].add(value)
+
+    assert arrived == {identity: {0, 1, 2, 3, 5} for identity in protocol.ids}
+    kinds = Inputs(protocol, 1).kinds
+    assert before == {(first, second) for first in kinds for second in kinds}
+    valid = (step for spec in protocol.instructions for step in valid_frames(protocol, spec.name))
+    assert {step.frame for step in valid if set(step.frame[1:]) <= set(MARKED)} <= after
+    for (_, size, _), found in values.items():
+        assert size == 6 or set(MARKED) <= found
+
+
+def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move(
+    each_protocol: Protocol,
+) -> None:
+    inputs = Inputs(each_protocol, 1)
+    met, ended = defaultdict(set), defaultdict(set)
+    for case in left_alone(each_protocol, 1, 1):
+        for bursts in zip(case.bursts, case.bursts[1:], case.bursts[2:], strict=False):
+            before, kind, end = (kind_of(each_protocol, burst.steps[-1]) for burst in bursts)
+            if bursts[1].idle_ms > 60:
+                met[before].add(kind)
+            elif bursts[1].idle_ms:
+                ended[before].add(end)
+
+    faults = {*inputs.faulty_kinds, FrameClass.TRUNCATED}
+    assert all(faults <= met[kind] for kind in (*inputs.settings, *inputs.movers))
+    assert set(inputs.valid_kinds) <= met[each_protocol.stop.name] | met[inputs.movers[0]]
+    assert all(ended[mover] == set(inputs.kinds) for mover in inputs.movers)
+
+
+def test_a_seed_and_a_turn_have_data_and_states_of_their_own(protocol: Protocol) -> None:
+    def first(seed: int, turns: int, number: int) -> SequenceCase:
+        return list(truncations(protocol, seed, turns))[number]
+
+    assert first(1, 1, 0) == first(1, 2, 0)
+    assert first(1, 1, 0).bursts != first(2, 1, 0).bursts
+    assert first(1, 2, 0).bursts != first(1, 2, len(list(truncations(protocol, 1, 1)))).bursts
