@@ -113,6 +113,7 @@ class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
     jitter_ms: float | None
     boot_ms: float | None
     flushes: bool | None
+    flushes_for_ms: float | None
     whole_frame: bool | None
     led_id: int | None
     stop_latency_ms: float | None

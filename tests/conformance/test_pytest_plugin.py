@@ -225,7 +225,9 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
         "bench.SuiteThread.end = end\n"
     )
 
-    on_sim(run, "-k", "valid/LED/3 or valid/LED/6").assert_outcomes(passed=2, deselected=1852)
+    outcomes = on_sim(run, "-k", "valid/LED/3 or valid/LED/6").parseoutcomes()
+    assert outcomes["passed"] == 2
+    assert outcomes["deselected"] > 1000
 
     ran = (run.path / "ran").read_text().split()
     assert [ident for ident in ran if ident.startswith("valid")] == ["valid/LED/3", "valid/LED/6"]
