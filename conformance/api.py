@@ -12,8 +12,8 @@ from bilprov.captures.text import printable
 from bilprov.conformance.cases.budget import before_the_cases, dropped, seconds, within
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
+    INDEPENDENT_GROUPS,
     LEVELS,
-    PROOF_GROUPS,
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
@@ -91,7 +91,7 @@ def select_cases(
     else:
         left_out = frozenset(
             group
-            for group in PROOF_GROUPS
+            for group in INDEPENDENT_GROUPS
             if options.only and not reaches(options.only, (f"{group}/",))
         )
         cases = level_cases(

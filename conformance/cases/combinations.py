@@ -251,37 +251,40 @@ def _seeded(protocol: Protocol, name: str, what: str, bursts: list[Burst]) -> Se
 
 
 class Combinations:
-    """The sequences of the arrays of a protocol and a seed.
+    """The sequences of the rows of one delivery, one of `DELIVERED`; a seed draws their data.
 
     They begin each frame from a state that was set.
     """
 
-    def __init__(self, protocol: Protocol, seed: int) -> None:
+    def __init__(self, protocol: Protocol, seed: int, word: str) -> None:
         self._protocol = protocol
-        self._draw = random.Random(f"sequences of combinations {seed}")
-        self._inputs = Inputs(protocol, seed)
+        self._word = word
+        self._way = DELIVERED.index(word)
+        self._draw = random.Random(f"sequences of combinations {seed} {word}")
+        # Each delivery goes on elsewhere in the values of the data of faulty frames.
+        self._inputs = Inputs(protocol, seed + self._way)
 
-    def array(self, word: str) -> Iterator[SequenceCase]:
-        """The sequences of one delivery."""
-        space = space_of(self._protocol)
-        rows = [row for row in _rows(self._protocol) if row[_WAY] == DELIVERED.index(word)]
+    def sequences(self) -> Iterator[SequenceCase]:
+        """The sequences of these rows."""
+        word, space = self._word, space_of(self._protocol)
+        rows = [row for row in _rows(self._protocol) if row[_WAY] == self._way]
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
-            bursts = list(self._bursts(word, space, rows[start : start + _STIMULI]))
+            bursts = list(self._bursts(space, rows[start : start + _STIMULI]))
             yield _seeded(self._protocol, f"{word}/{number:03}", what, bursts)
 
-    def _bursts(self, word: str, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
+    def _bursts(self, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""
         protocol, motion = self._protocol, Motion.STOPPED
         for row in rows:
             before, motion = self._before(row, space, motion)
             step = self._frame(row, space)
             motion = (step.frame_effect.effect or protocol.on_fault).motion or motion
-            if word == DELIVERED[PIPELINED]:
+            if self._way == PIPELINED:
                 yield Burst((*before, step))
                 continue
             yield from (Burst((one,), looks=one is before[-1]) for one in before)
-            split = word == DELIVERED[SPLIT]
+            split = self._way == SPLIT
             yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())
 
     def _before(self, row: Row, space: Space, motion: Motion) -> tuple[list[Step], Motion]:

@@ -85,7 +85,6 @@ class Source:
     level: Level
     seed: int
     tours: Tours
-    combinations: Combinations
     extra: int
 
     def cut(self, number: int) -> bool:
@@ -120,7 +119,7 @@ def _numbered(make: Callable[[Source, int], SequenceCase]) -> Make:
 
 def _combined(word: str) -> Make:
     """Make the sequences of an array of combinations."""
-    return lambda source, _: source.combinations.array(word)
+    return lambda of, _: Combinations(of.protocol, of.seed, word).sequences()
 
 
 def _in_context(make: Callable[[Protocol, int, int], Iterator[SequenceCase]]) -> Make:
@@ -185,7 +184,12 @@ GENERATORS = (
     *(Generator(f"{GROUP}/{one.name}", (0, 0, 0, 1), _proving(one)) for one in PROOFS),
 )
 
-PROOF_GROUPS = tuple(f"{GROUP}/{one.name}" for one in PROOFS)
+INDEPENDENT_GROUPS = (
+    *(f"{ARRAY}/{word}" for word in (*DELIVERED, RANDOM)),
+    AFTER,
+    CUT,
+    *(f"{GROUP}/{one.name}" for one in PROOFS),
+)
 """The groups of sequences that do not depend on others, and take long to make."""
 
 SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for row in GENERATORS))
@@ -205,8 +209,8 @@ def level_cases(
 
     `soaked` is how many faults more to send at the end, with a random sequence for every
     `_SOAKED` of them, `extra` how many states more than the
-    machine the level `complete` allows a device. `left_out` are groups of `PROOF_GROUPS` that are
-    not made. Raises UserError where `extra` takes too many sequences.
+    machine the level `complete` allows a device. `left_out` are groups of `INDEPENDENT_GROUPS`
+    that are not made. Raises UserError where `extra` takes too many sequences.
     """
     return (
         *single_cases(protocol, name, seed),
@@ -254,9 +258,7 @@ def _few(singles: Sequence[Case]) -> Iterator[Case]:
 def _sequences(
     protocol: Protocol, level: Level, seed: int, extra: int, left_out: frozenset[str]
 ) -> Iterator[SequenceCase]:
-    source = Source(
-        protocol, level, seed, Tours(protocol, seed), Combinations(protocol, seed), extra
-    )
+    source = Source(protocol, level, seed, Tours(protocol, seed), extra)
     for generator in GENERATORS:
         amount = generator.amount(level)
         if amount and generator.group not in left_out:

@@ -156,8 +156,9 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
     note_hindrances(robot.target)
     seconds = estimated_seconds(
         target.protocol,
-        target.line,
         timers_of(target.environment, target.protocol),
+        byte_time=target.byte_time,
+        adapter=target.latency,
         observable=target.environment.observability.available,
         seed=seed,
     )

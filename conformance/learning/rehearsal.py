@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.schemas import MS
 from bilprov.conformance.learning.alphabet import alphabet, reset
 from bilprov.conformance.learning.learner import Learner
@@ -19,10 +18,17 @@ _LATENCY = MS // 2  # of an answer, and of a look
 
 
 def estimated_seconds(
-    protocol: Protocol, line: LineSettings, timers: Timers, *, observable: bool, seed: int = 1
+    protocol: Protocol,
+    timers: Timers,
+    *,
+    byte_time: int,
+    adapter: int = 0,
+    observable: bool,
+    seed: int = 1,
 ) -> float:
-    """About how long (s) a conforming device on this line is learned.
+    """About how long (s) it takes to learn a conforming device.
 
+    `byte_time` (ns) is that of its line, `adapter` (ns) for how long this holds each answer back;
     `observable` tells whether there is a probe. Raises NoAALpy where the library is missing.
     """
     reference = reference_machine(Model(protocol, Choices()), alphabet(protocol))
@@ -33,7 +39,8 @@ def estimated_seconds(
                 for row in reference.states
             )
         )
-    rehearsal = _Rehearsal(protocol, reference, line.byte_time, timers, looks=observable)
+    latency = _LATENCY + adapter
+    rehearsal = _Rehearsal(protocol, reference, byte_time, latency, timers, looks=observable)
     Learner(rehearsal, reference, seed=seed).learn()
     return _OPENING + rehearsal.time / 1e9
 
@@ -42,14 +49,21 @@ class _Rehearsal:
     """A teacher that knows the machine and adds up the time (ns) that asking a device takes."""
 
     def __init__(
-        self, protocol: Protocol, machine: Machine, byte_time: int, timers: Timers, *, looks: bool
+        self,
+        protocol: Protocol,
+        machine: Machine,
+        byte_time: int,
+        latency: int,
+        timers: Timers,
+        *,
+        looks: bool,
     ) -> None:
         self.time = 0
         self._machine = machine
         self._known: set[Word] = set()
 
         def exchange(frame: bytes) -> int:
-            return (len(frame) + 1) * byte_time + _LATENCY
+            return (len(frame) + 1) * byte_time + latency
 
         timeout = int(protocol.timing.truncation_timeout * MS)
         after = _LATENCY if looks else timers.settle
@@ -57,7 +71,7 @@ class _Rehearsal:
             exchange(step.frame) + step.truncated * timeout + after for step in alphabet(protocol)
         ]
         # Each stop of homing is answered while the next ones are sent.
-        homing = (protocol.longest_frame + 1) * byte_time + _LATENCY + timers.settle
+        homing = (protocol.longest_frame + 1) * byte_time + latency + timers.settle
         self._reset = homing + sum(map(exchange, reset(protocol)))
 
     def outputs(self, word: Word) -> list[Output]:

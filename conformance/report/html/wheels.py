@@ -49,8 +49,10 @@ def _figure(curve: WheelCurve, full: int) -> Safe:
     """One sweep: the settings to the right, the wheels' speeds upwards, -full to full or from 0."""
     title = f"{curve.variable} {curve.settings[0]} to {curve.settings[-1]}"
     motion = curve.motion.replace("_", " ")
-    low = -full if min(*curve.left, *curve.right) < 0 else 0
-    high = full if max(*curve.left, *curve.right) > 0 else 0
+    least, most = min(*curve.left, *curve.right), max(*curve.left, *curve.right)
+    # A wheel that trembles around 0 does not open the other half of the picture.
+    low = -full if least < -full / 8 else 0
+    high = full if most > full / 8 or low == 0 else 0
     across = _Scale(min(curve.settings), max(curve.settings), _LEFT, _WIDTH - _RIGHT)
     up = _Scale(low, high, _HEIGHT - _BOTTOM, _TOP)
     ends = f"{curve.left[0]} to {curve.left[-1]} (left), {curve.right[0]} to {curve.right[-1]}"

@@ -12,12 +12,13 @@ from bilprov.conformance.api import Options, select_cases
 from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import (
     GENERATORS,
+    INDEPENDENT_GROUPS,
     LEVELS,
-    PROOF_GROUPS,
     SEQUENCE_PREFIXES,
     level_cases,
     single_cases,
 )
+from bilprov.conformance.cases.proof import GROUP, PROOFS
 from bilprov.conformance.cases.selection import reaches
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
@@ -366,7 +367,19 @@ def test_the_level_complete_holds_what_standard_does_and_the_proofs() -> None:
         if row.amount(LEVELS["complete"]) != row.amount(LEVELS["standard"])
     }
 
-    assert more == set(PROOF_GROUPS)
+    assert more == {f"{GROUP}/{one.name}" for one in PROOFS}
+
+
+@pytest.mark.slow
+def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Protocol) -> None:
+    whole = level_cases(protocol, "standard", 1)
+    alone = level_cases(protocol, "standard", 1, 0, 0, frozenset(INDEPENDENT_GROUPS))
+
+    assert alone == tuple(c for c in whole if c.id.rpartition("/")[0] not in INDEPENDENT_GROUPS)
+    for name in INDEPENDENT_GROUPS:
+        others = frozenset(INDEPENDENT_GROUPS) - {name}
+        made = level_cases(protocol, "standard", 1, 0, 0, others)[len(alone) :]
+        assert made == tuple(case for case in whole if case.id.startswith(f"{name}/"))
 
 
 def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol: Protocol) -> None:

@@ -19,11 +19,12 @@ from bilprov.conformance.learning.alphabet import reset
 from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.learned import Learned, learn_target
 from bilprov.conformance.learning.output import Output, output_of
+from bilprov.conformance.learning.rehearsal import estimated_seconds
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.firmware import AVR, built
-from tests.support.robots import BYTE_TIME
+from tests.support.robots import BYTE_TIME, Timers
 
 
 class Blind:
@@ -195,6 +196,23 @@ def test_what_contradicts_itself_ends_in_one_sentence(protocol: Protocol) -> Non
     assert learned.trouble
     assert "\n" not in learned.trouble
     assert learned.exit in (1, 3)
+
+
+@pytest.mark.slow
+def test_the_time_that_is_told_counts_bytes_and_what_an_adapter_holds_back(
+    protocol: Protocol,
+) -> None:
+    def told(byte_time: int, adapter: int = 0) -> float:
+        timers = Timers()
+        return estimated_seconds(
+            protocol, timers, byte_time=byte_time, adapter=adapter, observable=True
+        )
+
+    pty, slow, slower, usb = told(0), told(MS), told(2 * MS), told(0, 16 * MS)
+    assert pty < slow
+    assert slower - slow == pytest.approx(slow - pty)
+    # With each answer there goes a frame of a few bytes, of 1 ms each.
+    assert usb - pty > 2 * (slow - pty)
 
 
 def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
