@@ -50,7 +50,7 @@ def same(
 
 
 @pytest.mark.slow
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
 def test_columns_hold_the_records_of_a_session(
     each_protocol: Protocol,
@@ -77,7 +77,7 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
 
 
 @pytest.mark.slow
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(
     ACTS,
     BATCHES,

@@ -140,7 +140,7 @@ def moved(protocol: Protocol, records: Sequence[Record], first: int, last: int) 
 
 
 @pytest.mark.slow
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(ACTS, BATCHES, SETTINGS)
 def test_totals_are_the_counts_of_the_records(
     each_protocol: Protocol, acts: list[Act], batches: list[int], chosen: dict[str, Any]
@@ -163,7 +163,7 @@ FILTERS = (
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(ACTS, BATCHES, SETTINGS, st.sampled_from(FILTERS))
 def test_with_a_filter_the_totals_are_the_counts_of_the_records_that_pass(
     each_protocol: Protocol,

@@ -102,7 +102,7 @@ def later(full: list[str], start: int) -> list[str]:
     return [line for line in full if msgspec.json.decode(line)["t"] * 1e9 >= start - 0.5]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "attached"), [(1, False), (2, True), (3, False), (4, True)])
 @pytest.mark.parametrize("judged", [False, True])

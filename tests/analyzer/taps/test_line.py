@@ -493,6 +493,7 @@ def test_a_line_with_strong_drops_never_fails_the_reference() -> None:
 
 
 def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
+    """It is given up in one sentence, after as long as a board may take to boot."""
     result, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
     assert result.returncode == 2, result.stderr
     assert b"nobody answered" in result.stdout + result.stderr

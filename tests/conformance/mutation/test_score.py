@@ -30,7 +30,7 @@ FEW = ("ok-to-bad-data", "sent-ahead-merged", "echo", "never-moves", "no-stop-af
 def test_each_fault_is_caught_as_it_must_be_and_the_groups_that_fail_are_named(
     protocol: Protocol,
 ) -> None:
-    few = score(protocol, chosen_faults(protocol, 0, FEW), most=2000)
+    few = score(protocol, chosen_faults(protocol, 0, FEW), at=["smoke"], most=2000)
     (level,) = few.levels
     caught = {name: result.caught for name, result in few.at(level).items()}
 
@@ -40,10 +40,10 @@ def test_each_fault_is_caught_as_it_must_be_and_the_groups_that_fail_are_named(
     assert few.soak == ("no-stop-after-65536-faults",)
     assert not caught["no-stop-after-65536-faults"]
     assert few.reference == {level: "pass"}
-    assert few.bytes[level] > 10_000
+    assert few.bytes[level] > 3000
     result = few.at(level)["ok-to-bad-data"]
 
-    assert result.groups == ("bad-data", "recovery")
+    assert result.groups == ("bad-data", "sequence/tour")
     assert result.own_clause
     assert result.verdict == "fail"
 
@@ -64,15 +64,13 @@ def test_a_group_is_a_class_or_the_first_two_parts(ident: str, group: str) -> No
 
 @pytest.mark.slow
 def test_a_survivor_that_can_show_fails_the_suite_and_is_shown(protocol: Protocol) -> None:
-    found = score(protocol, chosen_faults(protocol, 0, ["stop-ignored-after-led"]), most=50_000)
+    # That ID with that length is no frame of smoke.
+    name = "accepts-id-10-with-1"
+    found = score(protocol, chosen_faults(protocol, 0, [name]), at=["smoke"], most=50_000)
 
-    (level,) = found.levels
-    survivors = found.survivors(level)
-    if survivors:
-        assert found.searches[survivors[0]].shown
-        assert found.failures == [f"{level}: 0 of 1 named faults, 100% must be"]
-    else:
-        assert found.failures == []
+    assert found.survivors("smoke") == [name]
+    assert found.searches[name].shown
+    assert found.failures == ["smoke: 0 of 1 named faults, 88% must be"]
 
 
 @pytest.mark.slow

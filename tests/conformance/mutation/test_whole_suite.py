@@ -57,7 +57,7 @@ def run(protocol: Protocol, fault: Fault, **options: object) -> tuple[Report, se
     return report, failed & broken
 
 
-@pytest.mark.sample(20)
+@pytest.mark.sample(14)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_every_fault_ends_in_its_exit_code_and_names_what_it_breaks(
@@ -70,7 +70,7 @@ def test_every_fault_ends_in_its_exit_code_and_names_what_it_breaks(
     assert bool(named) is (fault.exit == 1)
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", mixtures(_OWN))
 def test_every_mixture_of_two_readings_fails(name: str, protocol: Protocol) -> None:
@@ -83,7 +83,7 @@ def test_every_mixture_of_two_readings_fails(name: str, protocol: Protocol) -> N
 def test_smoke_catches_most_of_the_bank(protocol: Protocol, pytestconfig: pytest.Config) -> None:
     bank = fault_bank(protocol)
     draw = Random(pytestconfig.getoption("--sample-seed"))
-    names = NAMED if pytestconfig.getoption("--whole") else draw.sample(NAMED, 80)
+    names = NAMED if pytestconfig.getoption("--whole") else draw.sample(NAMED, 60)
     caught = [
         name
         for name in names
