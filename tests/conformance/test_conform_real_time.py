@@ -248,11 +248,15 @@ def test_what_a_command_was_not_asked_about_says_so(tmp_path: Path) -> None:
         )
 
     report = msgspec.json.decode(result.stdout)
-    blind = [case for case in report["cases"] if case["verdict"] == "inconclusive"]
+    # On a busy machine others may be inconclusive because an answer came late.
+    blind = [
+        case
+        for case in report["cases"]
+        if any("not observable" in axis["reason"] for axis in case["axes"].values())
+    ]
     assert blind
-    # On a busy machine a case may be inconclusive because an answer came late.
-    reasons = [axis["reason"] for case in blind for axis in case["axes"].values()]
-    assert any("not observable" in reason for reason in reasons)
+    for case in blind:
+        assert case["verdict"] == "inconclusive"
         assert case["axes"]["answer"]["verdict"] in ("pass", "skipped")
 
 
