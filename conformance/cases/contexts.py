@@ -36,10 +36,12 @@ AFTER, CUT, ALONE = "combined/after", "combined/cut", "sequence/left-alone"
 """The groups of complete frames, of truncated ones, and of those that are followed by silence."""
 
 _CONTEXTS, _CUTS, _ALONE = 48, 24, 11  # of a sequence
+_ONE_AFTER_ANOTHER = 5  # truncated frames of which one comes right after another
 _ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frames of each ID
 _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
-# ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 15.
-_LONG, _SHORT, _PAUSE = 125, 65, 16
+# ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30.
+_LONG, _SHORT, _PAUSE = 125, 65, 32
+_AFTERWARDS = 16  # ms without a frame after a fault that ends a silence
 _TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
 
@@ -82,7 +84,8 @@ def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[Seque
 def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
     """The sequences of truncated frames: `turns` times each ID with each number of bytes.
 
-    Each comes after a pair of kinds, and before a frame that is right after a truncated one.
+    Each comes after a pair of kinds, or right after another truncated one, and before a frame that
+    is right after a truncated one.
     """
     numbers = count(1)
     for turn in range(turns):
@@ -96,13 +99,14 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
         for some, number in zip(_chunks(cuts, _CUTS), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
-            for cut in some:
-                first, second = next(pairs)
-                bursts += (Burst((step,), looks=False) for step in walk.lead(first))
-                bursts += (
-                    Burst((walk.took(step),))
-                    for step in (walk.inputs.next(second), cut, next(following))
-                )
+            for place, cut in enumerate(some, 1):
+                if place % _ONE_AFTER_ANOTHER:
+                    first, second = next(pairs)
+                    bursts += (Burst((step,), looks=False) for step in walk.lead(first))
+                    bursts.append(Burst((walk.took(walk.inputs.next(second)),)))
+                bursts.append(Burst((walk.took(cut),)))
+                if (place + 1) % _ONE_AFTER_ANOTHER or place == len(some):
+                    bursts.append(Burst((walk.took(next(following)),)))
             what = "a frame that is cut short stops it, whatever came before, and ends nothing"
             yield _sequence(protocol, f"{CUT}/{number:03}", what, bursts)
 
@@ -141,7 +145,9 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
             for first, second, dwell, end in some:
                 bursts += (Burst((step,), looks=False) for step in walk.lead(first))
                 bursts.append(Burst((walk.took(inputs.next(second)),), idle_ms=dwell))
-                bursts.append(Burst((walk.took(inputs.next(end or next(ends[walk.moving]))),)))
+                ending = end or next(ends[walk.moving])
+                dwell = _AFTERWARDS if ending in inputs.faulty_kinds else 0
+                bursts.append(Burst((walk.took(inputs.next(ending)),), idle_ms=dwell))
             what = "what a frame does holds while nothing else is sent"
             yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
 

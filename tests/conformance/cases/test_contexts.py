@@ -87,13 +87,17 @@ def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
 ) -> None:
     cases = list(truncations(protocol, 1, 1))
     values, before, after, arrived = defaultdict(set), set(), set(), defaultdict(set)
+    one_after_another = set()
     for case in cases:
         steps = list(case.steps)
         for at, step in enumerate(steps):
             if step.truncated:
                 identity = protocol.headers[step.frame[0]][0]
                 arrived[identity].add(len(step.frame) - 1)
-                before.add(tuple(kind_of(protocol, s) for s in steps[at - 2 : at]))
+                if steps[at - 1].truncated:
+                    one_after_another.add((identity in protocol.by_id, len(step.frame) - 1))
+                else:
+                    before.add(tuple(kind_of(protocol, s) for s in steps[at - 2 : at]))
                 after.add(steps[at + 1].frame)
                 for place, value in places(step):
                     values[identity in protocol.by_id, len(step.frame), place].add(value)
@@ -101,6 +105,7 @@ def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
     assert arrived == {identity: {0, 1, 2, 3, 5} for identity in protocol.ids}
     kinds = Inputs(protocol, 1).kinds
     assert before == {(first, second) for first in kinds for second in kinds}
+    assert {(known, length) for known in (True, False) for length in (1, 2, 3)} <= one_after_another
     valid = (step for spec in protocol.instructions for step in valid_frames(protocol, spec.name))
     assert {step.frame for step in valid if set(step.frame[1:]) <= set(MARKED)} <= after
     for (_, size, _), found in values.items():
@@ -117,8 +122,9 @@ def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move
             before, kind, end = (kind_of(each_protocol, burst.steps[-1]) for burst in bursts)
             if bursts[1].idle_ms > 60:
                 met[before].add(kind)
-            elif bursts[1].idle_ms:
+            elif bursts[1].idle_ms > 30:
                 ended[before].add(end)
+                assert bursts[2].idle_ms or end not in inputs.faulty_kinds
 
     faults = {*inputs.faulty_kinds, FrameClass.TRUNCATED}
     assert all(faults <= met[kind] for kind in (*inputs.settings, *inputs.movers))
