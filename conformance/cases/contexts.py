@@ -41,7 +41,7 @@ _ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frame
 _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
 # ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30.
 _LONG, _SHORT, _PAUSE = 125, 65, 32
-_AFTERWARDS = 16  # ms without a frame after a fault that ends a silence
+_AFTERWARDS = 16  # ms without a frame after a Stop or a fault that ends a silence
 _TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
 
@@ -54,6 +54,20 @@ class _Context(NamedTuple):
 
     before: str
     step: Step
+
+
+class _Silence(NamedTuple):
+    """Two kinds of frames, and for how long (ms) the robot is left alone after them.
+
+    `end` is the kind of the frame that ends the silence, "" for each kind in turn. `ahead` where
+    the second frame is sent without waiting for the answer to the first.
+    """
+
+    first: str
+    second: str
+    dwell: int
+    end: str = ""
+    ahead: bool = False
 
 
 def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
@@ -116,40 +130,57 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
 
     They are faults while it moves, after each kind that lets it move; and each valid kind, while it
     moves or stands. A frame of each kind in turn ends the silences, and each kind a short one in
-    each motion. In further `turns` all of them come again with other data and states, and faults
-    while it stands.
+    each motion. Half of the frames are sent ahead of the answer before. In further `turns` all of
+    them come again, those sent ahead and those not changing places, with other data and states, and
+    faults while it stands.
     """
     numbers = count(1)
     for turn in range(turns):
         draw = random.Random(f"left alone {seed} {turn}")
         walk = _Walk(protocol, draw, Inputs(protocol, seed + turn))
         inputs = walk.inputs
-        stop, movers = protocol.stop.name, inputs.movers
-        # The first time what shows best: faults while it moves.
-        before = (*inputs.settings, *movers, *([stop] if turn else []))
-        faults = (*inputs.faulty_kinds, FrameClass.TRUNCATED)
-        ways = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
-        leading = cycle(ways[::-1] if turn % 2 else ways)
-        going = cycle(inputs.settings or movers)
-        contexts = [
-            *((first, second, _LONG, "") for first, second in product(before, faults)),
-            *((next(leading), kind, _SHORT, "") for kind in inputs.valid_kinds),
-            *((first, next(going), _PAUSE, end) for first, end in product(movers, inputs.kinds)),
-        ]
+        contexts = list(_silences(protocol, inputs, turn))
         draw.shuffle(contexts)
         # A silence while it moves, and one while it stands, are each ended by all kinds in turn.
         ends = [cycle(draw.sample(inputs.kinds, len(inputs.kinds))) for _ in range(2)]
+        watched = (protocol.stop.name, *inputs.faulty_kinds)
         for some, number in zip(_chunks(contexts, _ALONE), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
-            for first, second, dwell, end in some:
-                bursts += (Burst((step,), looks=False) for step in walk.lead(first))
-                bursts.append(Burst((walk.took(inputs.next(second)),), idle_ms=dwell))
-                ending = end or next(ends[walk.moving])
-                dwell = _AFTERWARDS if ending in inputs.faulty_kinds else 0
-                bursts.append(Burst((walk.took(inputs.next(ending)),), idle_ms=dwell))
+            for one in some:
+                *lead, last = walk.lead(one.first)
+                bursts += (Burst((step,), looks=False) for step in lead)
+                step = walk.took(inputs.next(one.second))
+                if not one.ahead:
+                    bursts.append(Burst((last,), looks=False))
+                alone = (last, step) if one.ahead else (step,)
+                bursts.append(Burst(alone, idle_ms=one.dwell))
+                end = one.end or next(ends[walk.moving])
+                dwell = _AFTERWARDS if end in watched else 0
+                bursts.append(Burst((walk.took(inputs.next(end)),), idle_ms=dwell))
             what = "what a frame does holds while nothing else is sent"
             yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
+
+
+def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silence]:
+    """The silences of one turn."""
+    stop, movers = protocol.stop.name, inputs.movers
+    # The first time what shows best: faults while it moves.
+    before = (*inputs.settings, *movers, *([stop] if turn else []))
+    for row, first in enumerate(before, turn):
+        for place, fault in enumerate((*inputs.faulty_kinds, FrameClass.TRUNCATED), row):
+            yield _Silence(first, fault, _LONG, ahead=place % 2 == 0)
+    going = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
+    ways = cycle(going[::-1] if turn % 2 else going)
+    for place, kind in enumerate(inputs.valid_kinds, turn):
+        yield _Silence(next(ways), kind, _SHORT, ahead=place // 2 % 2 == 0)
+    settings = cycle(inputs.settings or movers)
+    for row, mover in enumerate(movers, turn):
+        for place, end in enumerate(inputs.kinds, row):
+            pair = mover, next(settings)
+            # In each motion: half of the times it has just begun, half of them a setting came last.
+            first, second = pair if place % 2 else pair[::-1]
+            yield _Silence(first, second, _PAUSE, end, ahead=place // 2 % 2 == 0)
 
 
 def _sequence(protocol: Protocol, ident: str, what: str, bursts: list[Burst]) -> SequenceCase:

@@ -116,20 +116,29 @@ def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move
     each_protocol: Protocol,
 ) -> None:
     inputs = Inputs(each_protocol, 1)
-    met, ended = defaultdict(set), defaultdict(set)
+    met, ended, ways = defaultdict(set), defaultdict(set), defaultdict(set)
     for case in left_alone(each_protocol, 1, 1):
-        for bursts in zip(case.bursts, case.bursts[1:], case.bursts[2:], strict=False):
-            before, kind, end = (kind_of(each_protocol, burst.steps[-1]) for burst in bursts)
-            if bursts[1].idle_ms > 60:
+        for earlier, burst, later in zip(
+            case.bursts, case.bursts[1:], case.bursts[2:], strict=False
+        ):
+            *_, before, kind = (kind_of(each_protocol, s) for s in (*earlier.steps, *burst.steps))
+            end = kind_of(each_protocol, later.steps[-1])
+            ways[kind].add(len(burst.steps))
+            if burst.idle_ms > 60:
                 met[before].add(kind)
-            elif bursts[1].idle_ms > 30:
-                ended[before].add(end)
-                assert bursts[2].idle_ms or end not in inputs.faulty_kinds
+            elif burst.idle_ms > 30:
+                ended[before if before in inputs.movers else kind].add(end)
+            if burst.idle_ms > 30 and (
+                end in inputs.faulty_kinds or end == each_protocol.stop.name
+            ):
+                assert later.idle_ms  # what it does late shows
 
     faults = {*inputs.faulty_kinds, FrameClass.TRUNCATED}
     assert all(faults <= met[kind] for kind in (*inputs.settings, *inputs.movers))
     assert set(inputs.valid_kinds) <= met[each_protocol.stop.name] | met[inputs.movers[0]]
     assert all(ended[mover] == set(inputs.kinds) for mover in inputs.movers)
+    # Waited for, and sent ahead of the answer before.
+    assert all(ways[kind] == {1, 2} for kind in (*faults, *inputs.settings, *inputs.movers))
 
 
 def test_a_seed_and_a_turn_have_data_and_states_of_their_own(protocol: Protocol) -> None:
