@@ -149,7 +149,12 @@ class Asked(Timed, frozen=True):
 
 
 class Look(Timed, frozen=True):
-    """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell."""
+    """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell.
+
+    `motion` is a value of `spec.motion.Motion`, `stopped` where the wheels stand. `speed`,
+    `steering` (left is negative) and `led` are what was set, whether it moves or not. `left` and
+    `right` are the speeds of the wheels, forward positive, in any unit.
+    """
 
     moving: bool | None
     motion: str | None = None

@@ -40,7 +40,8 @@ _ONE_AFTER_ANOTHER = 5  # truncated frames of which one comes right after anothe
 _ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frames of each ID
 _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
 # ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30.
-_LONG, _SHORT, _PAUSE = 125, 65, 32
+_LONG, _SHORT, _PAUSE = 122, 62, 31
+_REST = 310  # ms for which it drives before a fault comes: what falls asleep does so within 300
 _AFTERWARDS = 16  # ms without a frame after a Stop or a fault that ends a silence
 _TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
@@ -60,7 +61,8 @@ class _Silence(NamedTuple):
     """Two kinds of frames, and for how long (ms) the robot is left alone after them.
 
     `end` is the kind of the frame that ends the silence, "" for each kind in turn. `ahead` where
-    the second frame is sent without waiting for the answer to the first.
+    the second frame is sent without waiting for the answer to the first; else it comes `rest` (ms)
+    after this.
     """
 
     first: str
@@ -68,6 +70,7 @@ class _Silence(NamedTuple):
     dwell: int
     end: str = ""
     ahead: bool = False
+    rest: int = 0
 
 
 def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
@@ -128,11 +131,11 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
 def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
     """The sequences of frames after which the robot is sent nothing for a time.
 
-    They are faults while it moves, after each kind that lets it move; and each valid kind, while it
-    moves or stands. A frame of each kind in turn ends the silences, and each kind a short one in
-    each motion. Half of the frames are sent ahead of the answer before. In further `turns` all of
-    them come again, those sent ahead and those not changing places, with other data and states, and
-    faults while it stands.
+    They are faults while it moves, after each kind that lets it move, and once each after it has
+    moved for a time without a frame; and each valid kind, while it moves or stands. A frame of each
+    kind in turn ends the silences, and each kind a short one in each motion. Half of the frames are
+    sent ahead of the answer before. In further `turns` all of them come again, those sent ahead and
+    those not changing places, with other data and states, and faults while it stands.
     """
     numbers = count(1)
     for turn in range(turns):
@@ -152,7 +155,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
                 bursts += (Burst((step,), looks=False) for step in lead)
                 step = walk.took(inputs.next(one.second))
                 if not one.ahead:
-                    bursts.append(Burst((last,), looks=False))
+                    bursts.append(Burst((last,), looks=one.rest > 0, idle_ms=one.rest))
                 alone = (last, step) if one.ahead else (step,)
                 bursts.append(Burst(alone, idle_ms=one.dwell))
                 end = one.end or next(ends[walk.moving])
@@ -169,7 +172,10 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
     before = (*inputs.settings, *movers, *([stop] if turn else []))
     for row, first in enumerate(before, turn):
         for place, fault in enumerate((*inputs.faulty_kinds, FrameClass.TRUNCATED), row):
-            yield _Silence(first, fault, _LONG, ahead=place % 2 == 0)
+            dwell = _LONG if place // 2 % 2 == 0 else _SHORT
+            yield _Silence(first, fault, dwell, ahead=place % 2 == 0)
+    for place, fault in enumerate(inputs.faulty_kinds, turn):
+        yield _Silence(before[place % len(before)], fault, _SHORT, rest=_REST)
     going = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
     ways = cycle(going[::-1] if turn % 2 else going)
     for place, kind in enumerate(inputs.valid_kinds, turn):

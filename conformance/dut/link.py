@@ -51,8 +51,10 @@ class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"})
 class Device(Protocol):
     """A device under test without I/O: bytes and times (ns) in, answers and looks out.
 
-    One with an attribute `lossless` that is True declares that nothing between it and the suite is
-    lost: a single unexplained mismatch is then a failure.
+    Time begins at 0 with each run: each needs an object of its own. One without `look` is judged by
+    its answers alone. One with an attribute `lossless` that is True declares that nothing between
+    it and the suite is lost: a single unexplained mismatch is then a failure. One with a method
+    `power_cycle(now)`, which switches it off and on, is tried after power-on from a motion too.
     """
 
     def receive(self, data: bytes, now: int) -> None:

@@ -13,10 +13,10 @@ from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.rhythm import Rhythm, fit
 from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.tally import FRAME, Tally, counts
+from bilprov.conformance.runner.tally import VALID, Tally, counters
 
 _HELD = 2  # predictions in a row that prove a rhythm
-_GUESSES = 2  # periods tried for one mismatch
+_GUESSES = 3  # counters tried for one mismatch, each with its best period
 _FACTORS = (2, 3, 5, 7)
 _BATCH = 8  # frames sent ahead on the way to a place
 
@@ -32,7 +32,10 @@ def find_rhythm(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedur
     guesses = list(run.rhythms.proven)
     if not guesses and not run.rhythms.spent:
         run.rhythms.fits += 1
-        guesses = fit(run.protocol, tally.kinds, tally.places)[:_GUESSES]
+        best: dict[str, Rhythm] = {}
+        for rhythm in fit(run.protocol, tally.sent, tally.places):
+            best.setdefault(rhythm.counter, rhythm)
+        guesses = list(best.values())[:_GUESSES]
     for guess in guesses:
         held = 0
         while held < _HELD and not run.rhythms.spent:
@@ -86,9 +89,8 @@ def _go_to(run: Run, rhythm: Rhythm, started: int, after: int) -> Procedure[bool
 
     Returns whether it stands so.
     """
-    tally, counter = run.tally, rhythm.counter
-    pad = bytes([run.protocol.pad_byte])
-    frame = pad if counter == FRAME else _example(run, counter)
+    tally, pad = run.tally, bytes([run.protocol.pad_byte])
+    frame = _example(run, rhythm.counter)
     if not frame:
         return False
     if frame != pad:
@@ -122,8 +124,15 @@ def _send_until(
 
 
 def _example(run: Run, counter: str) -> bytes:
-    """A complete frame that the counter counts, b"" where none was sent."""
-    for kind, frame in run.tally.examples.items():
-        if counts(run.protocol, counter, kind):
-            return frame
-    return b""
+    """A complete frame that the counter counts, a valid one if it can be, b"" where none was sent.
+
+    It is the Stop of homing where this is counted.
+    """
+    counted = {
+        frame: outcome
+        for sent, frame in run.tally.examples.items()
+        if counter in (outcome := counters(run.protocol, sent))
+    }
+    valid = (frame for frame, outcome in counted.items() if VALID in outcome)
+    pad = bytes([run.protocol.pad_byte])
+    return pad if pad in counted else next(valid, next(iter(counted), b""))

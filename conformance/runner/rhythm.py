@@ -1,9 +1,9 @@
 """Rhythm: fits periods to the places of mismatches.
 
 A device that fails at every 64th frame fails no case twice in the same way. Its mismatches lie at
-equal distances, counted in frames, faulty frames or frames of one kind. A fit is only a guess;
-`runner.prediction` tries it. Between homing and a mismatch nothing needs to be fitted: each try of
-a case begins with homing.
+equal distances, counted in frames, faulty or valid ones, or those of one kind or ID. A fit is only
+a guess; `runner.prediction` tries it. Between homing and a mismatch nothing needs to be fitted:
+each try of a case begins with homing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from math import comb
 from typing import NamedTuple
 
 from bilprov.captures.text import ordinal
-from bilprov.conformance.runner.tally import FAULT, FRAME, Place, counts
+from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, counters
 from bilprov.spec.protocol import Protocol
 
 LONGEST = 2048
@@ -36,8 +36,7 @@ class Rhythm(NamedTuple):
     @property
     def words(self) -> str:
         """As in a sentence: `every 64th faulty frame`."""
-        kind = self.counter if self.counter in (FRAME, FAULT) else f"{self.counter} frame"
-        return f"every {ordinal(self.period)} {kind}"
+        return f"every {ordinal(self.period)} {self.counter}"
 
 
 class _Fit(NamedTuple):
@@ -45,18 +44,20 @@ class _Fit(NamedTuple):
     rhythm: Rhythm
 
 
-def fit(protocol: Protocol, kinds: Sequence[str], places: Sequence[Place]) -> list[Rhythm]:
-    """The periods that mismatches at these places of the frames `kinds` may have, the best first.
+def fit(protocol: Protocol, sent: Sequence[Sent], places: Sequence[Place]) -> list[Rhythm]:
+    """The periods that mismatches at these places of the frames `sent` may have, the best first.
 
     Each explains more of the places than chance does over all the periods that are looked at.
     """
     latest = [p for p in places if p.last - p.first < _WIDEST][-_LATEST:]
     if len(latest) < _FEWEST:
         return []
-    met = {kind for p in latest for kind in kinds[p.first - 1 : p.last]}
+    counted = {one: counters(protocol, one) for one in set(sent)}
+    near = {one for p in latest for one in sent[p.first - 1 : p.last]}
+    met = {FRAME, FAULT, VALID, *(counter for one in near for counter in counted[one])}
     found: list[_Fit] = []
-    for counter in (FRAME, FAULT, *sorted(met)):
-        before = [0, *accumulate(counts(protocol, counter, kind) for kind in kinds)]
+    for counter in sorted(met):
+        before = [0, *accumulate(counter in counted[one] for one in sent)]
         spans = [(before[p.first - 1] + 1, before[p.last]) for p in latest]
         found += _fits(counter, sorted({(low, high) for low, high in spans if low <= high}))
     return [rhythm for _, rhythm in sorted(found)]

@@ -6,6 +6,7 @@ runner sent them. A mismatch has its place in it, from which a rhythm is fitted 
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple, TypeVar
 
 from bilprov.conformance.cases.coverage import kind_of
@@ -33,32 +34,50 @@ class Place(NamedTuple):
     last: int
 
 
+class Sent(NamedTuple):
+    """What is counted of a frame: its kind (`cases.coverage.kind_of`) and its instruction ID."""
+
+    kind: str
+    identity: int
+
+
+FRAME, FAULT, VALID = "frame", "faulty frame", "valid frame"
+"""The counters of every frame, of every faulty and of every valid one."""
+
+
+def counters(protocol: Protocol, sent: Sent) -> tuple[str, ...]:
+    """The counters that count a frame: those of all, of its outcome, of its kind and of its ID."""
+    outcome = VALID if sent.kind in protocol.by_name else FAULT
+    return FRAME, outcome, f"{sent.kind} frame", f"frame with ID {sent.identity}"
+
+
 class Tally:
     """The frames since power-on; a power cycle begins it anew.
 
-    `kinds` has the kind of each (`cases.coverage.kind_of`), `examples` one complete frame of each
-    kind, `places` those of the mismatches in cases, `cycles` how often the power was switched.
+    `sent` has what is counted of each, `examples` one complete frame of each that differ in it,
+    `places` those of the mismatches in cases, `cycles` how often the power was switched.
     """
 
     def __init__(self, protocol: Protocol, waiting: Waiting) -> None:
-        self.kinds: list[str] = []
-        self.examples: dict[str, bytes] = {}
+        self.sent: list[Sent] = []
+        self.examples: dict[Sent, bytes] = {}
         self.places: list[Place] = []
         self.cycles = 0
         self._protocol = protocol
         self._waiting = waiting
-        self._known: dict[bytes, str] = {}
+        self._known: dict[bytes, Sent] = {}
         self._held = b""
         self._last = 0
 
     @property
     def frames(self) -> int:
         """How many frames there were."""
-        return len(self.kinds)
+        return len(self.sent)
 
     def count(self, counter: str, frames: int | None = None) -> int:
         """How many of the first `frames` frames (all if None) this counter counts."""
-        return sum(counts(self._protocol, counter, kind) for kind in self.kinds[:frames])
+        times = Counter(self.sent[:frames])
+        return sum(n for one, n in times.items() if counter in counters(self._protocol, one))
 
     def did(self, operation: Operation, reply: Reply) -> None:
         """Take note of an operation that was done."""
@@ -67,7 +86,7 @@ class Tally:
             self._held += operation.data
             self._split()
         elif isinstance(operation, PowerCycle):
-            self.kinds, self.places, self._held = [], [], b""
+            self.sent, self.places, self._held = [], [], b""
             self.cycles += 1
         elif isinstance(reply, Received | Observation):
             self._silent_until(reply.now)
@@ -75,31 +94,22 @@ class Tally:
     def _silent_until(self, now: int) -> None:
         """End a truncated frame where nothing was sent for the time-out until `now` (ns)."""
         if self._held and now - self._last >= self._waiting.timeout:
+            identity, _ = self._protocol.headers[self._held[0]]
             self._held = b""
-            self.kinds.append(FrameClass.TRUNCATED)
+            self.sent.append(Sent(FrameClass.TRUNCATED, identity))
 
     def _split(self) -> None:
         lengths = self._protocol.lengths
         while self._held and len(self._held) > lengths[self._held[0]]:
             end = 1 + lengths[self._held[0]]
             frame, self._held = self._held[:end], self._held[end:]
-            kind = self._known.get(frame)
-            if kind is None:
+            sent = self._known.get(frame)
+            if sent is None:
                 step = complete_frame(self._protocol, frame[0], frame[1:])
-                kind = self._known[frame] = kind_of(self._protocol, step)
-                self.examples.setdefault(kind, frame)
-            self.kinds.append(kind)
-
-
-FRAME, FAULT = "frame", "faulty frame"
-"""The counters of every frame and of every faulty one; any other is the kind that it counts."""
-
-
-def counts(protocol: Protocol, counter: str, kind: str) -> bool:
-    """Whether the counter counts frames of this kind."""
-    if counter == FAULT:
-        return kind not in protocol.by_name
-    return counter in (FRAME, kind)
+                identity, _ = self._protocol.headers[frame[0]]
+                sent = self._known[frame] = Sent(kind_of(self._protocol, step), identity)
+                self.examples.setdefault(sent, frame)
+            self.sent.append(sent)
 
 
 def tallied(procedure: Procedure[T], tally: Tally) -> Procedure[T]:

@@ -116,7 +116,7 @@ def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move
     each_protocol: Protocol,
 ) -> None:
     inputs = Inputs(each_protocol, 1)
-    met, ended, ways = defaultdict(set), defaultdict(set), defaultdict(set)
+    met, ended, ways, rested = defaultdict(set), defaultdict(set), defaultdict(set), set()
     for case in left_alone(each_protocol, 1, 1):
         for earlier, burst, later in zip(
             case.bursts, case.bursts[1:], case.bursts[2:], strict=False
@@ -124,7 +124,10 @@ def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move
             *_, before, kind = (kind_of(each_protocol, s) for s in (*earlier.steps, *burst.steps))
             end = kind_of(each_protocol, later.steps[-1])
             ways[kind].add(len(burst.steps))
-            if burst.idle_ms > 60:
+            if burst.idle_ms > 300:
+                rested.add(end)
+                assert later.idle_ms
+            elif burst.idle_ms > 60:
                 met[before].add(kind)
             elif burst.idle_ms > 30:
                 ended[before if before in inputs.movers else kind].add(end)
@@ -137,6 +140,7 @@ def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move
     assert all(faults <= met[kind] for kind in (*inputs.settings, *inputs.movers))
     assert set(inputs.valid_kinds) <= met[each_protocol.stop.name] | met[inputs.movers[0]]
     assert all(ended[mover] == set(inputs.kinds) for mover in inputs.movers)
+    assert rested == set(inputs.faulty_kinds)
     # Waited for, and sent ahead of the answer before.
     assert all(ways[kind] == {1, 2} for kind in (*faults, *inputs.settings, *inputs.movers))
 

@@ -13,6 +13,7 @@ from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults.vocabulary import (
+    Condition,
     answers_with,
     every,
     every_nth,
@@ -26,7 +27,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
 from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.conformance.runner.tally import FAULT, FRAME, Place, Tally, tallied
+from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, Tally, tallied
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, Hidden, Timers
 
@@ -44,11 +45,11 @@ def reasons(report: Report) -> list[str]:
     return [axis.reason for r in failed for axis in r.axes.values()]
 
 
-def of_kind(identity: int, number: int, change: React) -> React:
-    """The change at every so-manyth valid frame of an ID."""
+def each(number: int, counted: Condition, change: React) -> React:
+    """The change at every so-manyth of the frames that are counted."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        if not event.judgement.valid or event.judgement.id != identity:
+        if not counted(event):
             return reaction
         device.memory["met"] = met = (device.memory.get("met", 0) + 1) % number
         return reaction if met else change(device, event, reaction)
@@ -56,43 +57,55 @@ def of_kind(identity: int, number: int, change: React) -> React:
     return react
 
 
+def of_kind(identity: int) -> Condition:
+    return lambda event: event.judgement.valid and event.judgement.id == identity
+
+
+def with_id(identity: int) -> Condition:
+    return lambda event: event.judgement.id == identity
+
+
 # -- the fit ---------------------------------------------------------------------------------------
 
 
-def kinds_of(protocol: Protocol, chance: Random, number: int) -> list[str]:
-    return chance.choices([*protocol.by_name, FrameClass.BAD_DATA, FrameClass.UNUSED_ID], k=number)
+def frames_of(protocol: Protocol, chance: Random, number: int) -> list[Sent]:
+    """Frames of all kinds that their ID tells, and bad data of others' IDs."""
+    valid = [Sent(name, spec.id) for name, spec in protocol.by_name.items()]
+    faulty = [Sent(FrameClass.BAD_DATA, one.identity) for one in valid]
+    unused = [Sent(FrameClass.UNUSED_ID, identity) for identity in protocol.unused_ids]
+    return chance.choices([*valid, *faulty, *unused], k=number)
 
 
 @pytest.mark.parametrize("period", [64, 100, 256, 1000])
 @pytest.mark.parametrize("width", [1, 6])
 def test_equal_distances_are_found(protocol: Protocol, period: int, width: int) -> None:
     chance = Random(period)
-    kinds = kinds_of(protocol, chance, 30 * period)
+    sent = frames_of(protocol, chance, 30 * period)
     places = []
     for number in sorted(chance.sample(range(2, 28), 8)):
         first = number * period + 13 - chance.randrange(width)
         places.append(Place(first, first + width - 1))
 
-    assert fit(protocol, kinds, places)[0] == Rhythm(FRAME, period)
+    assert fit(protocol, sent, places)[0] == Rhythm(FRAME, period)
 
 
-@pytest.mark.parametrize("counter", [FAULT, "one"])
-def test_distances_are_counted_in_faults_and_in_frames_of_a_kind(
-    protocol: Protocol, counter: str
+@pytest.mark.parametrize("way", ["faulty", "valid", "of a kind", "with an ID"])
+def test_distances_are_counted_in_frames_of_an_outcome_a_kind_or_an_id(
+    protocol: Protocol, way: str
 ) -> None:
-    chance = Random(1)
-    kind = next(iter(protocol.by_name))
-    kinds = kinds_of(protocol, chance, 20_000)
-    mine = [
-        number
-        for number, name in enumerate(kinds, 1)
-        if (name == kind if counter == "one" else name not in protocol.by_name)
-    ]
-    places = [Place(at, at) for at in mine[63::64]]
+    spec = next(iter(protocol.by_name.values()))
+    counter, counted = {
+        "faulty": (FAULT, lambda one: one.kind not in protocol.by_name),
+        "valid": (VALID, lambda one: one.kind in protocol.by_name),
+        "of a kind": (f"{spec.name} frame", lambda one: one.kind == spec.name),
+        "with an ID": (f"frame with ID {spec.id}", lambda one: one.identity == spec.id),
+    }[way]
+    sent = frames_of(protocol, Random(1), 30_000)
+    mine = [number for number, one in enumerate(sent, 1) if counted(one)]
 
-    found = fit(protocol, kinds, places)
+    found = fit(protocol, sent, [Place(at, at) for at in mine[63::64]])
 
-    assert found[0] == Rhythm(kind if counter == "one" else FAULT, 64)
+    assert found[0] == Rhythm(counter, 64)
 
 
 @pytest.mark.slow
@@ -101,10 +114,10 @@ def test_random_places_confirm_no_prediction(protocol: Protocol) -> None:
     guessed = 0
     for seed in range(12):
         chance = Random(seed)
-        kinds = kinds_of(protocol, chance, 50_000)
+        sent = frames_of(protocol, chance, 50_000)
         hurt = {at for at in range(1, 50_001) if chance.random() < 3e-4}
         places = [Place(max(1, at - chance.randrange(4)), at) for at in sorted(hurt)]
-        for rhythm in fit(protocol, kinds, places)[:2]:
+        for rhythm in fit(protocol, sent, places)[:2]:
             guessed += 1
             # Where the last mismatch comes again, by the fit, on the same line.
             predicted = [chance.random() < 10 * 3e-4 for _ in range(2)]
@@ -114,8 +127,8 @@ def test_random_places_confirm_no_prediction(protocol: Protocol) -> None:
 
 
 def test_too_few_places_fit_nothing(protocol: Protocol) -> None:
-    kinds = kinds_of(protocol, Random(1), 1000)
-    assert fit(protocol, kinds, [Place(100, 100), Place(200, 200)]) == []
+    sent = frames_of(protocol, Random(1), 1000)
+    assert fit(protocol, sent, [Place(100, 100), Place(200, 200)]) == []
 
 
 # -- the tally -------------------------------------------------------------------------------------
@@ -134,10 +147,13 @@ def test_frames_are_counted_however_they_are_sent(protocol: Protocol) -> None:
     drive(tallied(script(), run.tally), CountingLink(Simulator(protocol)), lambda: False)
 
     names = [protocol.by_id[identity].name for identity in (1, 2, 2)]
-    assert run.tally.kinds[0] == names[0]
-    assert run.tally.kinds[1:3] == names[1:]
-    assert run.tally.kinds[3:] == [FrameClass.TRUNCATED, FrameClass.BAD_DATA]
-    assert run.tally.count(FAULT) == 2
+    assert run.tally.sent == [
+        *(Sent(name, identity) for name, identity in zip(names, (1, 2, 2), strict=True)),
+        Sent(FrameClass.TRUNCATED, 9),
+        Sent(FrameClass.BAD_DATA, 8),
+    ]
+    assert (run.tally.count(FAULT), run.tally.count(VALID)) == (2, 3)
+    assert run.tally.count("frame with ID 2") == 2
     assert run.tally.count(FRAME, 2) == 2
 
 
@@ -187,7 +203,8 @@ def test_a_failure_says_its_rhythm(protocol: Protocol, change: React) -> None:
         (when(every(every_nth("frames", 64), steered_to(-1)), twice), "every 64th frame: "),
         (when(every(every_nth("frames", 64), faulty), silent), "every 64th frame: "),
         (when(every(every_nth("faults", 64), faulty), wrong), "every 64th faulty frame: "),
-        (of_kind(1, 20, twice), "every 20th Speed frame: "),
+        (each(20, of_kind(1), twice), "every 20th Speed frame: "),
+        (each(30, with_id(8), twice), "every 30th frame with ID 8: "),
     ],
 )
 def test_a_rhythm_under_a_condition_fails(protocol: Protocol, react: React, words: str) -> None:
