@@ -39,10 +39,9 @@ _CONTEXTS, _CUTS, _ALONE = 48, 24, 11  # of a sequence
 _ONE_AFTER_ANOTHER = 5  # truncated frames of which one comes right after another
 _ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frames of each ID
 _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
-# ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30.
-_LONG, _SHORT, _PAUSE = 122, 62, 31
+# ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30, at 15.
+_LONG, _SHORT, _PAUSE, _BRIEF = 122, 62, 31, 16
 _REST = 310  # ms for which it drives before a fault comes: what falls asleep does so within 300
-_AFTERWARDS = 16  # ms without a frame after a Stop or a fault that ends a silence
 _TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
 
@@ -131,11 +130,12 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
 def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
     """The sequences of frames after which the robot is sent nothing for a time.
 
-    They are faults while it moves, after each kind that lets it move, and once each after it has
-    moved for a time without a frame; and each valid kind, while it moves or stands. A frame of each
-    kind in turn ends the silences, and each kind a short one in each motion. Half of the frames are
-    sent ahead of the answer before. In further `turns` all of them come again, those sent ahead and
-    those not changing places, with other data and states, and faults while it stands.
+    They are faults while it moves, after each kind that lets it move, every second kind of them
+    also after it has moved for a time without a frame; and each valid kind, while it moves or
+    stands. A frame of each kind in turn ends the silences, and each kind a short one in each
+    motion. Half of the frames are sent ahead of the answer before. In further `turns` all of them
+    come again, those sent ahead and those not changing places, with other data and states, and
+    faults while it stands.
     """
     numbers = count(1)
     for turn in range(turns):
@@ -159,7 +159,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
                 alone = (last, step) if one.ahead else (step,)
                 bursts.append(Burst(alone, idle_ms=one.dwell))
                 end = one.end or next(ends[walk.moving])
-                dwell = _AFTERWARDS if end in watched else 0
+                dwell = _BRIEF if end in watched else 0
                 bursts.append(Burst((walk.took(inputs.next(end)),), idle_ms=dwell))
             what = "what a frame does holds while nothing else is sent"
             yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
@@ -172,9 +172,9 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
     before = (*inputs.settings, *movers, *([stop] if turn else []))
     for row, first in enumerate(before, turn):
         for place, fault in enumerate((*inputs.faulty_kinds, FrameClass.TRUNCATED), row):
-            dwell = _LONG if place // 2 % 2 == 0 else _SHORT
+            dwell = _LONG if place % 3 == 0 else _SHORT
             yield _Silence(first, fault, dwell, ahead=place % 2 == 0)
-    for place, fault in enumerate(inputs.faulty_kinds, turn):
+    for place, fault in enumerate(inputs.faulty_kinds[turn % 2 :: 2], turn):
         yield _Silence(before[place % len(before)], fault, _SHORT, rest=_REST)
     going = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
     ways = cycle(going[::-1] if turn % 2 else going)
@@ -186,7 +186,8 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
             pair = mover, next(settings)
             # In each motion: half of the times it has just begun, half of them a setting came last.
             first, second = pair if place % 2 else pair[::-1]
-            yield _Silence(first, second, _PAUSE, end, ahead=place // 2 % 2 == 0)
+            dwell = (_PAUSE, _BRIEF)[row % 2]
+            yield _Silence(first, second, dwell, end, ahead=place // 2 % 2 == 0)
 
 
 def _sequence(protocol: Protocol, ident: str, what: str, bursts: list[Burst]) -> SequenceCase:

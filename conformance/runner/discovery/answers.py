@@ -70,6 +70,7 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
             "the time-out counts between two bytes",
             lambda run: _whole_frame(run, slow),
             slow.frame,
+            timed=True,
         )
 
 

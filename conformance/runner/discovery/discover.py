@@ -94,6 +94,8 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
         kinds = " and ".join(sorted(found.actual for found in shown))
         reason = "shows more than one choice; a device keeps to one"
         verdict = Verdict.FAIL
+        if experiment.timed and not run.config.virtual:
+            coarse = coarse or "pauses near the time-out may come out longer at the device"
         if coarse:  # then it may have been noise
             verdict, reason = Verdict.INCONCLUSIVE, f"flaky: {coarse}"
         run.conclude(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})

@@ -31,7 +31,8 @@ class Experiment:
     """One experiment: the open points it is about, and the procedure, for a homed line.
 
     `sees` if it needs looks, `safety` if it is about the stop, `long` if it is repeated only where
-    necessary, `option` the option of `--allow` without which it is not made.
+    necessary, `timed` if it rests on pauses near the time-out, which in real time may come out
+    longer at the device, `option` the option of `--allow` without which it is not made.
     """
 
     name: str
@@ -42,4 +43,5 @@ class Experiment:
     sees: bool = False
     safety: bool = False
     long: bool = False
+    timed: bool = False
     option: str = ""

@@ -118,10 +118,11 @@ def probed(
     *allow: str,
     observability: Observability = ALL_SEEING,
     link: type[CountingLink] = CountingLink,
+    virtual: bool = True,
 ) -> Run:
     """A run that only looks at the device's own choices."""
     choices = Choices(allowed=parse_allowed(protocol, allow))
-    config = RunConfig(protocol, Timers(idle=2500 * MS), observability)
+    config = RunConfig(protocol, Timers(idle=2500 * MS), observability, virtual=virtual)
     run = Run(config, Profile(choices=choices))
     drive(Runner(run, []).execute(), link(Simulator(protocol, fault)), lambda: False)
     return run
@@ -369,6 +370,26 @@ def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
     assert len(tries) - len(left) == made
     if verdict is INFORMATIONAL or (verdict is INCONCLUSIVE and "?" in tries):
         assert "the line is slow" in result.reason
+
+
+@pytest.mark.parametrize(("virtual", "verdict"), [(True, FAIL), (False, INCONCLUSIVE)])
+def test_two_choices_of_a_time_may_be_those_of_a_busy_machine_in_real_time(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, virtual: bool, verdict: Verdict
+) -> None:
+    point = "R-truncation-timeout"
+    words = iter((POINTS[point].default, "whole-frame") * 3)
+
+    def make(run: Run) -> Procedure[Finding]:
+        yield from listen(0, 0)
+        word = next(words)
+        return Finding(((point, word),), "between two bytes", word)
+
+    probe = Experiment("truncation-timeout", (point,), "it keeps to one", make, timed=True)
+    monkeypatch.setattr(discovery, "_experiments", lambda protocol: iter([probe]))
+
+    found = readings(probed(protocol, None, virtual=virtual))["reading/truncation-timeout"]
+
+    assert found.verdict is verdict
 
 
 class Uneven(CountingLink):
