@@ -32,10 +32,7 @@ def find_rhythm(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedur
     guesses = list(run.rhythms.proven)
     if not guesses and not run.rhythms.spent:
         run.rhythms.fits += 1
-        best: dict[str, Rhythm] = {}
-        for rhythm in fit(run.protocol, tally.sent, tally.places):
-            best.setdefault(rhythm.counter, rhythm)
-        guesses = list(best.values())[:_GUESSES]
+        guesses = fit(run.protocol, tally.sent, tally.places)[:_GUESSES]
     for guess in guesses:
         held = 0
         while held < _HELD and not run.rhythms.spent:

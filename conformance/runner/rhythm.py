@@ -45,9 +45,10 @@ class _Fit(NamedTuple):
 
 
 def fit(protocol: Protocol, sent: Sequence[Sent], places: Sequence[Place]) -> list[Rhythm]:
-    """The periods that mismatches at these places of the frames `sent` may have, the best first.
+    """The period by each counter that mismatches at these places may have, the best first.
 
-    Each explains more of the places than chance does over all the periods that are looked at.
+    `sent` are the frames. Each period explains more of the places than chance does over all the
+    periods that are looked at.
     """
     latest = [p for p in places if p.last - p.first < _WIDEST][-_LATEST:]
     if len(latest) < _FEWEST:
@@ -60,7 +61,10 @@ def fit(protocol: Protocol, sent: Sequence[Sent], places: Sequence[Place]) -> li
         before = [0, *accumulate(counter in counted[one] for one in sent)]
         spans = [(before[p.first - 1] + 1, before[p.last]) for p in latest]
         found += _fits(counter, sorted({(low, high) for low, high in spans if low <= high}))
-    return [rhythm for _, rhythm in sorted(found)]
+    best: dict[str, Rhythm] = {}
+    for _, rhythm in sorted(found):
+        best.setdefault(rhythm.counter, rhythm)
+    return list(best.values())
 
 
 def _fits(counter: str, spans: Sequence[tuple[int, int]]) -> Iterator[_Fit]:

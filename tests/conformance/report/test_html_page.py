@@ -449,6 +449,25 @@ def test_the_curves_of_the_wheels_are_drawn(protocol: Protocol, show: Open) -> N
     assert page.eval("document.documentElement.scrollWidth <= innerWidth") is True
 
 
+@pytest.mark.parametrize(
+    ("lowest", "ends"), [(-4, ["0", "100"]), (-100, ["-100", "100"])], ids=["noise", "backwards"]
+)
+def test_noise_around_0_does_not_open_half_an_axis(
+    protocol: Protocol, lowest: int, ends: list[str]
+) -> None:
+    curve = {
+        "variable": "speed", "motion": "forward", "spread": 4,
+        "settings": [0, 128, 255], "left": [lowest, 50, 100], "right": [0, 50, 100],
+    }  # fmt: skip
+    report = replace(every_verdict(protocol), profile={"wheels": [curve]})
+
+    text = str(as_html([report], protocol))
+
+    marks = re.findall(r'class="speed"[^>]*>(-?\d+)<', text)
+    assert [mark for mark in marks if mark in (ends[0], ends[-1])] == ends
+    assert ("-100" in marks) is (lowest == -100)
+
+
 def test_a_report_without_wheels_has_no_curves(protocol: Protocol) -> None:
     drawn = Seen(as_html([every_verdict(protocol)], protocol)).elements
 

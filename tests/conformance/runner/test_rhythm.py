@@ -106,6 +106,8 @@ def test_distances_are_counted_in_frames_of_an_outcome_a_kind_or_an_id(
     found = fit(protocol, sent, [Place(at, at) for at in mine[63::64]])
 
     assert found[0] == Rhythm(counter, 64)
+    # A multiple of a period is no other guess.
+    assert len({rhythm.counter for rhythm in found}) == len(found)
 
 
 @pytest.mark.slow
