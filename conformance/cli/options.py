@@ -114,9 +114,11 @@ def expected_file(
     from bilprov.conformance.cases.levels import DEEP
     from bilprov.conformance.report.expected_file import ExpectedFile
 
-    known = suite_ids(protocol, replace(options, level=DEEP.name), line)
-    suite = suite_ids(protocol, options, line)
-    return ExpectedFile(path, dict.fromkeys(known), dict.fromkeys(suite), update=update)
+    def known() -> dict[str, None]:
+        return dict.fromkeys(suite_ids(protocol, replace(options, level=DEEP.name), line))
+
+    suite = dict.fromkeys(suite_ids(protocol, options, line))
+    return ExpectedFile(path, known, suite, update=update)
 
 
 def with_expected(report: Report, file: ExpectedFile | None, path: str | None) -> Report:

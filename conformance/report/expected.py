@@ -92,6 +92,11 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
+def all_fit(entries: Iterable[Entry], ids: Collection[str]) -> bool:
+    """Whether each entry fits a case of these ids."""
+    return all(_ids(entry, ids) for entry in entries)
+
+
 def require_known(entries: Iterable[Entry], file: str, known: Collection[str]) -> None:
     """Raise ExpectedError, naming file and line, for an entry that no case of the suite fits."""
     for entry in entries:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
@@ -10,6 +10,7 @@ from bilprov.captures.text import printable
 from bilprov.conformance.report.expected import (
     ExpectedError,
     Update,
+    all_fit,
     compare,
     parse_expected,
     require_known,
@@ -23,14 +24,20 @@ _MOST = 1 << 20  # bytes
 class ExpectedFile:
     """A file of expected failures; with `update` it is rewritten after the run.
 
-    `known` are the ids of all cases of the whole suite, `suite` those that a run of this kind has
-    when nothing is left out. Raises ExpectedError, before the robot moves, for a file that cannot
-    be read (or, with `update`, written; it then need not exist), a line that is no entry, and an
-    entry that matches no case (with `update` it is removed instead).
+    `suite` are the ids of all cases that a run of this kind has when nothing is left out, `known`
+    gives those of the whole suite, and is called only for an entry that fits none of `suite`.
+    Raises ExpectedError, before the robot moves, for a file that cannot be read (or, with `update`,
+    written; it then need not exist), a line that is no entry, and an entry that matches no case
+    (with `update` it is removed instead).
     """
 
     def __init__(
-        self, path: str, known: Collection[str], suite: Collection[str], *, update: bool = False
+        self,
+        path: str,
+        known: Callable[[], Collection[str]],
+        suite: Collection[str],
+        *,
+        update: bool = False,
     ) -> None:
         self._path = Path(path)
         self._name = printable(path)
@@ -42,7 +49,7 @@ class ExpectedFile:
         if why_not:
             raise ExpectedError(f"{self._name} cannot be written: {why_not}")
         if not update:
-            require_known(entries, self._name, known)
+            require_known(entries, self._name, self._every_id())
 
     def applied(self, report: Report) -> tuple[Report, Update | None]:
         """The report with its comparison, and the update of the file, None where there is none.
@@ -52,8 +59,9 @@ class ExpectedFile:
         whole = not (report.ended or report.unusable)
         change = None
         if self._update and not report.unusable:
+            known = self._every_id()
             change = updated(
-                self._text, self._name, report.results, self._suite, self._known, whole=whole
+                self._text, self._name, report.results, self._suite, known, whole=whole
             )
             if change.text != self._text or not self._path.exists():
                 self._text = change.text
@@ -61,6 +69,11 @@ class ExpectedFile:
         entries = parse_expected(self._text, self._name)
         comparison = compare(entries, self._name, report.results, self._suite, whole=whole)
         return compared(report, comparison), change
+
+    def _every_id(self) -> Collection[str]:
+        """The ids that entries may fit: those of this run where they all do."""
+        entries = parse_expected(self._text, self._name)
+        return self._suite if all_fit(entries, self._suite) else self._known()
 
     def _write(self) -> None:
         try:

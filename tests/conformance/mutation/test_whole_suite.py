@@ -97,7 +97,7 @@ def test_smoke_catches_most_of_the_bank(protocol: Protocol, pytestconfig: pytest
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOAK)
 def test_a_soak_catches_what_only_very_many_frames_show(name: str, protocol: Protocol) -> None:
-    report, named = run(protocol, fault_bank(protocol)[name], soak=70_000)
+    report, named = run(protocol, fault_bank(protocol)[name], level="smoke", soak=70_000)
 
     assert report.exit == 1
     assert named

@@ -173,7 +173,7 @@ def test_a_device_that_mixes_the_choices_of_one_point_fails(protocol: Protocol, 
         assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1, fault
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VERDICTS)
 def test_another_legal_reading_gets_its_verdict_and_never_a_failure(
