@@ -14,7 +14,9 @@ from dataclasses import replace
 import msgspec
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.steps import complete_frame
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
@@ -101,11 +103,19 @@ def _retry(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
 def _shortened(
     run: Run, case: SequenceCase, first: Attempt, mismatch: Mismatch
 ) -> Procedure[SequenceCase]:
-    """A short sequence that fails as the first attempt did."""
+    """A short sequence that fails as the first attempt did, on a device that was just switched on.
+
+    One without a preamble is tried behind the settings of power-on: what settings of the cases
+    before have left would else be missing from it.
+    """
     if run.counters.minimised >= LONGEST_MINIMISED:
         return up_to(case, mismatch)
     run.counters.minimised += 1
-    return (yield from minimise(case, first, mismatch, lambda shorter: _retry(run, shorter)))
+    frames = () if case.setup else frames_to(run.protocol, run.protocol.power_on)
+    begun = case.setup or tuple(complete_frame(run.protocol, f[0], f[1:]) for f in frames)
+    behind = replace(case, setup=begun)
+    short = yield from minimise(behind, first, mismatch, lambda shorter: _retry(run, shorter))
+    return short if case.setup else replace(short, setup=())
 
 
 def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int, int]]:
