@@ -134,8 +134,9 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
     also after it has moved for a time without a frame; and each valid kind, while it moves or
     stands. A frame of each kind in turn ends the silences, and each kind a short one in each
     motion. Half of the frames are sent ahead of the answer before. In further `turns` all of them
-    come again, those sent ahead and those not changing places, with other data and states, and
-    faults while it stands.
+    come again, those sent ahead and those not changing places, with other data and states, some
+    with a pause between their bytes; faults come while it stands too, valid kinds in each motion,
+    and what each frame after a silence leaves is watched.
     """
     numbers = count(1)
     for turn in range(turns):
@@ -146,7 +147,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
         draw.shuffle(contexts)
         # A silence while it moves, and one while it stands, are each ended by all kinds in turn.
         ends = [cycle(draw.sample(inputs.kinds, len(inputs.kinds))) for _ in range(2)]
-        watched = (protocol.stop.name, *inputs.faulty_kinds)
+        watched = inputs.kinds if turn else (protocol.stop.name, *inputs.faulty_kinds)
         for some, number in zip(_chunks(contexts, _ALONE), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
@@ -157,7 +158,9 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
                 if not one.ahead:
                     bursts.append(Burst((last,), looks=one.rest > 0, idle_ms=one.rest))
                 alone = (last, step) if one.ahead else (step,)
-                bursts.append(Burst(alone, idle_ms=one.dwell))
+                whole = not turn or one.ahead or step.truncated or len(step.frame) == 1
+                pauses = () if whole or draw.random() < 0.5 else (1,)
+                bursts.append(Burst(alone, pauses, idle_ms=one.dwell))
                 end = one.end or next(ends[walk.moving])
                 dwell = _BRIEF if end in watched else 0
                 bursts.append(Burst((walk.took(inputs.next(end)),), idle_ms=dwell))
@@ -179,7 +182,8 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
     going = [stop, *movers[turn // 2 % max(1, len(movers)) :][:1]]
     ways = cycle(going[::-1] if turn % 2 else going)
     for place, kind in enumerate(inputs.valid_kinds, turn):
-        yield _Silence(next(ways), kind, _SHORT, ahead=place // 2 % 2 == 0)
+        for first in (stop, *movers) if turn else (next(ways),):
+            yield _Silence(first, kind, _SHORT, ahead=place // 2 % 2 == 0)
     settings = cycle(inputs.settings or movers)
     for row, mover in enumerate(movers, turn):
         for place, end in enumerate(inputs.kinds, row):
