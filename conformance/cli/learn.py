@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,14 @@ from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.dut.port_link import by_command
 from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import Target, open_target, target_named
-from bilprov.conformance.learning.drawing import dot_text, has_graphviz, state_words, svg_text
+from bilprov.conformance.learning.drawing import (
+    LARGE,
+    dot_text,
+    has_graphviz,
+    overview_text,
+    state_words,
+    svg_text,
+)
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
 
@@ -53,7 +60,11 @@ class NotUsable(UserError):
 )
 @click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
 @click.option("-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output.")
-@click.option("--svg", metavar="FILE", help="The machine as a picture, drawn by Graphviz.")
+@click.option(
+    "--svg",
+    metavar="FILE",
+    help="The machine as a picture, drawn by Graphviz; of a large one its kinds of motion.",
+)
 @click.option(
     "--json", "json_path", metavar="FILE", help="All of it as JSON; - is standard output."
 )
@@ -171,11 +182,15 @@ def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | 
     """Write the files that were asked for; a picture needs a machine."""
     texts: list[tuple[str, str]] = []
     if learned.machine is not None and (dot or svg):
-        text = _drawn(learned)
+        text = _drawn(learned, dot_text)
         if dot is not None:
             texts.append((dot, text))
-        if svg is not None:
-            texts.append((svg, svg_text(text)) if has_graphviz() else (_dot_path(svg), text))
+        if svg is not None and has_graphviz():
+            large = len(learned.machine.states) > LARGE
+            picture = _drawn(learned, overview_text) if large else text
+            texts.append((svg, svg_text(picture)))
+        elif svg is not None:
+            texts.append((_dot_path(svg), text))
     elif dot or svg:
         note("nothing is drawn: the machine was not learned")
     if json_path is not None:
@@ -188,7 +203,7 @@ def _dot_path(svg: str) -> str:
     return svg if svg == STANDARD_OUTPUT else str(Path(svg).with_suffix(".dot"))
 
 
-def _drawn(learned: Learned) -> str:
+def _drawn(learned: Learned, draw: Callable[..., str]) -> str:
     """The machine in DOT, with the transitions at which it differs in red."""
     machine = learned.machine
     assert machine is not None
@@ -198,7 +213,7 @@ def _drawn(learned: Learned) -> str:
         for letter in difference.word[:-1]:
             state = machine.states[state][letter].target
         differing.add((state, difference.word[-1]))
-    return dot_text(learned.protocol, machine, learned.names, learned.device, differing)
+    return draw(learned.protocol, machine, learned.names, learned.device, differing)
 
 
 def _told(learned: Learned) -> Iterator[str]:

@@ -1,20 +1,23 @@
-"""Draws a machine: DOT text, and SVG where Graphviz is installed."""
+"""Draws a machine: DOT text of all its states or of its kinds of motion, and SVG by Graphviz."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from bilprov.captures.text import quantity
 from bilprov.conformance.learning.machine import Machine
+from bilprov.conformance.learning.output import Output
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 _PATIENCE = 300  # s that Graphviz may take
-_LARGE = 12  # states; dot would polish the layout of more for minutes
+LARGE = 12
+"""States from which on a picture shows kinds of motion; dot would take minutes for the states."""
+_NAMED = 3  # inputs that are named on an arrow between kinds
 _AT_ONCE = "nslimit=1; nslimit1=1; mclimit=0.1; splines=line;"
 
 
@@ -23,12 +26,37 @@ class DrawingError(UserError):
 
 
 @dataclass(slots=True)
-class _Edge:
-    """The transitions from one state to another with the same look, drawn as one arrow."""
+class _Arrow:
+    """The transitions from one node to another, by their inputs' names, with their answers."""
 
-    names: list[str] = field(default_factory=list)
-    answers: list[tuple[int, ...]] = field(default_factory=list)
-    differs: bool = False
+    answers: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
+    differing: dict[str, None] = field(default_factory=dict)
+
+    def add(self, name: str, codes: tuple[int, ...], differs: bool) -> None:
+        self.answers.setdefault(name, set()).add(codes)
+        if differs:
+            self.differing[name] = None
+
+    def line(self, protocol: Protocol, source: int, target: int, look: str, named: int) -> str:
+        """The arrow in DOT. Up to `named` inputs stand on it, more are counted."""
+        told = [
+            f"{name}: {' or '.join(answer_words(protocol, one) for one in sorted(codes))}"
+            for name, codes in self.answers.items()
+        ]
+        kinds = set[tuple[int, ...]]().union(*self.answers.values())
+        inputs = quantity(len(told), "input")
+        if len(told) <= named:
+            label = "\n".join(told)
+        elif len(kinds) == 1:
+            label = f"{inputs}: {answer_words(protocol, min(kinds))}"
+        else:
+            label = f"{inputs}, {quantity(len(kinds), 'answer')}"
+        label = f"{look}, {label}" if look else label
+        if self.differing and len(told) > named:
+            label += "".join(f"\n{name} differs" for name in self.differing)
+        red = ' color="#c62828" fontcolor="#c62828"' if self.differing else ""
+        words = f"label={_quoted(label)} tooltip={_quoted(chr(10).join(told))}{red}"
+        return f"{source} -> {target} [{words}];"
 
 
 def dot_text(
@@ -46,56 +74,80 @@ def dot_text(
     (state, input) to be drawn in red.
     """
     labels = state_words(machine)
-    lines = [
-        f"digraph {_quoted(title)} {{",
-        'rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];',
-        'edge [fontname="sans-serif" fontsize=10];',
-        'start [shape=point]; start -> 0 [tooltip="homed"];',
-    ]
-    if len(labels) > _LARGE:
+    lines = _head(title)
+    if len(labels) > LARGE:
         lines.append(_AT_ONCE)
     for state, (words, access) in enumerate(zip(labels, machine.access(), strict=True)):
         way = ", ".join(names[letter] for letter in access) or "homed"
         lines.append(f"{state} [label={_quoted(words)} tooltip={_quoted(way)}];")
     for source, row in enumerate(machine.states):
-        edges: dict[tuple[int, str], _Edge] = {}
+        arrows: dict[tuple[int, str], _Arrow] = {}
         for letter, (target, output) in enumerate(row):
-            edge = edges.setdefault((target, output.look_words), _Edge())
-            edge.names.append(f"{names[letter]}: {answer_words(protocol, output.codes)}")
-            edge.answers.append(output.codes)
-            edge.differs = edge.differs or (source, letter) in differing
-        for (target, look), edge in edges.items():
-            label = _label(protocol, edge, "" if labels[target].endswith(look) else look)
-            red = ' color="#c62828" fontcolor="#c62828"' if edge.differs else ""
-            tooltip = "\n".join(edge.names)
-            words = f"label={_quoted(label)} tooltip={_quoted(tooltip)}{red}"
-            lines.append(f"{source} -> {target} [{words}];")
+            arrow = arrows.setdefault((target, output.look_words), _Arrow())
+            arrow.add(names[letter], output.codes, (source, letter) in differing)
+        for (target, look), arrow in arrows.items():
+            unseen = "" if labels[target].endswith(look) else look
+            lines.append(arrow.line(protocol, source, target, unseen, named=1))
     return "\n".join([*lines, "}", ""])
+
+
+def overview_text(
+    protocol: Protocol,
+    machine: Machine,
+    names: Sequence[str],
+    title: str,
+    differing: Collection[tuple[int, int]] = (),
+) -> str:
+    """The kinds of motion of a machine in DOT, each with the number of its states.
+
+    The arrows tell which inputs lead from one kind to another, in some state at least. The
+    arguments are those of `dot_text`, which draws every state.
+    """
+    words = [
+        min(seen) if len(seen) == 1 else ""
+        for seen in _seen(machine, lambda output: output.motion_words)
+    ]
+    kinds = list(dict.fromkeys(words))
+    lines = _head(title)
+    for number, kind in enumerate(kinds):
+        size = quantity(words.count(kind), "state")
+        label = f"{kind or 'its motion is not seen'}\n{size}"
+        lines.append(f"{number} [label={_quoted(label)}];")
+    arrows: dict[tuple[int, int], _Arrow] = {}
+    for source, row in enumerate(machine.states):
+        for letter, (target, output) in enumerate(row):
+            ends = kinds.index(words[source]), kinds.index(words[target])
+            arrow = arrows.setdefault(ends, _Arrow())
+            arrow.add(names[letter], output.codes, (source, letter) in differing)
+    for (start, end), arrow in arrows.items():
+        lines.append(arrow.line(protocol, start, end, "", named=_NAMED))
+    return "\n".join([*lines, "}", ""])
+
+
+def _head(title: str) -> list[str]:
+    return [
+        f"digraph {_quoted(title)} {{",
+        'rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];',
+        'edge [fontname="sans-serif" fontsize=10];',
+        'start [shape=point]; start -> 0 [tooltip="homed"];',
+    ]
 
 
 def state_words(machine: Machine) -> tuple[str, ...]:
     """Each state in words: its number, and what is seen on every way into it."""
-    looks: list[set[str]] = [set() for _ in machine.states]
-    for row in machine.states:
-        for target, output in row:
-            looks[target].add(output.look_words)
-    numbered = enumerate(looks)
+    numbered = enumerate(_seen(machine, lambda output: output.look_words))
     return tuple(
         f"{i}: {min(seen)}" if len(seen) == 1 and min(seen) else str(i) for i, seen in numbered
     )
 
 
-def _label(protocol: Protocol, edge: _Edge, look: str) -> str:
-    """The few words of an arrow: one input with its answer, else how many there are."""
-    kinds = dict.fromkeys(edge.answers)
-    if len(edge.names) == 1:
-        name, _, answer = edge.names[0].partition(": ")
-        words = f"{name}: {answer}"
-    elif len(kinds) == 1:
-        words = f"{quantity(len(edge.names), 'input')}: {answer_words(protocol, edge.answers[0])}"
-    else:
-        words = f"{quantity(len(edge.names), 'input')}, {quantity(len(kinds), 'answer')}"
-    return f"{look}, {words}" if look else words
+def _seen(machine: Machine, words: Callable[[Output], str]) -> list[set[str]]:
+    """For each state what is seen on the ways into it, in words."""
+    seen: list[set[str]] = [set() for _ in machine.states]
+    for row in machine.states:
+        for target, output in row:
+            seen[target].add(words(output))
+    return seen
 
 
 def _quoted(text: str) -> str:

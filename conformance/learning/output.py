@@ -46,11 +46,16 @@ class Output(NamedTuple):
         return self.moving, self.motion, self.ahead, self.led
 
     @property
+    def motion_words(self) -> str:
+        """The kind of motion, else whether it moves: `forward`, `moving`; "" where not seen."""
+        if self.motion or self.moving is None:
+            return self.motion or ""
+        return "moving" if self.moving else Motion.STOPPED.value
+
+    @property
     def look_words(self) -> str:
         """The look in few words: `forward, left wheel ahead, led 7`; "" where nothing is seen."""
-        words = [self.motion] if self.motion else []
-        if not words and self.moving is not None:
-            words = ["moving" if self.moving else Motion.STOPPED.value]
+        words = [self.motion_words] if self.motion_words else []
         if self.ahead in ("left", "right"):
             words.append(f"{self.ahead} wheel ahead")
         if self.led is not None:

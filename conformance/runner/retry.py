@@ -71,6 +71,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         same_place, tries, more = yield from _again(run, case, first)
         if not same_place and run.config.lossless:
             run.counters.reproduced += 1
+            rhythm = yield from find_rhythm(run, case, first)
+            if rhythm:
+                return Attempt(_rhythmic(known, rhythm))
             return Attempt(_not_reproduced(run, known, tries, more))
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
@@ -175,7 +178,8 @@ def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     sent = tuple(spaced(data) for data in up_to(case, tried.mismatch).sent)
     step = tried.mismatch.step
     name, axis = tried.mismatch.name, tried.mismatch.axis
-    what = f"burst {tried.mismatch.burst + 1}, frame {spaced(step.frame)}: {axis.reason}"
+    place = f"burst {tried.mismatch.burst + 1}" if tried.mismatch.burst >= 0 else "set-up"
+    what = f"{place}, frame {spaced(step.frame)}: {axis.reason}"
     told = Axis(axis.verdict, axis.expected, axis.actual, what, axis.reading)
     axes = tried.result.axes | {name: told}
     clause = tried.mismatch.clause

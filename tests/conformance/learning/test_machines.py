@@ -10,7 +10,7 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.comparison import Difference, differences
-from bilprov.conformance.learning.drawing import dot_text
+from bilprov.conformance.learning.drawing import dot_text, overview_text
 from bilprov.conformance.learning.learner import Learner
 from bilprov.conformance.learning.machine import Machine, Transition, Word
 from bilprov.conformance.learning.output import Output, output_of
@@ -165,10 +165,34 @@ def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
 
     assert text.startswith('digraph "a car" {')
     assert '1 [label="1: moving" tooltip="Go"];' in text
-    assert 'label="2 inputs, 2 answers"' in text
+    assert 'label="2 inputs, 2 answers\\nSay \\"go\\" differs"' in text
     assert 'tooltip="Go: 00 OK\\nSay \\"go\\": 01 BAD_HEADER"' in text
     assert 'label="2 inputs: 00 OK"' in text
     assert text.count("#c62828") == 2  # the line and the words of one arrow
+
+
+def test_an_overview_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> None:
+    forward = Output((0,), moving=True, motion="forward", led=0)
+    stopped = Output((0,), moving=False, motion="stopped", led=0)
+    bright = forward._replace(led=7)
+    refused = stopped._replace(codes=(1,))
+    one = Machine(
+        (
+            (Transition(1, forward), Transition(0, stopped), Transition(0, refused)),
+            (Transition(1, forward), Transition(2, bright), Transition(0, stopped)),
+            (Transition(2, bright), Transition(2, bright), Transition(0, refused)),
+        )
+    )
+
+    text = overview_text(protocol, one, ["Forward", "LED", "Stop"], "a car", {(2, 2)})
+
+    assert '0 [label="stopped\\n1 state"];' in text
+    assert '1 [label="forward\\n2 states"];' in text
+    assert '0 -> 1 [label="Forward: 00 OK" tooltip="Forward: 00 OK"];' in text
+    assert '1 -> 1 [label="Forward: 00 OK\\nLED: 00 OK"' in text
+    red = '1 -> 0 [label="Stop: 00 OK or 01 BAD_HEADER"'
+    assert next(line for line in text.splitlines() if "#c62828" in line).startswith(red)
+    assert text.count("->") == 5  # the start, and one arrow between two kinds each way
 
 
 def test_a_frame_is_written_as_send_takes_it(protocol: Protocol) -> None:

@@ -218,3 +218,22 @@ def test_a_rhythm_in_another_grammar_fails(each_protocol: Protocol) -> None:
     report = over_a_line(each_protocol, when(every_nth("frames", 100), wrong))
 
     assert report.exit == 1
+
+
+def test_a_rhythm_is_named_on_a_line_that_loses_nothing_too(protocol: Protocol) -> None:
+    robot = Simulator(protocol, Fault("x", "test", "", react=when(every_nth("frames", 256), wrong)))
+
+    report = conform(robot, grammar=protocol, options=Options(level="smoke"), logged=False)
+
+    assert any(reason.startswith("every 256th frame: ") for reason in reasons(report))
+
+
+def test_a_mismatch_before_the_first_burst_is_in_the_set_up(protocol: Protocol) -> None:
+    robot = Simulator(protocol, Fault("x", "test", "", react=when(every_nth("frames", 7), silent)))
+
+    report = conform(robot, grammar=protocol, options=Options(level="smoke"), logged=False)
+
+    told = "\n".join(reasons(report))
+    assert "set-up, frame " in told
+    assert "burst 0" not in told
+    assert "burst -" not in told
