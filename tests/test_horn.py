@@ -81,6 +81,7 @@ def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol, level: str)
     assert any(b"\x91" in data for tour in tours for data in tour.sent)
 
 
+@pytest.mark.slow
 def test_a_robot_without_a_horn_fails_the_horns_grammar(protocol: Protocol, horn: Protocol) -> None:
     only = ("*/Horn/*", "unused-id/*", "valid/LED/*", "link/*")
 

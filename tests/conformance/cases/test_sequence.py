@@ -44,6 +44,7 @@ CUT = "cut short"
 MOST_PAUSES = 4
 # The levels that hold nothing but tours and sweeps; `test_proof` is about the other.
 TOURS = ("smoke", "standard", "deep")
+EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=pytest.mark.slow)]
 
 
 def sequences_of(protocol: Protocol, level: str = "standard", seed: int = 1) -> list[SequenceCase]:
@@ -175,6 +176,7 @@ def test_standard_meets_every_pair_of_kinds_in_every_kind_of_motion(
     assert pairs_in_motion(WHOLE) - met == set()
 
 
+@pytest.mark.slow
 def test_deep_meets_every_pair_with_frames_cut_short_too(protocol: Protocol) -> None:
     met = pairs_met(protocol, "deep", "sequence/tour/")
 
@@ -200,7 +202,7 @@ def test_standard_delivers_every_pair_of_kinds_in_one_go_too(protocol: Protocol,
         assert len(met & wanted) > len(wanted) // 2
 
 
-@pytest.mark.parametrize("level", TOURS)
+@pytest.mark.parametrize("level", EACH_TOUR)
 def test_each_level_delivers_in_each_way(protocol: Protocol, level: str) -> None:
     met = Counter(
         burst.delivery for sequence in sequences_of(protocol, level) for burst in sequence.bursts
@@ -262,6 +264,7 @@ def test_a_soak_has_as_many_faults_as_it_is_told(protocol: Protocol, count: int)
 # -- what is expected -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_every_step_agrees_with_the_judge(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
@@ -301,7 +304,7 @@ def test_a_walk_begins_in_motion_and_leaves_nothing_open(protocol: Protocol, lev
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", TOURS)
+@pytest.mark.parametrize("level", EACH_TOUR)
 def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
         assert sequence.bursts
@@ -315,6 +318,7 @@ def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: s
             assert not (burst.idle_ms and not burst.looks), sequence.id
 
 
+@pytest.mark.slow
 def test_pauses_fall_inside_frames_and_between_them(protocol: Protocol) -> None:
     inside = between = 0
     for sequence in sequences_of(protocol):
@@ -335,7 +339,7 @@ def test_pauses_fall_inside_frames_and_between_them(protocol: Protocol) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", TOURS)
+@pytest.mark.parametrize("level", EACH_TOUR)
 def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
     protocol: Protocol, level: str
 ) -> None:
@@ -345,13 +349,14 @@ def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", TOURS)
+@pytest.mark.parametrize("level", EACH_TOUR)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
     counted = Counter(case.id for case in level_cases(protocol, level, 1, 500))
 
     assert [ident for ident, times in counted.items() if times > 1] == []
 
 
+@pytest.mark.slow
 def test_each_level_holds_the_ids_of_the_one_before(protocol: Protocol) -> None:
     smoke, standard, deep = (
         {case.id for case in level_cases(protocol, level, 1)} for level in TOURS
@@ -382,6 +387,7 @@ def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Pr
         assert made == tuple(case for case in whole if case.id.startswith(f"{name}/"))
 
 
+@pytest.mark.slow
 def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol: Protocol) -> None:
     for level in TOURS:
         cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)

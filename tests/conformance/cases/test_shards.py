@@ -76,6 +76,7 @@ def test_the_cases_take_longer_on_a_slower_line(protocol: Protocol) -> None:
     assert halved == pytest.approx(2 * (told(4800, "N", 1) - told(9600, "N", 1)))
 
 
+@pytest.mark.slow
 def test_a_budget_holds_on_the_line_that_is_given(protocol: Protocol) -> None:
     options, line = Options(budget=20), LineSettings(2400, "N", 1)
 
@@ -85,6 +86,7 @@ def test_a_budget_holds_on_the_line_that_is_given(protocol: Protocol) -> None:
     assert len(chosen) < len(select_cases(protocol, options))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [Options(budget=15), Options(level="smoke", shard=(2, 3))])
 def test_a_run_chooses_its_cases_by_the_line_that_it_has(
     protocol: Protocol, options: Options

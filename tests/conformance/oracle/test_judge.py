@@ -788,6 +788,7 @@ def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol)
     assert {r.verdict for r in seen} == {PASS}
 
 
+@pytest.mark.slow
 def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
     protocol: Protocol,
 ) -> None:

@@ -254,6 +254,7 @@ def test_the_command_merges_shows_and_exits_like_a_run(files: list[str], tmp_pat
     assert sum(report["counts"].values()) == len(report["cases"])
 
 
+@pytest.mark.slow
 def test_expected_failures_hold_for_the_whole(files: list[str], tmp_path: Path) -> None:
     expected = tmp_path / "expected.txt"
     expected.write_text("* : state: led is\n")
