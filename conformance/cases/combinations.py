@@ -104,12 +104,17 @@ class Space:
         return possible
 
     @cached_property
-    def _numbers(self) -> tuple[dict[object, int], ...]:
-        """For each variable of the state the number of each of its values."""
-        return tuple(
-            {value: number for number, some in enumerate(values) for value in some}
-            for _, values in self.states
-        )
+    def _numbers(self) -> tuple[dict[object, int | None], ...]:
+        """For each variable of the state the numbers of the values met so far."""
+        return tuple({} for _ in self.states)
+
+    def _number(self, place: int, value: object) -> int | None:
+        """The number of a value of the variable at this place, None where it is in no class."""
+        numbers = self._numbers[place]
+        if value not in numbers:
+            classes = enumerate(self.states[place][1])
+            numbers[value] = next((number for number, some in classes if value in some), None)
+        return numbers[value]
 
     def row(self, state: State, before: str, step: Step, way: int) -> Row | None:
         """The row of a complete frame that comes in a state; None where a value is in no class.
@@ -126,8 +131,8 @@ class Space:
             *(_CLASS[step.frame[places[f]]] if length >= least else 0 for f, least in _BYTES),
             *(
                 # A variable that no instruction sets alone is no factor, whatever its value.
-                of.get(getattr(state, n)) if len(values) > 1 else 0
-                for of, (n, values) in zip(self._numbers, self.states, strict=True)
+                self._number(place, getattr(state, name)) if len(values) > 1 else 0
+                for place, (name, values) in enumerate(self.states)
             ),
             self.faults.index(before) + 1 if before else 0,
             way,

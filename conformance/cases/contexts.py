@@ -172,7 +172,7 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
     """The silences of one turn."""
     stop, movers = protocol.stop.name, inputs.movers
     # The first time what shows best: faults while it moves.
-    before = (*inputs.settings, *movers, *([stop] if turn else []))
+    before = (*inputs.settings, *movers, *([stop] if turn else [])) or (stop,)
     for row, first in enumerate(before, turn):
         for place, fault in enumerate((*inputs.faulty_kinds, FrameClass.TRUNCATED), row):
             dwell = _LONG if place % 3 == 0 else _SHORT
@@ -207,7 +207,7 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
     meet together. Each setting comes after each kind with its marked values, each valid frame once
     more.
     """
-    kinds, moving = inputs.kinds, (*inputs.settings, *inputs.movers)
+    kinds, moving = inputs.kinds, (*inputs.settings, *inputs.movers) or inputs.kinds
     unused, longest = protocol.unused_ids, protocol.data_lengths[-1]
     for header, (identity, length) in enumerate(protocol.headers):
         if not _faulty(protocol, identity, length):
@@ -347,7 +347,7 @@ class _Walk:
         found: dict[str, Any] = {}
         for name, values in self._classes.items():
             if name != "motion":
-                moving = [some for some in values if name != "speed" or tuple(some) != (0,)]
+                moving = [v for v in values if name != "speed" or len(v) > 1 or v[0] != 0]
                 found[name] = self._draw.choice(self._draw.choice(moving or values))
         return found
 

@@ -168,8 +168,8 @@ def _rows(protocol: Protocol, cases: Iterable[SequenceCase]) -> Iterator[Row]:
         state, last = protocol.power_on, ""
         for burst in case.bursts:
             way = SPLIT if burst.pauses else PIPELINED if len(burst.steps) > 1 else WAITED
-            for step in burst.steps:
-                if burst.looks and step is burst.steps[-1] and not step.truncated:
+            for left, step in zip(reversed(range(len(burst.steps))), burst.steps, strict=True):
+                if burst.looks and not left and not step.truncated:
                     row = space.row(state, last, step, way)
                     if row:
                         yield row

@@ -132,7 +132,9 @@ def _proving(proof: Proof) -> Make:
     return lambda of, _: proof_sequences(of.protocol, proof, of.seed, of.extra)
 
 
-_RANDOM = f"{ARRAY}/{RANDOM}"
+RANDOM_GROUP = f"{ARRAY}/{RANDOM}"
+"""The random sequences, of which a soak and a budget have more than their level."""
+
 
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
 GENERATORS = (
@@ -177,7 +179,7 @@ GENERATORS = (
     Generator(AFTER, (0, 1, 5), _in_context(after_each_kind)),
     Generator(CUT, (0, 1, 10), _in_context(truncations)),
     Generator(
-        _RANDOM,
+        RANDOM_GROUP,
         (0, 20, 200),
         lambda of, amount: islice(random_sequences(of.protocol, of.seed), amount),
     ),
@@ -224,7 +226,7 @@ def more_random(
     protocol: Protocol, name: str, seed: int, soaked: int = 0
 ) -> Iterator[SequenceCase]:
     """The random sequences after those of a level and its soak, with which a budget is filled."""
-    held = next(row.amount(LEVELS[name]) for row in GENERATORS if row.group == _RANDOM)
+    held = next(row.amount(LEVELS[name]) for row in GENERATORS if row.group == RANDOM_GROUP)
     return islice(random_sequences(protocol, seed, held + _of_soak(soaked) + 1), _MOST_MORE)
 
 

@@ -21,10 +21,13 @@ from bilprov.conformance.cases.steps import (
     valid_frames,
     wrong_length_frame,
 )
+from bilprov.conformance.cases.wheel_sweeps import evenly
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.codec import raw_frame, spaced
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
+
+_VALUES = 1024  # of a variable that are used; those of a wide field are evenly spaced
 
 
 class _Setups:
@@ -32,14 +35,14 @@ class _Setups:
 
     def __init__(self, protocol: Protocol, seed: int) -> None:
         draw = random.Random(seed)
-        self._motions = _blocks(draw, moving_motions(protocol))
+        self._motions = _blocks(draw, _motions(protocol))
         limits = protocol.limits
         fast = limits.get("speed", (0, 0))[1]
         # At least half speed: a wheel must be seen to turn, also the inner one of a curve.
         self._speeds, self._steers, self._leds = (
-            cycle(draw.sample(values := range(low, high + 1), len(values)))
+            cycle(draw.sample(values := evenly(low, high, _VALUES), len(values)))
             for low, high in (
-                (max(1, fast // 2), fast),
+                (min(fast, max(1, fast // 2)), fast),
                 limits.get("steering", (0, 0)),
                 limits.get("led", (0, 0)),
             )
@@ -57,6 +60,11 @@ class _Setups:
             steering=next(self._steers) if steers else self._power_on.steering,
             led=next(self._leds),
         )
+
+
+def _motions(protocol: Protocol) -> tuple[Motion, ...]:
+    """The motions in which frames are tried: those that move, if there are any."""
+    return moving_motions(protocol) or (Motion.STOPPED,)
 
 
 def _blocks(draw: random.Random, motions: tuple[Motion, ...]) -> Iterator[Motion]:
@@ -137,7 +145,7 @@ def _unused_ids(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
 
 def _wrong_lengths(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     # Two rotations: too few is rare, and must be tested in each kind of motion too.
-    motions = {many: cycle(moving_motions(protocol)) for many in (True, False)}
+    motions = {many: cycle(_motions(protocol)) for many in (True, False)}
     for spec in protocol.instructions:
         for length in protocol.data_lengths:
             if length == spec.length:

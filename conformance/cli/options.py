@@ -103,19 +103,20 @@ def expected_file(
 ) -> ExpectedFile | None:
     """The file of expected failures, None where none was given.
 
-    One file may be used for every level, so its entries may match cases that only the deep level
-    has. Raises ExpectedError, and UsageError for an update of no file.
+    One file may be used for every level, so its entries may match cases that only the levels `deep`
+    and `complete` have. Raises ExpectedError, and UsageError for an update of no file.
     """
     if path is None:
         if update:
             raise click.UsageError("--update-expected needs --expect-failures FILE to write")
         return None
     from bilprov.conformance.api import suite_ids
-    from bilprov.conformance.cases.levels import DEEP
+    from bilprov.conformance.cases.levels import COMPLETE, DEEP
     from bilprov.conformance.report.expected_file import ExpectedFile
 
     def known() -> dict[str, None]:
-        return dict.fromkeys(suite_ids(protocol, replace(options, level=DEEP.name), line))
+        levels = (replace(options, level=level.name) for level in (DEEP, COMPLETE))
+        return dict.fromkeys(ident for one in levels for ident in suite_ids(protocol, one, line))
 
     suite = dict.fromkeys(suite_ids(protocol, options, line))
     return ExpectedFile(path, known, suite, update=update)

@@ -105,7 +105,7 @@ class CaseResult(msgspec.Struct, frozen=True):
     @property
     def counted(self) -> bool:
         """Whether only the number of its frames is kept, and not what they were."""
-        return bool(self.frames and not self.sent)
+        return bool(self.frames and not self.sent and self.verdict is not Verdict.SKIPPED)
 
     @property
     def group(self) -> str:

@@ -300,16 +300,19 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
 
 
 def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:
-    """The merged profile: the largest of each `..._max_ms`, else the value if all shards agree.
+    """The merged profile: the value if all shards agree, of times that differ the strictest.
 
-    The curves of the wheels are those of all shards.
+    Of what answers take that is the largest, of the truncation time-out the smallest. The curves of
+    the wheels are those of all shards.
     """
     found: dict[str, Any] = {}
     for name in dict.fromkeys(name for part in parts for name in part.report.profile):
         values = [part.report.profile.get(name) for part in parts]
         numbers = [value for value in values if isinstance(value, int | float)]
-        if name.endswith("_max_ms") and numbers:
+        if numbers and (name.endswith("_max_ms") or name == "all_but_two_answers_ms"):
             found[name] = max(numbers)
+        elif numbers and name == "truncation_timeout_ms":
+            found[name] = min(numbers)
         elif name == "wheels":  # each curve is measured in one shard
             found[name] = [curve for value in values for curve in value or ()]
         else:

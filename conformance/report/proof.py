@@ -83,6 +83,8 @@ def _missing(
     profile: Mapping[str, Any],
 ) -> str:
     """Why a proof does not hold, "" if it does."""
+    if profile.get("readings", {}) is None or profile.get("facets", ()) is None:
+        return "the shards do not agree on what the device chooses, or on what the probe tells"
     unseen = [facet for facet in proof.facets if facet not in profile.get("facets", ())]
     if unseen:
         return f"no probe told the robot's {' and '.join(unseen)}"
@@ -101,6 +103,11 @@ def _missing(
         return (
             f"answers take up to {usual:g} ms and the time-out is {timeout:g} ms, so a frame "
             "that the device took for a longer one may have passed"
+        )
+    if timeout and timeout >= silence(protocol):
+        return (
+            f"the time-out is {timeout:g} ms, and the silences between frames last "
+            f"{silence(protocol)} ms"
         )
     own = [r for r in results if r.id.startswith(f"{GROUP}/{proof.name}/")]
     if not own:

@@ -95,11 +95,13 @@ class _SequenceRun:
             yield whole if whole.steps != burst.steps else burst
             return
         steps: list[Step] = []
-        for step in chosen:
+        for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
             steps.append(step)
             ends = apart and (step.faulty or step.frame_effect.stops)
-            if ends or len(steps) >= most or step is chosen[-1]:
+            if not left:
                 yield Burst(tuple(steps), looks=burst.looks, idle_ms=burst.idle_ms)
+            elif ends or len(steps) >= most:
+                yield Burst(tuple(steps), looks=burst.looks)
                 steps = []
 
     def _part(self, burst: Burst) -> Procedure[Mismatch | None]:
@@ -124,14 +126,14 @@ class _SequenceRun:
             early.append((len(burst.data), heard.answers))
             watched = max(0, heard.now - sent)
         found = yield from judge_burst(trial, taken, early, sent, watched)
-        if found or self._blind or not burst.looks:
-            return found
-        found = yield from look_after(trial, taken[-1], before)
-        self._looked += 1
-        if not found and run.profile.stop_latency:
-            trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
+        looks = burst.looks and not self._blind
+        if not found and looks:
+            found = yield from look_after(trial, taken[-1], before)
+            self._looked += 1
+            if not found and run.profile.stop_latency:
+                trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
         if not found and burst.idle_ms:
-            found = yield from watch_idle(trial, taken[-1], burst.idle_ms * MS)
+            found = yield from watch_idle(trial, taken[-1], burst.idle_ms * MS, looks=looks)
         return found
 
     def _send(self, burst: Burst, steps: list[Step]) -> Procedure[tuple[int, Early, bool]]:

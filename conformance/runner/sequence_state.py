@@ -60,8 +60,13 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
     return Mismatch(step, name, axis, clause)
 
 
-def watch_idle(trial: Trial, step: Step, time: int) -> Procedure[Mismatch | None]:
-    """Send nothing for `time` ns and check that no answer comes and that the state stays."""
+def watch_idle(
+    trial: Trial, step: Step, time: int, *, looks: bool = True
+) -> Procedure[Mismatch | None]:
+    """Send nothing for `time` ns and check that no answer comes, and that the state stays.
+
+    The state is checked where the robot can be seen (`looks`).
+    """
     run = trial.run
     until = (yield from listen(None, 0)).now + time
     now = 0
@@ -70,6 +75,8 @@ def watch_idle(trial: Trial, step: Step, time: int) -> Procedure[Mismatch | None
         now = heard.now
         if heard.answers:
             return unasked(trial, step, heard)
+        if not looks:
+            continue
         seen = yield from observe()
         found = differences(run.model, trial.expected, seen.look)
         asleep = run.profile.watchdog is not None and seen.look.moving is False

@@ -66,7 +66,7 @@ def sweep_wheels(run: Run, case: WheelSweep) -> Procedure[CaseResult]:
         axes["state"] = _axis(case, curve, found)
         failing = next((trait for trait in found if trait.kind is Kind.REVERSED), None)
         if failing and not (yield from sweep.again(curve, failing)):
-            axes["state"] = axes["state"].flaky(_TRIES)
+            axes["state"] = run.config.not_reproduced(axes["state"], _TRIES)
         run.profile.wheels = (*before, curve)
     yield from home(run)
     return result_of(case, axes)
@@ -135,6 +135,7 @@ class _Sweep:
         spoilt one may have stopped it.
         """
         refusal = ""
+        self.seen.pop(value, None)
         for _ in range(_TRIES):
             answered = yield from self._set(frame)
             if not answered:
@@ -205,7 +206,9 @@ class _Sweep:
             yield from self._afresh()
             for value in settings:
                 yield from self.measure(value, frames[value], pause=self.run.timers.silence)
-            seen = [(value, self.seen[value]) for value in settings]
+            seen = [(value, self.seen[value]) for value in settings if value in self.seen]
+            if len(seen) < len(settings):
+                continue
             now = curve_of(curve.variable, curve.motion, seen)
             hits += _fails(now, curve)
         return hits >= _TWICE
@@ -218,7 +221,7 @@ class _Sweep:
             return Axis(Verdict.PASS, expected, expected)
         more = f" (and {len(told) - 1} more)" if len(told) > 1 else ""
         axis = Axis(Verdict.FAIL, expected, f"{told[0]}{more}", f"{told[0]}{more}")
-        return axis if self._refused else axis.flaky(_TRIES)
+        return axis if self._refused else self.run.config.not_reproduced(axis, _TRIES)
 
 
 def _fails(now: WheelCurve, whole: WheelCurve) -> bool:

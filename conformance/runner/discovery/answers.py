@@ -134,7 +134,7 @@ def _find_idle(run: Run, burst: bytes) -> Procedure[None]:
         more = yield from run.waiting.all_answers(max(1, 2 - len(heard.answers)))
         if len(heard.answers) + len(more.answers) > 1:
             return
-        run.profile.flushes_for = 2 * run.waiting.idle
+        run.profile.flushes_for = min(2 * run.waiting.idle, run.timers.longest)
 
 
 def _name(point: str) -> str:

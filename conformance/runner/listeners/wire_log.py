@@ -85,7 +85,7 @@ class WireLog(RunListener):
         log = self._logs.get(result.id, [])
         if isinstance(log, _Log):
             log = self._logs[result.id] = log.entries()  # what comes later belongs to no case
-        kept = [] if result.counted else log
+        kept = [] if result.counted and result.verdict < Verdict.INCONCLUSIVE else log
         if result.verdict is Verdict.PASS:
             kept = list(_joined(kept))
         return msgspec.structs.replace(result, log=_events(kept))

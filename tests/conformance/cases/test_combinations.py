@@ -60,6 +60,18 @@ def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol)
 
 
 @pytest.mark.slow
+def test_a_random_sequence_of_a_budget_is_made_again_by_its_id(protocol: Protocol) -> None:
+    beyond = randoms(protocol, "standard")[-1].id
+    number = int(beyond.rpartition("/")[2]) + 5
+    again = f"{beyond.rpartition('/')[0]}/{number:03}"
+
+    (case,) = select_cases(protocol, Options(only=(again,)))
+
+    assert case.id == again
+    assert len(select_cases(protocol, Options(only=(f"{RANDOM}*",)))) == number - 5
+
+
+@pytest.mark.slow
 def test_a_budget_that_is_left_is_filled_with_random_sequences(protocol: Protocol) -> None:
     whole = select_cases(protocol, Options())
     seconds = estimated_seconds(protocol, whole, Options())

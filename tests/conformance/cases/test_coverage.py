@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.coverage import BAD, VALID, covered
 from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 
@@ -52,3 +56,14 @@ def test_frames_of_two_data_bytes_are_counted_out_of_all_there_are(two_bytes: Pr
 
     assert counts[VALID][1] == len(good)
     assert counts[BAD][1] == 65536 - len(in_two) + len(frames) - len(good)
+
+
+def test_a_sequence_that_was_not_run_covers_nothing(protocol: Protocol) -> None:
+    options = Options(only=("combined/waited/*", "valid/Stop"), fail_fast=True)
+    report = conform(Simulator(protocol, fault_bank(protocol)["always-1"]), options=options)
+
+    unrun = [r for r in report.results if r.id.startswith("combined/waited/")]
+    assert unrun
+    assert {result.verdict for result in unrun} == {Verdict.SKIPPED}
+    assert not any(result.counted for result in unrun)
+    assert report.coverage.get("combinations of three", (0, 0))[0] == 0

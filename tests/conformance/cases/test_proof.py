@@ -7,13 +7,20 @@ from random import Random
 
 import pytest
 
+from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.byte_machine import byte_machine
-from bilprov.conformance.cases.proof import PROOFS, announcement, proof_sequences, suite
+from bilprov.conformance.cases.proof import (
+    PROOFS,
+    announcement,
+    proof_sequences,
+    suite,
+)
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.machines.mealy import Mealy, minimal
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.proof import proven
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
@@ -215,3 +222,57 @@ def test_another_grammar_is_proven_too(horn_text: str) -> None:
 
     assert report.exit == 0
     assert "34 states, 44 classes" in report.proof
+
+
+class GapDevice:
+    """The reference; counts the silences on its line that last at least so many ns."""
+
+    lossless = True
+
+    def __init__(self, protocol: Protocol, least: int) -> None:
+        self._device, self._least, self._last = Simulator(protocol), least, 0
+        self.advance, self.deadline = self._device.advance, self._device.deadline
+        self.gaps = 0
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.gaps += now - self._last >= self._least
+        self._last = now
+        self._device.receive(data, now)
+
+
+class SeeingGapDevice(GapDevice):
+    def look(self, now: int) -> Look:
+        return self._device.look(now)
+
+
+@pytest.mark.slow
+def test_silences_between_frames_are_kept_where_no_probe_sees_the_robot(
+    protocol: Protocol,
+) -> None:
+    least = int(protocol.timing.truncation_timeout * MS)
+    seeing, blind = SeeingGapDevice(protocol, least), GapDevice(protocol, least)
+    for device in (seeing, blind):
+        report = conform(device, grammar=protocol, options=ONLY_ANSWERS, logged=False)
+        assert report.proof.startswith("Proven: ")
+
+    assert min(blind.gaps, seeing.gaps) > 50
+
+
+@pytest.mark.parametrize(
+    ("profile", "why"),
+    [
+        ({"truncation_timeout_ms": 500}, "the time-out is 500 ms, and the silences between frames"),
+        ({"readings": None}, "the shards do not agree"),
+        ({"facets": None}, "the shards do not agree"),
+        (
+            {"truncation_timeout_ms": 50, "all_but_two_answers_ms": 25},
+            "answers take up to 25 ms and the time-out is 50 ms",
+        ),
+    ],
+)
+def test_what_the_profile_says_may_leave_nothing_proven(
+    protocol: Protocol, profile: dict[str, object], why: str
+) -> None:
+    told = proven(protocol, [], {"level": "complete"}, profile)
+
+    assert told.startswith(f"Nothing is proven by answers: {why}")

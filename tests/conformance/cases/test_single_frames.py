@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections import Counter
 from collections.abc import Iterator
 
 import pytest
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.coverage import covered
+from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import Simulator
@@ -300,3 +303,30 @@ def test_a_grammar_without_limited_fields_has_no_bad_data(grammar_text: str) -> 
     kinds = Counter(case.kind for case in all_cases(free, 1, every_cut=False))
     assert kinds[FrameClass.BAD_DATA] == 0
     assert kinds[FrameClass.RECOVERY] == 16
+
+
+def test_a_grammar_whose_robot_cannot_move_has_cases_too(grammar_text: str) -> None:
+    before, rest = grammar_text.split('    1: "Speed"')
+    stop_only = load(before + rest[rest.index("}\n\nFRAME =") :], "stop.py")
+
+    for level in ("smoke", "standard"):
+        cases = level_cases(stop_only, level, 1)
+        assert {case.id.split("/")[0] for case in cases} >= {"valid", "unused-id", "wrong-length"}
+
+
+@pytest.mark.slow
+def test_a_field_of_four_bytes_takes_no_more_memory_than_one_of_one(grammar_text: str) -> None:
+    speed = '"speed" / Ranged(Byte, 0, 255)'
+    assert grammar_text.count(speed) == 1
+    text = grammar_text.replace(speed, '"speed" / Ranged(Int32ub, 0, 4_000_000_000)')
+    wide = load(text.replace("BitStruct, Byte,", "BitStruct, Byte, Int32ub,"), "wide.py")
+
+    tracemalloc.start()
+    cases = level_cases(wide, "standard", 1)
+    counted = covered(wide, cases)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert len(cases) > 1000
+    assert counted["valid frames"][0] > 0
+    assert most < 500_000_000

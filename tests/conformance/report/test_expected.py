@@ -306,6 +306,14 @@ def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_one_file_serves_every_level(tmp_path: Path) -> None:
+    file = tmp_path / "f"
+    file.write_text("complete/answers/0001 : answer\nsequence/tour/060 : answer\n")
+
+    assert run("conform", "sim", "--level", "smoke", "--only", "valid/Stop", file=file)[0] == 0
+
+
+@pytest.mark.slow
 def test_another_grammar_has_entries_of_its_own(tmp_path: Path, horn_text: str) -> None:
     grammar, file = tmp_path / "horn.py", tmp_path / "f"
     grammar.write_text(horn_text)

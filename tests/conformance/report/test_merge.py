@@ -347,3 +347,19 @@ def test_a_part_keeps_its_results(protocol: Protocol) -> None:
     part: ShardReport = shard_from("a", report_of(protocol, "", (1, 1)))
 
     assert (part.index, part.of, len(part.report.results)) == (1, 1, len(part.raw["cases"]))
+
+
+def test_times_that_differ_are_the_strictest_of_all_shards(protocol: Protocol) -> None:
+    def timed(usual: float, timeout: float) -> Change:
+        def change(document: dict[str, Any]) -> None:
+            document["profile"]["all_but_two_answers_ms"] = usual
+            document["profile"]["truncation_timeout_ms"] = timeout
+
+        return change
+
+    first, second = shards(protocol, count=2)
+
+    found = merged(protocol, changed(first, timed(3, 51)), changed(second, timed(40, 50)))
+
+    assert found["profile"]["all_but_two_answers_ms"] == 40
+    assert found["profile"]["truncation_timeout_ms"] == 50

@@ -20,6 +20,7 @@ from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
+from tests.support.robots import Hidden
 
 PASS, NON_STRICT, FAIL = Verdict.PASS, Verdict.NON_STRICT, Verdict.FAIL
 SKIPPED, INCONCLUSIVE, TOLD = Verdict.SKIPPED, Verdict.INCONCLUSIVE, Verdict.INFORMATIONAL
@@ -206,7 +207,8 @@ def test_a_fall_that_shows_once_is_flaky(protocol: Protocol) -> None:
         count += look.speed == 100
         return {"left": 0, "right": 0} if look.speed == 100 and count <= 3 else {}
 
-    result = of(swept(protocol, seen(once)))[SPEED]
+    device = Hidden(Simulator(protocol, seen(once)))
+    result = of(conform(device, grammar=protocol, options=ONLY))[SPEED]
 
     assert result.verdict is INCONCLUSIVE
     assert result.reason.startswith("flaky, not reproduced in 3 tries: speed 100 turns")
@@ -239,3 +241,48 @@ def test_a_sweep_is_a_case_of_the_protocol(protocol: Protocol) -> None:
         assert isinstance(sweep, WheelSweep)
         assert sweep.clause == protocol.clauses.instructions
         assert sweep.reading == "R-resolution"
+
+
+class OnceWrong:
+    """The reference on a line that loses nothing; one setting of a sweep gets a wrong answer."""
+
+    lossless = True
+
+    def __init__(self, protocol: Protocol, frame: bytes, answer: bytes) -> None:
+        self._device, self._frame, self._answer = Simulator(protocol), frame, answer
+        self.deadline, self.look = self._device.deadline, self._device.look
+        self._heard, self._spoilt = b"", False
+
+    def receive(self, data: bytes, now: int) -> None:
+        self._heard = (self._heard + data)[-len(self._frame) :]
+        self._device.receive(data, now)
+
+    def advance(self, now: int) -> bytes:
+        answers = self._device.advance(now)
+        if answers and self._heard == self._frame and not self._spoilt:
+            self._spoilt, answers = True, answers[:-1] + self._answer
+        return answers
+
+
+def test_a_wrong_answer_that_comes_once_fails_on_a_line_that_loses_nothing(
+    protocol: Protocol,
+) -> None:
+    sweep = next(one for one in wheel_sweeps(protocol) if one.id == RIGHT)
+    frame = sweep.settings[len(sweep.settings) // 2][1]
+
+    report = conform(OnceWrong(protocol, frame, b"\x02"), grammar=protocol, options=ONLY)
+
+    result = of(report)[RIGHT]
+    assert result.verdict is FAIL
+    assert "on a line that loses nothing" in result.reason
+    assert result.log
+
+
+def test_a_sweep_that_fails_keeps_what_was_on_the_wire(protocol: Protocol) -> None:
+    falling = driving(lambda speed: speed if speed < 128 else 255 - speed)
+
+    results = of(conform(Simulator(protocol, falling), grammar=protocol, options=ONLY))
+
+    assert results[SPEED].verdict is FAIL
+    assert results[SPEED].log
+    assert not of(swept(protocol))[SPEED].log
