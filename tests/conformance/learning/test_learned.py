@@ -23,7 +23,7 @@ from bilprov.conformance.learning.learned import Learned, learn_target
 from bilprov.conformance.learning.output import Output, output_of
 from bilprov.conformance.learning.rehearsal import estimated_seconds
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.faults.vocabulary import silent, twice
+from bilprov.conformance.mutation.faults.vocabulary import Condition, silent, twice
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.firmware import AVR, built
@@ -181,11 +181,23 @@ def test_a_rhythm_is_no_pass_though_no_sequence_shows_it_twice(protocol: Protoco
     assert learned.exit == 1
 
 
-def at_stops_sent_ahead(change: React, turns: Container[int]) -> Fault:
-    """A robot that misbehaves in the homing between sequences alone, at these stops of them."""
+def sent_ahead(event: Event) -> bool:
+    """A stop of homing."""
+    return event.pipelined and event.judgement.valid
+
+
+def ends_the_reset(event: Event) -> bool:
+    """The last setting before a sequence, after which nothing has changed."""
+    now, before = event.judgement.frame, event.previous
+    rests = not event.before.moving and not event.before.steering
+    return rests and now == b"\x81\0" and before is not None and before.frame == b"\x41\0"
+
+
+def at_times(condition: Condition, change: React, turns: Container[int]) -> Fault:
+    """A robot that misbehaves at some frames of this kind, by their count."""
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        if not event.pipelined or event.judgement.name != device.protocol.stop.name:
+        if not condition(event):
             return reaction
         turn = device.memory["turn"] = device.memory.get("turn", 0) + 1
         return change(device, event, reaction) if turn in turns else reaction
@@ -194,23 +206,36 @@ def at_stops_sent_ahead(change: React, turns: Container[int]) -> Fault:
 
 
 @pytest.mark.parametrize(
-    ("change", "turns", "case"),
-    [(silent, range(300, 1 << 20, 300), "line/lost"), (twice, [400], "line/unsolicited")],
+    ("condition", "change", "turns", "case"),
+    [
+        (sent_ahead, silent, range(300, 1 << 20, 300), "line/lost"),
+        (sent_ahead, twice, [400], "line/unsolicited"),
+        (ends_the_reset, silent, range(100, 1 << 20, 100), "line/lost"),
+    ],
 )
 @pytest.mark.slow
 def test_what_a_robot_does_between_the_sequences_counts(
-    protocol: Protocol, change: React, turns: Container[int], case: str
+    protocol: Protocol, condition: Condition, change: React, turns: Container[int], case: str
 ) -> None:
-    learned = learn(protocol, Simulator(protocol, at_stops_sent_ahead(change, turns)))
+    fault = at_times(condition, change, turns)
+    learned = learn(protocol, Simulator(protocol, fault))
     assert learned.machine is not None
     assert [ident for ident, _ in learned.beside] == [case]
     assert learned.exit == 1
 
-    robot = Simulator(protocol, at_stops_sent_ahead(change, turns))
+    robot = Simulator(protocol, fault)
     robot.lossless = False
     learned = learn(protocol, Blind(robot))
     assert learned.flaky == 1
     assert learned.verdict is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.slow
+def test_what_begins_late_and_then_stays_is_a_difference(protocol: Protocol) -> None:
+    learned = learn(protocol, faulty(protocol, "dark-after-40000-frames"))
+
+    assert learned.machine is None
+    assert (learned.exit, len(learned.differences), learned.flaky) == (1, 1, 1)
 
 
 @pytest.mark.slow
