@@ -73,7 +73,7 @@ class NotUsable(UserError):
     "--fault",
     metavar="NAME",
     shell_complete=completion.faults,
-    help="With sim: misbehave in this way; random:SEED draws one.",
+    help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
 )
 @click.option(
     "--variant",
@@ -148,7 +148,7 @@ def learn(
             shown.update(task, completed=frames, description=quantity(states, "state"))
 
         try:
-            learned = learn_target(target, seed=seed, lossless=name.virtual, progress=progress)
+            learned = learn_target(target, seed=seed, progress=progress)
         except Unusable as why:
             raise NotUsable(str(why)) from why
         if target.remark():

@@ -74,10 +74,10 @@ def item_of(protocol: Protocol, frame: bytes) -> str:
 
 @lru_cache(maxsize=1 << 3)
 def reset(protocol: Protocol) -> tuple[bytes, ...]:
-    """The frames before each sequence of inputs: they bring every variable to its lowest value.
+    """The frames before each sequence of inputs, which bring every variable to rest.
 
-    Homing keeps what a stop keeps. A variable that only a motion instruction sets is set by that,
-    and a stop follows.
+    That is the value nearest to zero, or, where only a motion instruction sets it, what the lowest
+    data of that give; a stop follows. Homing keeps what a stop keeps.
     """
     stop = bytes([protocol.pad_byte])
     driving: list[bytes] = []

@@ -16,7 +16,7 @@ from bilprov.spec.protocol import Protocol
 
 _PATIENCE = 300  # s that Graphviz may take
 LARGE = 12
-"""States from which on a picture shows kinds of motion; dot would take minutes for the states."""
+"""States up to which a picture shows each; of more, which take dot minutes, kinds of motion."""
 _NAMED = 3  # inputs that are named on an arrow between kinds
 _AT_ONCE = "nslimit=1; nslimit1=1; mclimit=0.1; splines=line;"
 

@@ -46,9 +46,10 @@ class Learned:
     the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
     first; `more` tells that there are others. `choices` are the open points at which the device
     chooses otherwise than the kit, with its word and the verdict of that. `beside` are failures
-    found before and after learning, as case and reason. `broken` is true where the kit or the port
-    failed. `seen` are facets of the look, in words. `flaky` counts outcomes that came once and not
-    again; on a line that loses nothing (`lossless`) they are the device's.
+    found before, between and after the sequences, as case and reason. `broken` is true where the
+    kit or the port failed. `seen` are facets of the look, in words. `flaky` counts outcomes that
+    came once and not again, between the sequences too; on a line that loses nothing (`lossless`)
+    they are the device's.
     """
 
     protocol: Protocol
@@ -116,17 +117,16 @@ def learn_target(
     target: Target,
     *,
     seed: int = 1,
-    lossless: bool = False,
     progress: Callable[[int, int], None] = lambda states, frames: None,
 ) -> Learned:
     """Learn a target and compare it with the Protocol's machine; the robot is stopped at the end.
 
-    `seed` makes the random sequences that the machine must pass; `lossless` says that nothing gets
-    lost or changed between kit and device. `progress` is called with the
+    `seed` makes the random sequences that the machine must pass. `progress` is called with the
     states known and the frames sent so far. Raises Unusable, and NoAALpy where it is missing.
     """
     protocol, environment = target.protocol, target.environment
     steps = alphabet(protocol)
+    lossless = environment.lossless
     told = Learned(protocol, environment.device, environment.link, seed, steps, lossless)
     timers = timers_of(environment, protocol)
     deadline = int(protocol.timing.answer_deadline * MS)
@@ -136,16 +136,19 @@ def learn_target(
         environment.observability,
         environment.power,
         environment.virtual,
+        lossless,
     )
     run = Run(config, Profile(choices=Choices()))
     try:
         link = target.connect(None)
         works = True
         try:
-            unusable = drive(_opening(run), link, target.interrupted)
+            try:
+                unusable = drive(_opening(run), link, target.interrupted)
+            finally:
+                told.beside = _failures(run.results)
             if unusable:
                 raise Unusable(unusable)
-            told.beside = _failures(run.results)
             _learn(run, link, target.interrupted, told, progress)
         except (GaveUp, NotLearned) as why:
             told.trouble = str(why)
@@ -228,6 +231,7 @@ def _learn(
         nonlocal states
         states = count
 
+    begun = len(run.results)
     system = System(run, link, interrupted, told.steps, reference, sent)
     learner = Learner(system, reference, seed=told.seed, hypothesis=found)
     try:
@@ -241,6 +245,13 @@ def _learn(
             told.differences = (system.deviation,)
         told.frames, told.sequences = system.frames, system.sequences
         told.repeated, told.flaky = system.repeated, system.flaky
+        run.strays.close(keeps_all=run.keeps_all)
+        between = run.results[begun:]
+        if told.lossless:
+            told.beside += _failures(between)
+        else:
+            # In so many sequences noise makes as many strays as fail a run of the suite.
+            told.flaky += len(between)
 
 
 def _shows(machine: Machine, facet: str) -> bool:

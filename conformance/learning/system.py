@@ -84,9 +84,6 @@ class System:
         node = self._root
         for letter, output in zip(word, got, strict=True):
             node = node.following.setdefault(letter, _Node(output))
-        place = _first_difference(due, got)
-        if place is not None and (not self.deviation or place + 1 < len(self.deviation.word)):
-            self.deviation = Difference(word[: place + 1], due[place], got[place])
         return got
 
     def _known(self, word: Word) -> list[Output]:
@@ -114,12 +111,22 @@ class System:
             tries.append(got)
             self.repeated += 1
         else:
-            got = tries[0]
+            self.flaky += len(tries)
+            self._note(word, due, _seen_twice(due, tries))
             raise NotLearned(f"{_TRIES} tries of one sequence gave {_TRIES} different outcomes")
         self.flaky += sum(one != got for one in tries)
+        self._note(word, due, got)
         if got[: len(known)] != known:
+            self.flaky += 1  # what was known came once and not again
             raise NotLearned("the same sequence gave one outcome first and then, twice, another")
         return got
+
+    def _note(self, word: Word, due: list[Output], got: list[Output]) -> None:
+        """Keep the first difference of these outputs, if no shorter one is known."""
+        place = _first_difference(due[: len(got)], got)
+        if place is not None and (not self.deviation or place + 1 < len(self.deviation.word)):
+            expected = due[place].beside(got[place])
+            self.deviation = Difference(word[: place + 1], expected, got[place])
 
     def _attempt(self, word: Word, due: list[Output | None]) -> list[Output]:
         self.sequences += 1
@@ -133,16 +140,19 @@ class System:
 
     def _sequence(self, word: Word, due: list[Output | None]) -> Procedure[list[Output]]:
         run = self._run
-        frames, answers = reset(run.protocol), -1
+        frames, answers, lost = reset(run.protocol), -1, 0
         for _ in range(_TRIES):
             yield from home(run)
             before, answers = answers, (yield from self._reset(frames))
             if answers in (len(frames), before):  # twice the same is the device's way, and no noise
                 break
+            lost += max(0, len(frames) - answers)
             run.waiting.require_budget()
         else:
             words = f"{quantity(answers, 'answer')} to {quantity(len(frames), 'setting')}"
             raise NotLearned(f"what comes before a sequence is not taken: {words}")
+        if answers == len(frames):
+            run.strays.missing(lost)
         got: list[Output] = []
         last: Output | None = None
         in_step = True
@@ -150,16 +160,17 @@ class System:
             expected = expected if in_step else None
             codes = yield from self._exchange(self._steps[letter], expected)
             last = yield from self._seen(codes, last, expected)
-            got.append(last)
             effect = self._steps[letter].frame_effect
             if run.profile.stop_latency and (effect.effect is None or effect.stops):
                 # A frame that comes before it has stopped may find it moving.
-                yield from listen(None, 2 * run.profile.stop_latency)
+                late = yield from listen(None, 2 * run.profile.stop_latency)
+                last = last._replace(codes=last.codes + late.codes)
+            got.append(last)
             in_step = expected is not None and expected.fits(last)
         return got
 
     def _reset(self, frames: Sequence[bytes]) -> Procedure[int]:
-        """Bring every variable of a homed robot to its lowest value; returns the answers."""
+        """Bring every variable of a homed robot to rest, see `reset`; returns the answers."""
         answers = 0
         for frame in frames:
             yield from send(frame)
@@ -207,6 +218,13 @@ class System:
             codes += late.codes
             if done:
                 return output._replace(codes=codes)
+
+
+def _seen_twice(due: list[Output], tries: list[list[Output]]) -> list[Output]:
+    """The outputs up to the first difference that two of the tries agree on, [] if none do."""
+    places = ((_first_difference(due, got), got) for got in tries)
+    heads = [got[: place + 1] for place, got in places if place is not None]
+    return next((head for head in heads if heads.count(head) > 1), [])
 
 
 def _first_difference(due: Sequence[Output], got: Sequence[Output]) -> int | None:

@@ -87,14 +87,19 @@ class _Pair(NamedTuple):
 
 
 def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
-    """Search until the fault shows or no joint state is left; after `most` inputs, at random."""
+    """Search until the fault shows or no joint state is left; after `most` inputs, at random.
+
+    The random sequences have `most` inputs in all, and not more than `WALK`.
+    """
     inputs = alphabet(protocol, fault.hints)
     reads = FaultReads()
     while True:
         known = len(reads)
         found = _search(protocol, fault, inputs, reads, most)
         if not found.shown and not found.closed:  # too many states
-            words, different = try_sequence(protocol, fault, random_search(protocol, fault, inputs))
+            steps, stride = min(WALK, most), min(_STRIDE, most)
+            walk = random_search(protocol, fault, inputs, steps, stride)
+            words, different = try_sequence(protocol, fault, walk)
             return msgspec.structs.replace(found, shown=words, difference=different)
         # The fault has read a new part of its history: merged states may differ, so search again.
         if found.shown or len(reads) == known:
@@ -105,7 +110,7 @@ def difference(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
     """Search at random, in short and in long sequences, and then as `search` does.
 
     For drawn faults: most of them show at random in a moment, and those with a long rhythm show in
-    a long sequence alone.
+    a long sequence alone. Each of these parts has at most `most` inputs.
     """
     inputs = alphabet(protocol, fault.hints)
     for steps, stride in ((_QUICK, _QUICK // 4), (_LONG, _LONG // 5)):

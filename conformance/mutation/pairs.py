@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from itertools import combinations
 from typing import Any
@@ -13,8 +13,10 @@ from bilprov.conformance.mutation.faults.vocabulary import then
 from bilprov.conformance.mutation.variants import FAMILY, Variant, variants
 from bilprov.spec.protocol import Protocol
 
-# A device has each of these hooks and settings once.
-_ONCE = ("hear", "begins", "power_on", "banner", "whole_frame")
+# What tells of a fault; every other field is a hook or a setting, which a device has once. Only
+# reactions can follow one another.
+_TOLD = ("name", "family", "doc", "caught_by", "exit", "clauses", "needs", "hints")
+_ONCE = tuple(f.name for f in fields(Fault) if f.name not in (*_TOLD, "react"))
 # What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices
 # of words at open points come before other answers and states ("").
 _ORDER = ("R-pipelining", "", "R-answer-deadline", "R-watchdog", "R-stop-latency")
@@ -41,8 +43,7 @@ def _fit(one: Variant, other: Variant) -> bool:
 
 def _hooks(fault: Fault) -> dict[str, Any]:
     """Return the hooks and settings besides the reaction that differ from the reference."""
-    names = (*_ONCE, "timeout")
-    return {n: getattr(fault, n) for n in names if getattr(fault, n) != getattr(_USUAL, n)}
+    return {n: getattr(fault, n) for n in _ONCE if getattr(fault, n) != getattr(_USUAL, n)}
 
 
 def _both(one: Variant, other: Variant) -> Fault:

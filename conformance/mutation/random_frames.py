@@ -11,7 +11,7 @@ from bilprov.conformance.mutation.faults.vocabulary import is_truncated
 from bilprov.conformance.mutation.random_triggers import What, When
 from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
 
 _BYTES = (0, 1, 127, 128, 255, *(1 << bit for bit in range(1, 7)))
 """The data bytes of boundaries and of single bits."""
@@ -31,7 +31,11 @@ class FaultyFrames(NamedTuple):
 
 def faulty_frames(protocol: Protocol, draw: Draw) -> FaultyFrames:
     """Draw faulty frames with data: a wrong length, an unused ID, or a frame cut after k bytes."""
-    kinds = [_wrong_length, *([_unused] if protocol.unused_ids else []), _cut]
+    kinds = [
+        _wrong_length,
+        *([_unused] if protocol.unused_ids else []),
+        *([_cut] if protocol.data_lengths[-1] > 1 else []),
+    ]
     return draw.pick(kinds)(protocol, draw)
 
 
@@ -79,9 +83,8 @@ def _value(draw: Draw, *, any_value: bool) -> tuple[str, Callable[[int], bool], 
 
 
 def _wrong_length(protocol: Protocol, draw: Draw) -> FaultyFrames:
-    spec = draw.pick(protocol.instructions)
-    lengths = [length for length in protocol.data_lengths if length not in (0, spec.length)]
-    length = draw.pick(lengths)
+    spec = draw.pick([spec for spec in protocol.instructions if _wrong_lengths(protocol, spec)])
+    length = draw.pick(_wrong_lengths(protocol, spec))
     many = length > spec.length
     outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
     kind = draw.below(3)  # a length of one ID, a length of two IDs, any such length of one ID
@@ -92,6 +95,11 @@ def _wrong_length(protocol: Protocol, draw: Draw) -> FaultyFrames:
     one = None if kind == 2 else length
     words = f"ID {' or '.join(map(str, sorted(ids)))} with {_announced(one, outcome.value)}"
     return _found(protocol, words, ids, one, length, outcome=outcome)
+
+
+def _wrong_lengths(protocol: Protocol, spec: InstructionSpec) -> list[int]:
+    """Return the wrong lengths, with data, that a header of the instruction can announce."""
+    return [length for length in protocol.data_lengths if length not in (0, spec.length)]
 
 
 def _unused(protocol: Protocol, draw: Draw) -> FaultyFrames:

@@ -82,27 +82,45 @@ def has_data(what: What) -> bool:
 
 
 def in_a_state(protocol: Protocol, draw: Draw, what: What) -> When:
-    """Draw a state before the frame: a motion, a speed, a steering, a light."""
-    _, fast = protocol.limits.get("speed", (0, 1))
-    _, lit = protocol.limits.get("led", (0, 0))
-    kind = draw.below(7 if lit else 6)
-    if kind < 3:
-        motion = draw.pick(moving_motions(protocol))
-        return When(f"while it moves {motion.value}", moving_in(motion))
-    if kind == 3 and what.spec and what.spec.effect.motion is not Motion.STOPPED:
-        return When("while it stands", standing)
-    if kind in (3, 4):
-        least = draw.between(1, fast)
-        return When(
-            f"at a speed from {least}",
-            lambda event: event.before.speed >= least,
-            (least, least - 1),
-        )
-    if kind == 5:
-        sign = draw.pick((-1, 1))
-        side = "right" if sign > 0 else "left"
-        return When(f"steered to the {side}", steered_to(sign))
-    mask = 1 << draw.below(lit.bit_length())
+    """Draw a state before the frame that there can be: a motion, a speed, a steering, a light."""
+    limits = protocol.limits
+    fast = [_fast] if limits.get("speed", (0, 0))[1] > 0 else []
+    starts = what.spec is not None and what.spec.effect.motion is not Motion.STOPPED
+    kinds = [
+        *(3 * [_moving] if moving_motions(protocol) else []),
+        *([_standing] if starts else fast),
+        *fast,
+        *([_steered] if any(limits.get("steering", ())) else []),
+        *([_lit] if limits.get("led", (0, 0))[1] else []),
+    ]
+    return draw.pick(kinds or [_standing])(protocol, draw)
+
+
+def _moving(protocol: Protocol, draw: Draw) -> When:
+    motion = draw.pick(moving_motions(protocol))
+    return When(f"while it moves {motion.value}", moving_in(motion))
+
+
+def _standing(protocol: Protocol, draw: Draw) -> When:
+    return When("while it stands", standing)
+
+
+def _fast(protocol: Protocol, draw: Draw) -> When:
+    least = draw.between(1, protocol.limits["speed"][1])
+    return When(
+        f"at a speed from {least}", lambda event: event.before.speed >= least, (least, least - 1)
+    )
+
+
+def _steered(protocol: Protocol, draw: Draw) -> When:
+    ends = protocol.limits["steering"]
+    sign = draw.pick([sign for sign in (-1, 1) if any(end * sign > 0 for end in ends)])
+    side = "right" if sign > 0 else "left"
+    return When(f"steered to the {side}", steered_to(sign))
+
+
+def _lit(protocol: Protocol, draw: Draw) -> When:
+    mask = 1 << draw.below(protocol.limits["led"][1].bit_length())
     return When(
         f"with the light's bit {mask:#x} on", lambda event: bool(event.before.led & mask), (mask,)
     )
@@ -131,7 +149,7 @@ def with_data(protocol: Protocol, draw: Draw, what: What) -> When:
     if kind == 0:
         value = draw.between(part.low, part.high)
         return When(f"with the value {value}", lambda event: _value(event) == value, (value,))
-    if kind == 1:
+    if kind == 1 and part.low < part.high:
         least = draw.between(part.low + 1, part.high)
         return When(
             f"with a value from {least}", lambda event: _value(event) >= least, (least, least - 1)

@@ -200,8 +200,9 @@ def score(
     """Run the suite against every fault of `faults` (name -> family and sentence).
 
     `at` are levels (the default level if none), `seed` is the suite's seed, `jobs` the number of
-    processes. For each fault that the last level does not catch, an equivalence search tries at
-    most `most` inputs. `progress` is called with the name of each fault that is done.
+    processes. For each fault that the last level does not catch there is an equivalence search,
+    each part of which tries at most `most` inputs. `progress` is called with the name of each
+    fault that is done.
     """
     chosen = tuple(at) or (Options().level,)
     results, cost, reference = [], {}, {}

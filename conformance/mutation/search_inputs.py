@@ -109,11 +109,11 @@ def _valid(spec: InstructionSpec, protocol: Protocol, hints: Sequence[int]) -> I
 
 
 def _faulty(protocol: Protocol, hints: Sequence[int], *, every: bool) -> Iterator[bytes]:
-    """Yield complete faulty frames: every header (or two for each ID), and bad data."""
+    """Yield complete faulty frames: every header (or up to two for each ID), and bad data."""
     for identity in protocol.ids:
         known = protocol.by_id.get(identity)
         lengths = [n for n in protocol.data_lengths if known is None or n != known.length]
-        for length in lengths if every else (lengths[0], lengths[1]):
+        for length in lengths if every else lengths[:2]:
             yield raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * length)
         if known and known.fields:
             longer = known.length + 1

@@ -211,18 +211,19 @@ def at_the_header(chooses: Chooses) -> Hear:
 
     def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         memory, protocol = device.memory, device.protocol
-        pause = device.timeouts[data[0]] or 0
-        if memory.get("skips") and now < memory["skips at"] + pause:
-            memory["skips"], memory["skips at"] = memory["skips"] - 1, now
-            return b""
-        memory.pop("skips", None)
-        memory.pop("skips at", None)
+        if memory.get("skips"):
+            pause = device.timeouts[memory["skips of"]]
+            if pause is None or now < memory["skips at"] + pause:
+                memory["skips"], memory["skips at"] = memory["skips"] - 1, now
+                return b""
+        for name in ("skips", "skips of", "skips at"):
+            memory.pop(name, None)
         identity, length = protocol.headers[data[0]]
         known = protocol.by_id.get(identity)
         wrong = length > 0 and (known is None or length != known.length)
         if not wrong or device.held or not chooses(device, identity):
             return data
-        memory["skips"], memory["skips at"] = length, now
+        memory["skips"], memory["skips of"], memory["skips at"] = length, data[0], now
         device.react_at_header(data + bytes(length), now)
         return b""
 

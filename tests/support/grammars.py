@@ -29,6 +29,18 @@ _CRUISE = """\
 """
 
 
+def short_grammar(text: str) -> str:
+    """The grammar's text with headers of 7 bits for the ID and one for the length."""
+    return text.replace('"id" / BitsInteger(4)', '"id" / BitsInteger(7)').replace(
+        '"length" / BitsInteger(4)', '"length" / BitsInteger(1)'
+    )
+
+
+def still_grammar(text: str) -> str:
+    """The grammar's text with Stop and Speed alone: nothing moves it, nothing steers it."""
+    return text[: text.index('    2: "Forward"')] + text[text.index("}\n\nFRAME =") :]
+
+
 def wide_grammar(text: str) -> str:
     """The grammar's text with fields of one to three bytes, signed ones among them.
 

@@ -106,6 +106,13 @@ def test_without_aalpy_one_sentence_says_how_it_comes() -> None:
     assert done.stderr.decode().splitlines() == [f"bilprov: {expected}"]
 
 
+@pytest.mark.parametrize("name", ["conform", "simulate", "learn"])
+def test_each_command_with_a_fault_names_both_kinds_of_random_ones(name: str) -> None:
+    told = " ".join(command(name, "--help").stdout.decode().split())
+
+    assert "random:SEED or random:SEED.NUMBER draws one" in told
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [

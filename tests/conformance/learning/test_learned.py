@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
@@ -21,6 +23,7 @@ from bilprov.conformance.learning.learned import Learned, learn_target
 from bilprov.conformance.learning.output import Output, output_of
 from bilprov.conformance.learning.rehearsal import estimated_seconds
 from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.mutation.faults.vocabulary import Condition, silent, twice
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.firmware import AVR, built
@@ -32,10 +35,11 @@ class Blind:
 
     def __init__(self, device: Device) -> None:
         self.receive, self.advance, self.deadline = device.receive, device.advance, device.deadline
+        self.lossless = getattr(device, "lossless", False)
 
 
-def learn(protocol: Protocol, device: Any, *, seed: int = 1, lossless: bool = True) -> Learned:
-    return learn_target(device_target(protocol, device), seed=seed, lossless=lossless)
+def learn(protocol: Protocol, device: Any, *, seed: int = 1) -> Learned:
+    return learn_target(device_target(protocol, device), seed=seed)
 
 
 def faulty(protocol: Protocol, name: str) -> Simulator:
@@ -177,10 +181,67 @@ def test_a_rhythm_is_no_pass_though_no_sequence_shows_it_twice(protocol: Protoco
     assert learned.exit == 1
 
 
+def sent_ahead(event: Event) -> bool:
+    """A stop of homing."""
+    return event.pipelined and event.judgement.valid
+
+
+def ends_the_reset(event: Event) -> bool:
+    """The last setting before a sequence, after which nothing has changed."""
+    now, before = event.judgement.frame, event.previous
+    rests = not event.before.moving and not event.before.steering
+    return rests and now == b"\x81\0" and before is not None and before.frame == b"\x41\0"
+
+
+def at_times(condition: Condition, change: React, turns: Container[int]) -> Fault:
+    """A robot that misbehaves at some frames of this kind, by their count."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        if not condition(event):
+            return reaction
+        turn = device.memory["turn"] = device.memory.get("turn", 0) + 1
+        return change(device, event, reaction) if turn in turns else reaction
+
+    return Fault("between", "test", "", react=react)
+
+
+@pytest.mark.parametrize(
+    ("condition", "change", "turns", "case"),
+    [
+        (sent_ahead, silent, range(300, 1 << 20, 300), "line/lost"),
+        (sent_ahead, twice, [400], "line/unsolicited"),
+        (ends_the_reset, silent, range(100, 1 << 20, 100), "line/lost"),
+    ],
+)
+@pytest.mark.slow
+def test_what_a_robot_does_between_the_sequences_counts(
+    protocol: Protocol, condition: Condition, change: React, turns: Container[int], case: str
+) -> None:
+    fault = at_times(condition, change, turns)
+    learned = learn(protocol, Simulator(protocol, fault))
+    assert learned.machine is not None
+    assert [ident for ident, _ in learned.beside] == [case]
+    assert learned.exit == 1
+
+    robot = Simulator(protocol, fault)
+    robot.lossless = False
+    learned = learn(protocol, Blind(robot))
+    assert learned.flaky == 1
+    assert learned.verdict is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.slow
+def test_what_begins_late_and_then_stays_is_a_difference(protocol: Protocol) -> None:
+    learned = learn(protocol, faulty(protocol, "dark-after-40000-frames"))
+
+    assert learned.machine is None
+    assert (learned.exit, len(learned.differences), learned.flaky) == (1, 1, 1)
+
+
 @pytest.mark.slow
 def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> None:
     robot = faulty(protocol, "R-drive-steering=straight")
-    learned = learn(protocol, NoisyDevice(robot, Noise(1e-4, 1e-4, 1e-4), 3), lossless=False)
+    learned = learn(protocol, NoisyDevice(robot, Noise(1e-4, 1e-4, 1e-4), 3))
 
     assert learned.machine is not None
     assert (len(learned.machine.states), learned.differences) == (36, ())
@@ -190,7 +251,7 @@ def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> Non
 
 def test_what_contradicts_itself_ends_in_one_sentence(protocol: Protocol) -> None:
     device = NoisyDevice(Blind(Simulator(protocol)), Noise(flipped=0.03), seed=1)
-    learned = learn(protocol, Blind(device), lossless=False)
+    learned = learn(protocol, Blind(device))
 
     assert learned.machine is None
     assert learned.trouble

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from bilprov.captures.schemas import MS
@@ -9,7 +11,7 @@ from bilprov.conformance.dut.fault import CONFORMING, Fault, React
 from bilprov.conformance.dut.fault_reads import Count, FaultReads, RecordingProxy
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation import equivalence
-from bilprov.conformance.mutation.equivalence import random_search, search
+from bilprov.conformance.mutation.equivalence import Search, difference, random_search, search
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.faults.vocabulary import (
     drives_on,
@@ -141,6 +143,19 @@ def test_a_search_that_is_too_small_claims_nothing(protocol: Protocol) -> None:
     assert not found.closed
     assert not found.equivalent
     assert "not shown by any" in str(found)
+
+
+@pytest.mark.parametrize(("look", "parts"), [(search, 2), (difference, 4)])
+def test_each_part_of_a_search_is_as_small_as_it_is_told(
+    look: Callable[..., Search], parts: int, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = []
+    send = equivalence._send
+    monkeypatch.setattr(equivalence, "_send", lambda *given: sent.append(1) or send(*given))
+
+    look(protocol, CONFORMING, most=100)
+
+    assert len(sent) == parts * 100
 
 
 @pytest.mark.usefixtures("few_inputs")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import pytest
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.pairs import pairs
 from bilprov.conformance.mutation.variants import variants
@@ -28,6 +31,23 @@ def test_two_choices_at_one_point_are_no_pair() -> None:
     assert "R-drive-steering=straight and R-rotate-steering=reset" in PAIRS
     for one, other in (name.split(" and ") for name in PAIRS):
         assert one.split("=")[0] != other.split("=")[0]
+
+
+def test_a_pair_has_every_behaviour_of_both_parts(protocol: Protocol) -> None:
+    told = {"name", "family", "doc", "caught_by", "exit", "clauses", "needs", "hints"}
+    behaviour = {field.name for field in fields(Fault)} - told
+    legal = variants(protocol)
+    plateau = next(fault for name, fault in pairs(protocol).items() if "plateau" in name)
+    assert plateau.show is not None
+
+    for name, both in pairs(protocol).items():
+        for part in (legal[one].fault for one in name.split(" and ")):
+            for field in behaviour:
+                own = getattr(part, field)
+                if own == getattr(CONFORMING, field):
+                    continue
+                found = getattr(both, field)
+                assert found is not None if callable(own) else found == own, (name, field)
 
 
 def test_a_frame_that_is_lost_changes_nothing_and_a_late_answer_makes_its_stop_later(

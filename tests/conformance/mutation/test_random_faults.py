@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 
 import pytest
 
@@ -17,9 +18,10 @@ from bilprov.conformance.mutation.draw import Draw
 from bilprov.conformance.mutation.equivalence import random_search
 from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
 from bilprov.conformance.mutation.search_inputs import alphabet
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.commands import command
+from tests.support.grammars import short_grammar, still_grammar
 from tests.support.robots import sentence
 
 # As drawn on CPython 3.11; `random.random()` is the same for a seed in every Python.
@@ -135,6 +137,24 @@ def test_wider_faults_follow_any_grammar(each_protocol: Protocol) -> None:
         for turn, byte in enumerate(bytes(range(256))):
             device.receive(bytes([byte]), turn * 2 * MS)
             device.look(turn * 2 * MS)
+
+
+@pytest.mark.parametrize("edited", [short_grammar, still_grammar])
+def test_faults_are_drawn_of_a_grammar_with_few_lengths_or_without_motions(
+    edited: Callable[[str], str], grammar_text: str
+) -> None:
+    small = load(edited(grammar_text), "small.py")
+    lengths = {length for _, length in small.headers}
+
+    docs = [random_fault(small, seed).doc for seed in range(1, 121)]
+    docs += [drawn_fault(small, 5, number).doc for number in range(1, 121)]
+
+    assert len(set(docs)) > 100
+    announced = [int(n) for doc in docs for n in re.findall(r"(\d+) data bytes announced", doc)]
+    assert lengths.issuperset(announced)
+    if edited is still_grammar:
+        assert not any("steered" in doc or "while it moves" in doc for doc in docs)
+    assert alphabet(small)
 
 
 @pytest.mark.slow

@@ -1,0 +1,125 @@
+"""The system under learning: what tries that disagree leave behind, and what is heard late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction, answers
+from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.learning.alphabet import alphabet
+from bilprov.conformance.learning.comparison import Difference
+from bilprov.conformance.learning.machine import Word
+from bilprov.conformance.learning.output import Output
+from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.learning.system import NotLearned, System
+from bilprov.conformance.mutation.faults.vocabulary import is_outcome, then, when
+from bilprov.conformance.mutation.variant_behaviour import stops_late
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.state_model import Model
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import BYTE_TIME, Timers
+
+WRONG = 0x55
+
+
+def system(
+    protocol: Protocol, device: Simulator, *, looks: bool = False, stop_latency: int = 0
+) -> System:
+    config = RunConfig(protocol, Timers(), Observability(looks))
+    run = Run(config, Profile(choices=Choices(), stop_latency=stop_latency))
+    steps = alphabet(protocol)
+    reference = reference_machine(Model(protocol, Choices()), steps)
+    return System(run, VirtualLink(device, BYTE_TIME), lambda: False, steps, reference)
+
+
+def letters(protocol: Protocol, *frames: str) -> Word:
+    steps = [step.frame for step in alphabet(protocol)]
+    return tuple(steps.index(bytes.fromhex(frame)) for frame in frames)
+
+
+def answering(outcome: Outcome, codes: Sequence[int]) -> React:
+    """Such a frame is answered with these codes, one a time, and with the last of them for ever."""
+
+    def change(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        turn = device.memory[outcome.name] = device.memory.get(outcome.name, -1) + 1
+        return answers(reaction, codes[min(turn, len(codes) - 1)])
+
+    return when(is_outcome(outcome), change)
+
+
+def robot(protocol: Protocol, *reacts: React) -> Simulator:
+    return Simulator(protocol, Fault("x", "test", "", react=then(*reacts)))
+
+
+class AlmostBlind(Simulator):
+    """A robot of which is seen whether it moves, and nothing else."""
+
+    def look(self, now: int) -> Look:
+        return Look(t=now, moving=super().look(now).moving)
+
+
+def test_what_is_seen_twice_and_contradicts_what_was_known_is_a_deviation(
+    protocol: Protocol,
+) -> None:
+    asked = system(protocol, robot(protocol, answering(Outcome.UNKNOWN_ID, [1, WRONG])))
+    unused, stop = letters(protocol, "90", "00")
+    assert asked.outputs((unused,)) == [Output((1,))]
+
+    with pytest.raises(NotLearned, match="one outcome first"):
+        asked.outputs((unused, stop))
+
+    assert asked.deviation == Difference((unused,), Output((1,)), Output((WRONG,)))
+    assert asked.flaky == 1
+
+
+def test_of_tries_that_all_disagree_what_two_have_in_common_is_a_deviation(
+    protocol: Protocol,
+) -> None:
+    never_the_same = answering(Outcome.BAD_DATA, range(100, 200))
+    device = robot(protocol, answering(Outcome.UNKNOWN_ID, [WRONG]), never_the_same)
+    asked = system(protocol, device)
+    unused, bad = letters(protocol, "90", "81 08")
+
+    with pytest.raises(NotLearned, match="6 different outcomes"):
+        asked.outputs((unused, bad))
+
+    assert asked.deviation == Difference((unused,), Output((1,)), Output((WRONG,)))
+    assert asked.flaky == 6
+
+    asked = system(protocol, robot(protocol, never_the_same))
+    with pytest.raises(NotLearned):
+        asked.outputs((bad,))
+    assert asked.deviation is None
+
+
+def test_a_deviation_is_told_with_the_facets_that_are_seen(protocol: Protocol) -> None:
+    fault = robot(protocol, answering(Outcome.UNKNOWN_ID, [WRONG])).fault
+    asked = system(protocol, AlmostBlind(protocol, fault), looks=True)
+    word = letters(protocol, "90")
+
+    asked.outputs(word)
+
+    due = Output((1,), moving=False)
+    assert asked.deviation == Difference(word, due, due._replace(codes=(WRONG,)))
+
+
+def test_an_answer_that_comes_while_a_late_stop_is_waited_for_counts(protocol: Protocol) -> None:
+    def again(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        late = (80 * MS, WRONG)
+        moving = event.before.moving and not event.judgement.valid
+        return replace(reaction, answers=(*reaction.answers, late)) if moving else reaction
+
+    device = robot(protocol, stops_late(50), again)
+    asked = system(protocol, device, looks=True, stop_latency=50 * MS)
+    word = letters(protocol, "11 ff", "20", "90")
+
+    assert [output.codes for output in asked.outputs(word)] == [(0,), (0,), (1, WRONG)]
