@@ -6,7 +6,9 @@ from functools import cache
 from pathlib import Path
 
 import bilprov.spec
+from bilprov.analyzer.files import read_bounded
 from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.safe_grammar import LONGEST
 
 
 @cache
@@ -17,9 +19,9 @@ def load_protocol(path: str | None = None) -> Protocol:
     """
     file = Path(path) if path else Path(bilprov.spec.__path__[0]) / "grammar.py"
     try:
-        source = file.read_text(encoding="utf-8")
+        source = read_bounded(file, LONGEST, pipes=True).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        what = error.strerror if isinstance(error, OSError) else "is not UTF-8 text"
+        what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise GrammarError(
             f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error

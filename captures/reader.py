@@ -27,10 +27,12 @@ from bilprov.captures.schemas import (
 )
 from bilprov.captures.storage.messages import Contents, Stored, attachments, stored_messages
 from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
+from bilprov.captures.storage.recovery import WINDOW, RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
 from bilprov.captures.text import printable
 
 TOPICS_SHOWN = 10
+_FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
 
 Item = TypeVar("Item")
 Recorded: TypeAlias = Chunk | Line | Look | CaseMark | Asked | Checkpoint
@@ -211,8 +213,8 @@ def open_capture(path: str | Path) -> Capture:
             raise CaptureError(f"{printable(path)} is {kind}: name an MCAP file")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            _check_magic(path, file.read(len(MAGIC)))
-            contents = surveyed(file, size)
+            damage = _magic_damage(path, file, size)
+            contents = surveyed(file, size, damage)
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from error
     _check_topics(path, contents)
@@ -242,14 +244,26 @@ def unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
     )
 
 
-def _check_magic(path: Path, front: bytes) -> None:
+def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:
+    """What is damaged of the first bytes of an MCAP file, "" for nothing.
+
+    Raises CaptureError for what is no MCAP file: neither do the first bytes look like its magic nor
+    is there a chunk with a correct checksum behind them.
+    """
+    front = file.read(len(MAGIC))
     if not front:
         raise CaptureError(f"{printable(path)} is empty: name an MCAP file")
-    if front != MAGIC:
+    if front == MAGIC:
+        return ""
+    source = RecordFile(file, size)
+    source.own = True  # only chunks with a checksum
+    flipped = int.from_bytes(front, "big") ^ int.from_bytes(MAGIC, "big")
+    if flipped.bit_count() > _FLIPPED and source.next_chunk(0, until=WINDOW) is None:
         raise CaptureError(
             f"{printable(path)} is not MCAP (first bytes {front.hex(' ')}, MCAP has "
             f"{MAGIC.hex(' ')}): name an MCAP file"
         )
+    return f"the first bytes are damaged ({front.hex(' ')} in place of {MAGIC.hex(' ')})"
 
 
 def _check_topics(path: Path, contents: Contents) -> None:

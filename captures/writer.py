@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from io import BufferedWriter
@@ -115,7 +116,8 @@ class CaptureWriter(Closing):
             return
         self.flush()
         self._guarded(lambda: self._mcap.attachment(name, media_type, data, log_time))
-        self.flush()
+        self._guarded(self._mcap.flush)
+        self._kept_bytes = self._mcap.size
 
     def tick(self, now: int) -> None:
         """Flush if data have waited for 0.1 s; `now` is ns since the capture's start.
@@ -131,13 +133,9 @@ class CaptureWriter(Closing):
 
         Raises CaptureError if the disk is full, the file is gone or cannot be written.
         """
+        self._guarded(self._require_unchanged)
         self._guarded(self._mcap.end_chunk)
         self._guarded(self._mcap.flush)
-        if self._counts_links and os.fstat(self._file.fileno()).st_nlink == 0:
-            self._fail(
-                f"the capture file {printable(self.path)} was deleted while recording: what was "
-                "captured is lost, record again"
-            )
         self._kept_bytes = self._mcap.size
         self._kept_until = self._newest
         self._flush_at = NEVER
@@ -206,6 +204,25 @@ class CaptureWriter(Closing):
         ):
             self.flush()
 
+    def _require_unchanged(self) -> None:
+        """Fail if the file was deleted, or if another program cut it or wrote to it.
+
+        Looked at before a chunk is written: a write behind the end fills what was cut off with
+        zeros, after which the size is right again.
+        """
+        status = os.fstat(self._file.fileno())
+        if self._counts_links and status.st_nlink == 0:
+            self._fail(
+                f"the capture file {printable(self.path)} was deleted while recording: what was "
+                "captured is lost, record again"
+            )
+        if stat.S_ISREG(status.st_mode) and status.st_size != self._kept_bytes:
+            self._fail(
+                f"another program made the capture file {printable(self.path)} {status.st_size} "
+                f"bytes long while recording, it should have {self._kept_bytes}: what it cut off "
+                "is lost, record again"
+            )
+
     def _leave_out(self, what: str, t: int) -> None:
         seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)
         self.write(Log(Time(seconds, nanoseconds), 3, what, "left out"), t)
@@ -237,7 +254,8 @@ class CaptureWriter(Closing):
         # Closing the raw file discards the buffered data that cannot be written; truncating the
         # half-written chunk leaves complete records only.
         with suppress(OSError):
-            os.ftruncate(self._file.fileno(), self._kept_bytes)
+            if os.fstat(self._file.fileno()).st_size > self._kept_bytes:
+                os.ftruncate(self._file.fileno(), self._kept_bytes)
         with suppress(OSError):
             self._file.raw.close()
         raise CaptureError(sentence) from cause

@@ -155,6 +155,8 @@ def _in_file_order(chunks: Iterator[_Spans], counted: bool, expected: int = 0) -
             channel, sequence, log_time, _ = unpack(content, start)
             if counted:
                 missing = (sequence - expected) & 0xFFFF_FFFF
+                if missing >> 31:
+                    continue  # it came before: a chunk that stands in the file a second time
                 expected = (sequence + 1) & 0xFFFF_FFFF
                 lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
             yield Stored(log_time, sequence, channel, data, lost)
@@ -171,6 +173,7 @@ def _spans_after(file: BufferedReader, contents: Contents, place: Place | None) 
             found = source.record(offset)
             if found.opcode == records.CHUNK:
                 spans = records.messages_in(found.content)
+                source.count_messages(len(spans))
                 yield found.content, [span for span in spans if span[0] >= passed], ""
         except Damaged:
             resumed = source.next_chunk(offset + 1)

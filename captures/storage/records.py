@@ -36,6 +36,7 @@ STRING_BYTES: Final = 64 * 1024  # of one string of a header, a channel or a met
 RECORD_BYTES: Final = 16 * 1024 * 1024  # of any other record whose content is read
 ATTACHMENT_BYTES: Final = 64 * 1024 * 1024  # of one attachment whose content is read
 CHANNELS: Final = 64  # in one file
+DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas and channels
 
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
@@ -203,11 +204,13 @@ def packed_length(content: bytes, start: int) -> int:
 def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, start and end of the content of each record in a chunk's unpacked bytes.
 
-    Raises Damaged if a record is inconsistent.
+    Raises Damaged if a record is inconsistent, or if there are more than DESCRIPTIONS that are no
+    messages: an empty record has 9 bytes, so that a packed chunk may hold millions.
     """
     at = 0
     total = len(content)
     unpack = RECORD_HEAD.unpack_from
+    others = 0
     while at < total:
         if at + 9 > total:
             raise Damaged("a chunk ends inside a record")
@@ -216,7 +219,13 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         at = start + length
         if at > total:
             raise Damaged("a record in a chunk ends after the chunk")
-        if opcode == MESSAGE and length < MESSAGE_HEAD.size:
+        if opcode != MESSAGE:
+            others += 1
+            if others > DESCRIPTIONS:
+                raise Damaged(
+                    f"a chunk holds more than {DESCRIPTIONS} records that are no messages"
+                )
+        elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
 
@@ -227,6 +236,17 @@ def messages_in(content: bytes) -> list[tuple[int, int]]:
     Raises Damaged if a record is inconsistent.
     """
     return [(start, end) for opcode, start, end in records_in(content) if opcode == MESSAGE]
+
+
+def sequences_from(content: bytes, start: int, expected: int) -> int:
+    """How many sequence numbers lie between the expected one and that of a message.
+
+    `start` is where the content of the message starts. A negative number means that it was met
+    before; sequences have 32 bits and begin anew after the last.
+    """
+    sequence = MESSAGE_HEAD.unpack_from(content, start)[1]
+    ahead: int = (sequence - expected) & 0xFFFF_FFFF
+    return ahead if ahead < 1 << 31 else ahead - (1 << 32)
 
 
 def _ends(cursor: Cursor, own: bool) -> None:

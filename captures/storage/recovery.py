@@ -18,6 +18,16 @@ from bilprov.captures.storage.records import CHUNK_BYTES, CutOff, Damaged
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
 
+UNPACKED_FREE: Final = 2 * CHUNK_BYTES
+UNPACKED_SHARE: Final = 1024
+"""All chunks of a file may unpack to UNPACKED_FREE bytes and this many times the file's size."""
+
+MESSAGES_FREE: Final = 500_000
+"""A file may have as many messages in chunks, and one more for every two bytes of its size."""
+
+LOOSE_RECORDS: Final = 65_536
+"""Records outside of chunks, other than messages and the index, that are read in a file."""
+
 HEAD_ROOM: Final = 64  # bytes before a chunk's packed data, more than enough
 WINDOW: Final = 1024 * 1024
 
@@ -62,6 +72,10 @@ class RecordFile:
 
     `own` is true if bilprov wrote the file: then records that bilprov never writes are rejected.
     `past_data` is true after the end of the data: before it, records of an index are rejected.
+
+    The work is bounded by the file's size: bytes unpacked, messages and loose records. Where a
+    hostile file would take more, that is damage, and after it no further chunk is found. No capture
+    of a line comes near: its messages take more than 4 bytes each, packed.
     """
 
     def __init__(self, file: BufferedReader, size: int) -> None:
@@ -71,6 +85,9 @@ class RecordFile:
         self._file = file
         # A false chunk front may cost 16 MiB of reading, and a hostile file has millions of them.
         self._patience = 4 * size + 4 * CHUNK_BYTES
+        self._unpacked = UNPACKED_FREE + UNPACKED_SHARE * size
+        self._messages = MESSAGES_FREE + size // 2
+        self._loose = LOOSE_RECORDS
 
     def record(self, offset: int) -> Found:
         """Read the record at `offset`.
@@ -91,13 +108,14 @@ class RecordFile:
             return self._message(length, end)
         return self._other(opcode, length, end)
 
-    def next_chunk(self, offset: int) -> int | None:
+    def next_chunk(self, offset: int, until: int | None = None) -> int | None:
         """Find the start of the next chunk with a correct checksum, at `offset` or later, or None.
 
-        A foreign chunk without a checksum counts if it is compressed and unpacks to exactly the
-        size it declares.
+        It is looked for up to `until`, which is rounded up to whole windows. A foreign chunk
+        without a checksum counts if it is compressed and unpacks to exactly the size it declares.
         """
-        while offset < self.size and self._patience > 0:
+        end = self.size if until is None else min(until, self.size)
+        while offset < end and self._patience > 0:
             self._file.seek(offset)
             window = self._file.read(WINDOW + HEAD_ROOM)
             at = 0
@@ -113,6 +131,17 @@ class RecordFile:
             self._patience -= len(window)
             offset += WINDOW
         return None
+
+    def count_messages(self, count: int) -> None:
+        """Count messages found in a chunk. Raises Damaged if the file has more than allowed."""
+        self._messages -= count
+        if self._messages < 0:
+            raise self._ended(f"more than {MESSAGES_FREE} messages, and more than one in 2 bytes")
+
+    def _ended(self, why: str) -> Damaged:
+        """The error after which no further chunk is found: the work for this file is done."""
+        self._patience = 0
+        return Damaged(why)
 
     def _is_chunk(self, offset: int, compressed: bool) -> bool:
         try:
@@ -134,6 +163,10 @@ class RecordFile:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
             return Found(SKIPPED, end, note=f"{note}: left out")
+        self._unpacked -= size
+        if self._unpacked < 0:
+            free = UNPACKED_FREE >> 20
+            raise self._ended(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
         content, verified = _unpacked_chunk(front + self._content(length - len(front)), self.own)
         return Found(records.CHUNK, end, content, verified)
 
@@ -148,6 +181,10 @@ class RecordFile:
         return Found(records.MESSAGE, end, self._content(length))
 
     def _other(self, opcode: int, length: int, end: int) -> Found:
+        if not self.past_data and opcode != records.MESSAGE_INDEX:
+            self._loose -= 1
+            if self._loose < 0:
+                raise self._ended(f"more than {LOOSE_RECORDS} records stand outside of the chunks")
         # Foreign attachments are skipped, since none of their content is used.
         if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
             most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES

@@ -23,9 +23,12 @@ JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
 """Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
 
 
-def surveyed(file: BufferedReader, size: int) -> Contents:
-    """Survey an open MCAP file of `size` bytes, whose magic at the start was checked before."""
-    survey = _Survey(file, size)
+def surveyed(file: BufferedReader, size: int, damage: str = "") -> Contents:
+    """Survey an open MCAP file of `size` bytes, whose magic at the start was checked before.
+
+    `damage` says what is damaged there, "" for nothing.
+    """
+    survey = _Survey(file, size, damage)
     survey.walk()
     return survey.contents()
 
@@ -65,7 +68,7 @@ class _Tally:
 
 
 class _Survey:
-    def __init__(self, file: BufferedReader, size: int) -> None:
+    def __init__(self, file: BufferedReader, size: int, damage: str) -> None:
         self._records = RecordFile(file, size)
         self._size = size
         self._finished = _has_end(file, size)
@@ -78,9 +81,10 @@ class _Survey:
         self._verified: set[int] = set()
         self._tally = _Tally()
         self._order: TimeWindow[None] = TimeWindow()
-        self._notes: list[str] = []
+        self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
+        self._expected: int | None = None  # the sequence of the next message of our own files
 
     def walk(self) -> None:
         offset = len(MAGIC)
@@ -182,17 +186,34 @@ class _Survey:
         tally = _Tally()
         channels: list[ChannelRecord] = []
         lines = set(self._lines)
+        last: int | None = None
         for opcode, start, end in records.records_in(content):
             if opcode == records.MESSAGE:
+                if last is None:
+                    self._require_new(content, start)
+                last = start
                 self._count(tally, content, start, end, lines)
             elif opcode == records.CHANNEL and len(channels) <= records.CHANNELS:
                 channel = records.channel_record(content[start:end])
                 channels.append(channel)
                 if channel.topic == topics.LINE:
                     lines.add(channel.id)
+        self._records.count_messages(tally.counts.total() + tally.too_long)
         for channel in channels:
             self._learn(channel, found.verified)
+        if last is not None:
+            self._expected = records.MESSAGE_HEAD.unpack_from(content, last)[1] + 1
         self._tally.add(tally)
+
+    def _require_new(self, content: bytes, start: int) -> None:
+        """Raise Damaged for a chunk of ours whose first message was in the file before.
+
+        Two copies of a chunk are what a repair by a file system, or a careless tool, may leave.
+        """
+        if not self._records.own or self._expected is None:
+            return
+        if records.sequences_from(content, start, self._expected) < 0:
+            raise Damaged("a chunk stands in the file a second time")
 
     def _count(self, tally: _Tally, content: bytes, start: int, end: int, lines: set[int]) -> None:
         channel, _, time, _ = records.MESSAGE_HEAD.unpack_from(content, start)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.files import read_bounded
 from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
@@ -56,6 +57,9 @@ def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> 
         raise click.UsageError(str(error)) from error
 
 
+_PROFILE_BYTES = 1 << 20
+
+
 def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -> str:
     """The text of a profile, "" where none is asked for or its file does not exist yet.
 
@@ -70,10 +74,11 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
     try:
         if not file.exists() and file.absolute().parent.is_dir():
             return ""
-        text = file.read_text(encoding="utf-8")
+        text = read_bounded(file, _PROFILE_BYTES).decode("utf-8")
         profile_from(protocol, text, parse_allowed(protocol, allow))
     except (OSError, ValueError) as error:
-        raise click.UsageError(f"--profile {path} cannot be used: {error}") from error
+        why = error.strerror or error if isinstance(error, OSError) else error
+        raise click.UsageError(f"--profile {path} cannot be used: {why}") from error
     return text
 
 

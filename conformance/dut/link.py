@@ -16,7 +16,7 @@ from bilprov.conformance.dut.operations import Ended, Operation, Procedure, Repl
 T = TypeVar("T")
 
 
-HELD_ANSWERS = 1 << 16
+HELD_ANSWERS = 1 << 13
 """Answer bytes kept between two operations: a device that floods must not fill the memory."""
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
@@ -97,6 +98,10 @@ class Counters:
         return case.thorough and self._held.setdefault(key, case.id) == case.id
 
 
+SPARE_ANSWERS = 256
+"""Answers that a result keeps beyond two for each frame."""
+
+
 def result_of(
     case: Case | SequenceCase,
     axes: dict[str, Axis],
@@ -105,8 +110,10 @@ def result_of(
 ) -> CaseResult:
     """The result of a case with these axes; `heard` are its answers as (time in ns, code).
 
-    `sent` is the time (ns) when its stimulus had been sent.
+    `sent` is the time (ns) when its stimulus had been sent. Of a device that floods the first
+    answers are kept: twice as many as frames were sent, and SPARE_ANSWERS.
     """
+    most = 2 * len(case.sent) + SPARE_ANSWERS
     verdict = worst(axis.verdict for axis in axes.values())
     counted = isinstance(case, SequenceCase) and case.seeded and verdict < Verdict.FAIL
     counted = counted and Verdict.PASS <= axes["answer"].verdict < Verdict.INCONCLUSIVE
@@ -118,7 +125,9 @@ def result_of(
         axes=axes,
         reading=next((a.reading for a in axes.values() if a.reading), case.reading),
         sent=() if counted else tuple(spaced(frame) for frame in case.sent if frame),
-        received=() if counted else tuple(AnswerByte(f"{c:02x}", t - sent) for t, c in heard),
+        received=()
+        if counted
+        else tuple(AnswerByte(f"{c:02x}", t - sent) for t, c in islice(heard, most)),
         frames=case.frames,
     )
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.files import whole_file, write_whole
+from bilprov.analyzer import files
+from bilprov.analyzer.files import read_bounded, whole_file, write_whole
 
 
 def test_the_file_appears_when_it_is_whole(tmp_path: Path) -> None:
@@ -86,3 +88,40 @@ def test_a_pipe_is_written_to_as_it_is(tmp_path: Path) -> None:
     reader.join()
 
     assert read == [b"through"]
+
+
+# -- pipes -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(files, "PIPE_PATIENCE", 0.2)
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    return path
+
+
+def test_a_pipe_that_nobody_writes_to_is_said(pipe: Path) -> None:
+    with pytest.raises(OSError, match=r"nothing came through this pipe for 0\.2 s"):
+        read_bounded(pipe, 100, pipes=True)
+
+
+def test_a_pipe_that_nobody_reads_is_said(pipe: Path) -> None:
+    with pytest.raises(OSError, match="nobody reads from this pipe"):
+        write_whole(pipe, b"a report")
+
+
+@pytest.mark.parametrize("size", [0, 5, 300_000])
+def test_what_comes_through_a_pipe_is_read_up_to_a_bound(
+    pipe: Path, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "PIPE_PATIENCE", 60)
+    with ThreadPoolExecutor() as pool:
+        writing = pool.submit(write_whole, pipe, b"x" * size)
+        assert read_bounded(pipe, 400_000, pipes=True) == b"x" * size
+        writing.result(60)
+        if size > 10:
+            writing = pool.submit(write_whole, pipe, b"x" * size)
+            with pytest.raises(OSError, match="larger than"):
+                read_bounded(pipe, 10, pipes=True)
+            assert isinstance(writing.exception(60), BrokenPipeError)

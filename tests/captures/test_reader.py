@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk, Line, Log, State, Time
-from bilprov.captures.storage import records
+from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
@@ -485,3 +485,123 @@ def test_an_empty_chunk_checksum_is_not_taken_from_our_own_files(
     capture = open_capture(with_bytes(tmp_path / "c.mcap", bytes(whole)))
     assert len(list(capture.messages())) == 20
     assert zlib.crc32(b"") == 0
+
+
+# -- bounded work ----------------------------------------------------------------------------------
+
+
+def packed_chunk(content: bytes) -> bytes:
+    """A chunk record with a correct checksum, packed."""
+    packed = zstandard.ZstdCompressor().compress(content)
+    front = struct.pack("<QQQII", 0, 0, len(content), zlib.crc32(content), 4) + b"zstd"
+    body = front + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", records.CHUNK, len(body)) + body
+
+
+def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
+    small: Path, tmp_path: Path
+) -> None:
+    whole = small.read_bytes()
+    last = chunk_offsets(whole)[-1]
+    empty = packed_chunk(struct.pack("<BQ", 0x80, 0) * (records.DESCRIPTIONS + 1))
+
+    capture = open_capture(with_bytes(tmp_path / "e.mcap", whole[:last] + empty + whole[last:]))
+
+    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert "more than 4096 records that are no messages" in capture.damage[0]
+
+
+def foreign_front(small: Path) -> bytes:
+    """What stands before the first chunk, as if another program had written it."""
+    whole = small.read_bytes()
+    return whole[: chunk_offsets(whole)[0]].replace(b"bilprov 1", b"nothing 1")
+
+
+def test_a_file_with_more_messages_than_bytes_is_read_up_to_a_limit(
+    small: Path, tmp_path: Path
+) -> None:
+    # Each has half a million of the smallest messages; as foreign chunks they would all be valid.
+    message = struct.pack("<BQHIQQ", records.MESSAGE, 22, 1, 0, START, START)
+    large = packed_chunk(message * (records.CHUNK_BYTES // len(message)))
+    path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
+
+    capture = open_capture(path)
+
+    assert "more than 500000 messages, and more than one in 2 bytes" in capture.damage[0]
+    most = recovery.MESSAGES_FREE + path.stat().st_size // 2
+    assert sum(capture.contents.counts.values()) <= most
+
+
+def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recovery, "UNPACKED_SHARE", 100)
+    message = struct.pack("<BQHIQQ", records.MESSAGE, 22 + 60_000, 1, 0, START, START)
+    large = packed_chunk((message + bytes(60_000)) * 200)
+    path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
+
+    capture = open_capture(path)
+
+    assert "unpacks to more than 32 MiB and 100 x its size" in capture.damage[0]
+    room = recovery.UNPACKED_FREE + recovery.UNPACKED_SHARE * path.stat().st_size
+    assert 0 < sum(capture.contents.sizes.values()) <= room
+
+
+def test_zeros_for_hours_are_read_whole(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "z.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
+        for t in range(2_000):
+            capture.chunk(Chunk(t, "host", bytes(40_000)))
+
+    read = open_capture(path)
+
+    assert read.damage == ()
+    assert read.contents.sizes["/host/raw"] == 80_000_000 > 100 * path.stat().st_size
+
+
+def test_a_million_loose_channels_are_not_all_read(small: Path, tmp_path: Path) -> None:
+    empty = struct.pack("<HHIII", 9, 0, 0, 0, 0)
+    channel = struct.pack("<BQ", records.CHANNEL, len(empty)) + empty
+    data = foreign_front(small) + channel * (recovery.LOOSE_RECORDS + 1)
+
+    capture = open_capture(with_bytes(tmp_path / "c.mcap", data))
+
+    assert "more than 65536 records stand outside of the chunks" in capture.damage[0]
+
+
+@pytest.mark.parametrize("overwritten", [1, 8, 200, 512])
+def test_the_first_bytes_may_be_damaged(small: Path, tmp_path: Path, overwritten: int) -> None:
+    whole = small.read_bytes()
+    data = bytes(overwritten) + whole[overwritten:]
+
+    capture = open_capture(with_bytes(tmp_path / "m.mcap", data))
+
+    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert capture.damage[0].startswith("the first bytes are damaged (00 ")
+    assert capture.start == START
+
+
+@pytest.mark.parametrize("bit", range(64))
+def test_a_flipped_bit_of_the_magic_loses_nothing(small: Path, tmp_path: Path, bit: int) -> None:
+    data = bytearray(small.read_bytes())
+    data[bit // 8] ^= 1 << bit % 8
+
+    capture = open_capture(with_bytes(tmp_path / "m.mcap", bytes(data)))
+
+    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert len(capture.damage) == 1
+
+
+@pytest.mark.parametrize("at", [1, 3, 6])
+def test_a_chunk_that_stands_twice_is_read_once(small: Path, tmp_path: Path, at: int) -> None:
+    whole = small.read_bytes()
+    places = [*chunk_offsets(whole), whole.index(b"bilprov.seal") - 13]
+    copied = whole[places[0] : places[1]]
+    data = whole[: places[at]] + copied + whole[places[at] :]
+
+    capture = open_capture(with_bytes(tmp_path / "t.mcap", data))
+
+    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert not [event for event in capture if isinstance(event, Line) and event.event == "gap"]
+    assert "a chunk stands in the file a second time" in capture.damage[0]
+    assert sum(capture.contents.counts.values()) == 24

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import struct
 import subprocess
@@ -233,6 +234,24 @@ def test_a_file_deleted_while_recording_is_noticed_at_the_next_flush(tmp_path: P
     with pytest.raises(CaptureError, match=r"the capture file .* was deleted while recording"):
         capture.flush()
     capture.close()
+
+
+@pytest.mark.parametrize("size", [0, 100, 100_000])
+def test_a_file_that_another_program_cuts_is_noticed_at_the_next_flush(
+    tmp_path: Path, size: int
+) -> None:
+    path = tmp_path / "a.mcap"
+    capture = writer(path)
+    capture.chunk(Chunk(0, "host", b"x"))
+    capture.flush()
+    whole = path.stat().st_size
+    os.truncate(path, size)
+    capture.chunk(Chunk(1, "host", b"x"))
+    with pytest.raises(CaptureError, match=r"another program made the capture file .* bytes long"):
+        capture.flush()
+    capture.close()
+    kept = {0: 0, 100: 100}  # never made longer with zeros; what was appended is cut off
+    assert path.stat().st_size == kept.get(size, whole)
 
 
 KILLED = """
