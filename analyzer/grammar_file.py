@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import bilprov.spec
+from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, load
 
 
@@ -23,4 +24,4 @@ def load_protocol(path: str | None = None) -> Protocol:
         raise GrammarError(
             f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error
-    return load(source, file.name)
+    return load(source, printable(file.name))
