@@ -6,7 +6,6 @@ and hold only characters that print: nothing that shows them has to make them sa
 
 from __future__ import annotations
 
-import math
 import reprlib
 from typing import Any
 
@@ -65,7 +64,7 @@ def require_whole(what: str, value: Any, low: int = -LARGEST, high: int = LARGES
 
 def require_number(what: str, value: Any, above: float, most: float) -> None:
     """Raise WrongValue unless the value is a number greater than `above`, and `most` at most."""
-    if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or value != value:
         raise WrongValue(f"{what} is {shown(value)}, allowed is a number")
     if not above < value <= most:
         raise WrongValue(
