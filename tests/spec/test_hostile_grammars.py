@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from random import Random
 
 import pytest
 
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.spec.codec import judge, nearest
 from bilprov.spec.errors import UserError
 from bilprov.spec.explain import explain
@@ -371,9 +373,11 @@ def loaded_or_said(text: str) -> Protocol | str:
         return str(error)
 
 
-def use(protocol: Protocol) -> None:
-    """Decode, judge, explain and apply every header with some data."""
-    for header in range(256):
+def use(protocol: Protocol, headers: Iterable[int]) -> None:
+    """Decode, judge, explain and apply frames with some data, and compute with what is declared."""
+    assert protocol.timing.truncation_timeout + protocol.timing.answer_deadline > 0
+    assert LineSettings(protocol.line.baud, protocol.line.parity, protocol.line.stopbits).byte_time
+    for header in headers:
         for data in (b"", b"\0", b"\xff"):
             frame = (bytes([header]) + data * protocol.lengths[header])[:9]
             judgement = judge(protocol, frame)
@@ -393,12 +397,13 @@ def use(protocol: Protocol) -> None:
 def test_a_random_grammar_is_used_or_refused_in_a_sentence(grammar_text: str, seed: int) -> None:
     random = Random(seed)
     used = 0
-    for _ in range(150):
+    for _ in range(250):
         text = mutant(grammar_text, random)
         protocol = loaded_or_said(text)
         if isinstance(protocol, str):
             assert protocol.isprintable(), text
             assert len(protocol) < 400, text
-        elif (used := used + 1) < 7:
-            use(protocol)
+        else:
+            use(protocol, random.sample(range(256), 16))
+            used += 1
     assert used
