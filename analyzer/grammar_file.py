@@ -7,8 +7,10 @@ from pathlib import Path
 
 import bilprov.spec
 from bilprov.analyzer.files import read_bounded
+from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, load
-from bilprov.spec.safe_grammar import LONGEST
+
+_MOST = 1 << 20  # bytes of a grammar file
 
 
 @cache
@@ -19,10 +21,10 @@ def load_protocol(path: str | None = None) -> Protocol:
     """
     file = Path(path) if path else Path(bilprov.spec.__path__[0]) / "grammar.py"
     try:
-        source = read_bounded(file, LONGEST, pipes=True).decode("utf-8")
+        source = read_bounded(file, _MOST, pipes=True).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise GrammarError(
-            f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
+            f"the grammar {printable(file)} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error
-    return load(source, file.name)
+    return load(source, printable(file.name))

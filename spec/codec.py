@@ -262,5 +262,5 @@ def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
 
 def _cut(part: FieldSpec, value: int) -> int:
     if part.bits:
-        return value & part.high
+        value &= part.high
     return min(max(value, part.low), part.high)

@@ -1,7 +1,8 @@
 """Declarations that a grammar uses besides construct's own: ranges, effects, responses, timing.
 
 Each keeps its arguments as public attributes. construct's own validators hide theirs in a closure,
-and a grammar whose ranges cannot be read could be used for nothing but parsing.
+and a grammar whose ranges cannot be read could be used for nothing but parsing. Each raises
+WrongValue, in one sentence, for an argument of a wrong type or size.
 """
 
 from __future__ import annotations
@@ -14,6 +15,21 @@ from typing import Any
 from construct import Construct, ExprAdapter, Struct, Validator
 
 from bilprov.spec.motion import VARIABLES
+from bilprov.spec.value_checks import (
+    WrongValue,
+    require_kind,
+    require_name,
+    require_number,
+    require_text,
+    require_whole,
+    shown,
+)
+
+_LONGEST_TIME = 3_600_000.0  # ms
+_SHORTEST_TIME = 0.001
+_FASTEST = 1_000_000_000  # bits/s
+_PARITIES = ("N", "E", "O", "M", "S")
+_STOPBITS = (1, 1.5, 2)
 
 
 class Outcome(Enum):
@@ -37,6 +53,11 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
     def __init__(
         self, subcon: Construct, low: int, high: int, bits: str = "", reading: str = ""
     ) -> None:
+        require_kind("the type of a field", subcon, Construct)
+        require_whole("the lowest value of a field", low)
+        require_whole("the highest value of a field", high)
+        require_text("the bits of a field", bits)
+        require_text("the reading of a field", reading)
         super().__init__(subcon)
         self.reading = reading
         self.low = low
@@ -53,6 +74,10 @@ class From:
 
     field: str
     factor: int = 1
+
+    def __post_init__(self) -> None:
+        require_name("the field of a From", self.field)
+        require_whole("the factor of a From", self.factor)
 
 
 class Sets:
@@ -76,6 +101,11 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
     """The data of one instruction (its fields in order), its name in the document, its effect."""
 
     def __init__(self, *fields: Construct, document: str, effect: Sets | None = None) -> None:
+        for field in fields:
+            require_kind("a field of an Instruction", field, Construct)
+        require_text("the document of an Instruction", document)
+        if effect is not None:
+            require_kind("the effect of an Instruction", effect, Sets)
         super().__init__(*fields)
         self.document = document
         self.effect = effect or Sets()
@@ -90,11 +120,22 @@ class Answer:
     document: str
     prose: str
 
+    def __post_init__(self) -> None:
+        require_name("the name of an Answer", self.name)
+        require_kind(f"the outcome of {self.name}", self.outcome, Outcome)
+        require_text(f"the document of {self.name}", self.document)
+        require_text(f"the prose of {self.name}", self.prose)
+
 
 class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
     """A response byte that is one of `answers` (code -> Answer); parses to the answer's name."""
 
     def __init__(self, subcon: Construct, answers: Mapping[int, Answer]) -> None:
+        require_kind("the type of a response", subcon, Construct)
+        require_kind("the responses", answers, dict)
+        for code, answer in answers.items():
+            require_whole("the code of a response", code, 0, 255)
+            require_kind(f"the response {code}", answer, Answer)
         codes = {answer.name: code for code, answer in answers.items()}
         super().__init__(
             subcon,
@@ -115,6 +156,12 @@ class Timing:
     answer_longest: float
     stop_longest: float  # R-stop-latency: after the answer
 
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            require_number(
+                f"Timing.{name} in ms", getattr(self, name), _SHORTEST_TIME, _LONGEST_TIME
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class LineDefaults:
@@ -123,6 +170,14 @@ class LineDefaults:
     baud: int
     parity: str
     stopbits: float
+
+    def __post_init__(self) -> None:
+        require_whole("LineDefaults.baud", self.baud, 1, _FASTEST)
+        for name, allowed in (("parity", _PARITIES), ("stopbits", _STOPBITS)):
+            value = getattr(self, name)
+            if value not in allowed or isinstance(value, bool):
+                words = ", ".join(map(str, allowed))
+                raise WrongValue(f"LineDefaults.{name} is {shown(value)}, allowed are {words}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,3 +188,7 @@ class Clauses:
     instructions: str
     responses: str
     safety: str
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            require_text(f"Clauses.{name}", getattr(self, name))

@@ -9,13 +9,15 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+import warnings
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from math import prod
 from typing import Any
 
-from construct import BitStruct, Construct, ConstructError, Renamed
+from construct import BitsInteger, BitStruct, Construct, Renamed, Struct
 
 from bilprov.spec.errors import UserError
 from bilprov.spec.fields import (
@@ -30,6 +32,16 @@ from bilprov.spec.fields import (
     Timing,
 )
 from bilprov.spec.motion import Effect, Motion, State
+from bilprov.spec.value_checks import (
+    WrongValue,
+    one_line,
+    require_name,
+    require_text,
+    require_whole,
+    shown,
+)
+
+_MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square of their number
 
 
 class GrammarError(UserError):
@@ -236,67 +248,88 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     """
     space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
     try:
-        # dont_inherit: a grammar does not inherit this file's __future__ imports.
-        text = _BARE.sub("from bilprov.spec.", source)
-        exec(compile(text, origin, "exec", dont_inherit=True), space)
+        with warnings.catch_warnings():  # Python's remarks about the text are not ours to print
+            warnings.simplefilter("ignore")
+            tree = ast.parse(_BARE.sub("from bilprov.spec.", source), origin)
+            # dont_inherit: a grammar does not inherit this file's __future__ imports.
+            code = compile(tree, origin, "exec", dont_inherit=True)
+        exec(code, space)
+    except WrongValue as error:
+        raise GrammarError(
+            f"the grammar {origin} cannot be used: {error}{_line(error, origin)}"
+        ) from error
     except (Exception, SystemExit) as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         what = error.msg if isinstance(error, SyntaxError) else error
         raise GrammarError(
-            f"the grammar {origin} does not load: {type(error).__name__}: {what}{line}; "
+            f"the grammar {origin} does not load: {type(error).__name__}: {one_line(what)}{line}; "
             "start from a copy of spec/grammar.py"
         ) from error
     try:
-        _require_each_id_once(source)
+        _require_each_id_once(tree)
         return _read(space, source, origin)
-    except GrammarError as error:
+    except (GrammarError, WrongValue) as error:
         raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
-    except (ConstructError, AttributeError, TypeError, ValueError) as error:
+    except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
-            f"the grammar {origin} cannot be used: {' '.join(str(error).split())}; "
+            f"the grammar {origin} cannot be used: {one_line(error)}; "
             "compare it with spec/grammar.py"
         ) from error
 
 
-def _require_each_id_once(source: str) -> None:
+def _line(error: BaseException, origin: str) -> str:
+    """Where in the grammar an error comes from, in words; none if that is not known."""
+    trace, line = error.__traceback__, 0
+    while trace:
+        if trace.tb_frame.f_code.co_filename == origin:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return f" (line {line})" if line else ""
+
+
+def _require_each_id_once(tree: ast.Module) -> None:
     """Raise GrammarError for a number that stands twice: Python silently drops one of them."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Dict):
             keys = [key.value for key in node.keys if isinstance(key, ast.Constant)]
-            twice = _twice([str(key) for key in keys])
-            if twice:
-                raise GrammarError(f"the number {twice} stands twice in line {node.lineno} and on")
+            twice = _twice(keys)
+            if twice is not None:
+                raise GrammarError(
+                    f"the number {shown(twice)} stands twice in line {node.lineno} and on"
+                )
 
 
 def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     headers, header_bits = _headers(_take(space, "HEADER", Construct))
     longest = max(length for _, length in headers)
     declared = _take(space, "INSTRUCTIONS", dict)
+    carried = {identity for identity, _ in headers}
+    for identity in declared:
+        require_whole("an ID in INSTRUCTIONS", identity)
+        if identity not in carried:
+            raise GrammarError(f"the header cannot carry the ID {identity}")
     instructions = tuple(_instruction(i, declared[i], longest) for i in sorted(declared))
-    out = [s.id for s in instructions if s.id not in {identity for identity, _ in headers}]
-    if out:
-        raise GrammarError(f"the header cannot carry the ID {out[0]}")
-    twice = _twice([spec.name for spec in instructions])
-    if twice:
-        raise GrammarError(f"two instructions are named {twice}")
+    _require_each_name_once("two instructions are named", (spec.name for spec in instructions))
     if not any(s.effect.motion is Motion.STOPPED and not s.length for s in instructions):
         raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
+    response = _take(space, "RESPONSE", Answers)
+    if response.sizeof() != 1:
+        raise GrammarError("RESPONSE must be one byte")
     responses = tuple(
         ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcome)
-        for code, answer in sorted(_take(space, "RESPONSE", Answers).answers.items())
+        for code, answer in sorted(response.answers.items())
     )
+    _require_each_name_once("two responses are named", (spec.name for spec in responses))
     missing = [o.value for o in Outcome if o not in {spec.outcome for spec in responses}]
     if missing:
         raise GrammarError(f"no response stands for {', '.join(missing)}")
-    twice = _twice([spec.outcome.value for spec in responses])
-    if twice:
-        raise GrammarError(f"two responses stand for {twice}")
+    _require_each_name_once("two responses stand for", (o.outcome.value for o in responses))
     return Protocol(
         source=source,
         origin=origin,
-        name=_take(space, "NAME", str),
-        version=_take(space, "VERSION", str),
-        document=_take(space, "DOCUMENT", str),
+        name=_text(space, "NAME"),
+        version=_text(space, "VERSION"),
+        document=_text(space, "DOCUMENT"),
         instructions=instructions,
         responses=responses,
         headers=headers,
@@ -318,15 +351,30 @@ def _take(space: dict[str, Any], name: str, kind: type) -> Any:
     return space[name]
 
 
+def _text(space: dict[str, Any], name: str) -> str:
+    """Return the text of that name."""
+    text: str = _take(space, name, str)
+    require_text(name, text)
+    return text
+
+
 def _headers(
     header: BitStruct,
 ) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[str, int, str], ...]]:
     """Return (ID, length) of every header byte, and (name, width in bits, prose) of each part."""
     if header.sizeof() != 1:
-        raise GrammarError(f"HEADER is {header.sizeof()} bytes long; it must be one byte")
-    parts = tuple((part.name, part.sizeof(), _prose(part)) for part in header.subcon.subcons)
-    if sorted(name for name, _, _ in parts) != ["id", "length"]:
+        raise GrammarError(f"HEADER is {shown(header.sizeof())} bytes long; it must be one byte")
+    struct = getattr(header, "subcon", None)
+    members: list[Construct] = struct.subcons if isinstance(struct, Struct) else []
+    if sorted(str(part.name) for part in members) != ["id", "length"]:
         raise GrammarError("HEADER must have the parts id and length")
+    for part in members:
+        bits = _unwrap(part)
+        if type(bits) is not BitsInteger or bits.signed or bits.swapped:
+            raise GrammarError(f"HEADER.{part.name} must be written BitsInteger(width)")
+        require_whole(f"the width of HEADER.{part.name}", bits.length, 1, 8)
+        require_text(f"the prose of HEADER.{part.name}", _prose(part))
+    parts = tuple((part.name, part.sizeof(), _prose(part)) for part in members)
     bits = sum(width for _, width, _ in parts)
     if bits != 8:
         raise GrammarError(f"the parts of HEADER have {bits} bits together; they must have 8")
@@ -334,10 +382,18 @@ def _headers(
     return tuple((one.id, one.length) for one in parsed), parts
 
 
-def _twice(names: list[str]) -> str:
-    """Return the first name that stands twice in any case (users may write any), else none."""
-    folded = [name.lower() for name in names]
-    return next((n for n, low in zip(names, folded, strict=True) if folded.count(low) > 1), "")
+def _twice(values: Iterable[Hashable]) -> Any:
+    """Return the first value that stands twice, None if there is none."""
+    return next((value for value, count in Counter(values).items() if count > 1), None)
+
+
+def _require_each_name_once(what: str, names: Iterable[str]) -> None:
+    """Raise GrammarError for a name that stands twice in any case: users may write any."""
+    by_name: dict[str, str] = {}
+    for name in names:
+        if name.lower() in by_name:
+            raise GrammarError(f"{what} {by_name[name.lower()]}")
+        by_name[name.lower()] = name
 
 
 def _prose(declaration: Construct) -> str:
@@ -354,57 +410,73 @@ def _instruction(identity: int, declaration: Construct, longest: int) -> Instruc
     body = _unwrap(declaration)
     if not isinstance(body, Instruction) or not declaration.name:
         raise GrammarError(f'instruction {identity} must be written "Name" / Instruction(...)')
-    fields, offset = [], 0
+    name = declaration.name
+    require_name(f"the name of instruction {identity}", name)
+    require_text(f"the prose of {name}", _prose(declaration))
+    if len(body.subcons) > _MOST_FIELDS:
+        raise GrammarError(f"{name} has {len(body.subcons)} fields, allowed are {_MOST_FIELDS}")
+    fields: list[FieldSpec] = []
     for member in body.subcons:
-        ranged = _unwrap(member)
-        if not isinstance(ranged, Ranged):
-            raise GrammarError(
-                f"{declaration.name}.{member.name} has no range: write Ranged(Byte, low, high)"
-            )
-        _check_range(f"{declaration.name}.{member.name}", ranged)
-        size = ranged.sizeof()
-        fields.append(
-            FieldSpec(
-                name=member.name,
-                prose=_prose(member),
-                offset=offset,
-                size=size,
-                low=ranged.low,
-                high=ranged.high,
-                bits=ranged.bits,
-                reading=ranged.reading,
-                parse=ranged.subcon.parse,
-                build=ranged.subcon.build,
-            )
-        )
-        offset += size
-    twice = _twice([spec.name for spec in fields])
-    if twice:
-        raise GrammarError(f"{declaration.name} has two fields named {twice}")
-    if offset > longest:
-        raise GrammarError(
-            f"{declaration.name} has {offset} data bytes; a header announces at most {longest}"
-        )
+        fields.append(_field(name, member, sum(part.size for part in fields)))
+    _require_each_name_once(f"{name} has two fields named", (part.name for part in fields))
+    length = sum(part.size for part in fields)
+    if length > longest:
+        raise GrammarError(f"{name} has {length} data bytes; a header announces at most {longest}")
     return InstructionSpec(
         id=identity,
-        name=declaration.name,
+        name=name,
         document=body.document,
         prose=_prose(declaration),
-        length=offset,
+        length=length,
         fields=tuple(fields),
         effect=_effect(body.effect, tuple(spec.name for spec in fields)),
     )
 
 
-def _check_range(name: str, ranged: Ranged) -> None:
+def _field(instruction: str, member: Construct, offset: int) -> FieldSpec:
+    require_name(f"the name of a field of {instruction}", member.name)
+    name = f"{instruction}.{member.name}"
+    require_text(f"the prose of {name}", _prose(member))
+    ranged = _unwrap(member)
+    if not isinstance(ranged, Ranged):
+        raise GrammarError(f"{name} has no range: write Ranged(Byte, low, high)")
+    size = ranged.sizeof()
+    require_whole(f"the size of {name} in bytes", size, 1, 255)
+    _require_whole_numbers(name, ranged, size)
     low, high = ranged.low, ranged.high
     if low > high:
         raise GrammarError(f"{name} has the range {low} to {high}, which holds nothing")
+    if len(ranged.bits) > 8 * size:
+        raise GrammarError(f"{name} names {len(ranged.bits)} bits, it has {8 * size}")
+    return FieldSpec(
+        name=member.name,
+        prose=_prose(member),
+        offset=offset,
+        size=size,
+        low=low,
+        high=high,
+        bits=ranged.bits,
+        reading=ranged.reading,
+        parse=ranged.subcon.parse,
+        build=ranged.subcon.build,
+    )
+
+
+def _require_whole_numbers(name: str, ranged: Ranged, size: int) -> None:
+    """Raise GrammarError unless any bytes are a whole number, and both ends of the range bytes."""
+    inner = ranged.subcon
     try:
-        ranged.build(low)
-        ranged.build(high)
-    except ConstructError:
-        raise GrammarError(f"{name} cannot carry its range {low} to {high}") from None
+        for raw in (bytes(size), b"\xff" * size):
+            value = inner.parse(raw)
+            if type(value) is not int or inner.build(value) != raw:
+                raise GrammarError(f"{name} is no whole number")
+    except Exception as error:
+        raise GrammarError(f"the type of {name} must be a whole number, such as Byte") from error
+    try:
+        inner.build(ranged.low)
+        inner.build(ranged.high)
+    except Exception:
+        raise GrammarError(f"{name} cannot carry its range {ranged.low} to {ranged.high}") from None
 
 
 def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:
@@ -413,11 +485,15 @@ def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:
         if isinstance(value, From):
             if value.field not in fields:
                 raise GrammarError(f"an effect names the field {value.field}, which is not there")
+            if variable == "motion":
+                raise GrammarError("an effect sets motion to a number, allowed is a Motion")
             assignments.append((variable, (value.field, value.factor)))
         elif variable == "motion":
-            assignments.append((variable, Motion(str(value))))
-        elif isinstance(value, int):
-            assignments.append((variable, value))
+            motion = next((motion for motion in Motion if motion == value), None)
+            if motion is None:
+                raise GrammarError(f"an effect sets motion to {shown(value)}, allowed is a Motion")
+            assignments.append((variable, motion))
         else:
-            raise GrammarError(f"an effect sets {variable} to {value!r}, which is no number")
+            require_whole(f"what an effect sets {variable} to", value)
+            assignments.append((variable, int(value)))
     return Effect(tuple(assignments))

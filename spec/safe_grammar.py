@@ -2,12 +2,16 @@
 
 A grammar is Python. One that the user names is run unchecked. One from a file that somebody else
 may have made is run only if it holds nothing but imports of the names below, constants, and calls
-of those names, as the kit's own grammar does. Such a text can reach nothing else.
+of those names, as the kit's own grammar does. Such a text can reach nothing else, and with every
+name replaced by its value it is so short and so flat that whoever walks its values ends soon.
 """
 
 from __future__ import annotations
 
 import ast
+import warnings
+
+from bilprov.spec.value_checks import one_line
 
 WORDS = {
     "__future__": {"annotations"},
@@ -24,7 +28,9 @@ WORDS = {
 }
 """The names that a grammar may import, by module."""
 
-LONGEST = 1 << 20  # characters of a grammar's text
+LONGEST = 1 << 18  # characters of a grammar's text
+LARGEST_EXPANSION = 1 << 15  # parts of its values together, each name replaced by its value
+DEEPEST = 40  # parts within each other; the kit's own grammar has 12
 _LARGEST = 1 << 32  # the largest number
 _WIDEST = 64  # the largest number passed to construct, which allocates memory for widths
 
@@ -38,7 +44,10 @@ def require_declarations(source: str) -> None:
     if len(source) > LONGEST:
         raise NotDeclared(f"it is {len(source)} characters long, allowed are {LONGEST}")
     try:
-        _Vetting().statements(ast.parse(source))
+        with warnings.catch_warnings():  # Python's remarks about the text are not ours to print
+            warnings.simplefilter("ignore")
+            tree = ast.parse(source)
+        _Vetting().statements(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise NotDeclared(f"it cannot be parsed: {type(error).__name__}") from error
 
@@ -51,7 +60,9 @@ def _today(module: str) -> str:
 class _Vetting:
     def __init__(self) -> None:
         self._words: dict[str, str] = {}  # imported name -> module
-        self._values: dict[str, ast.expr] = {}  # assigned name -> its value
+        self._values: dict[str, ast.expr] = {}  # assigned name -> its value, which is no name
+        self._extents: dict[str, tuple[int, int]] = {}  # assigned name -> parts, depth of its value
+        self._size = 0  # parts so far
 
     def statements(self, tree: ast.Module) -> None:
         for node in tree.body:
@@ -64,8 +75,10 @@ class _Vetting:
                             raise _refused(node, f"it imports {name.name} from {module}")
                         self._words[name.name] = module
                 case ast.Assign([ast.Name(name)], value) if self._free(name):
-                    self._check(value)
-                    self._values[name] = value
+                    before = self._size
+                    depth = self._check(value)
+                    self._extents[name] = (self._size - before, depth)
+                    self._values[name] = self._meant(value)
                 case _:
                     raise _refused(node, f"there is a {type(node).__name__}")
 
@@ -73,43 +86,59 @@ class _Vetting:
         """Return whether a name may be assigned: not assigned, not imported, not beginning `__`."""
         return not (name in self._words or name in self._values or name.startswith("__"))
 
-    def _check(self, node: ast.expr) -> None:
+    def _check(self, node: ast.expr) -> int:
+        """Refuse what is no declaration; return how many parts lie within each other."""
+        size, depth = 1, 0
+        parts: list[ast.expr] = []
         match node:
             case ast.Constant(value):
                 _check_constant(node, value)
             case ast.UnaryOp(ast.USub(), ast.Constant(int() | float() as value)):
                 _check_constant(node, value)
-            case ast.Name(name) if name in self._words or name in self._values:
+            case ast.Name(name) if name in self._words:
                 pass
+            case ast.Name(name) if name in self._extents:
+                size, depth = self._extents[name]
             case ast.Attribute():
-                self._check_attribute(node)
+                size = depth = self._check_attribute(node)
             case ast.Tuple(items) | ast.List(items):
-                self._check_all(items)
+                parts = items
             case ast.Dict(keys, values) if None not in keys:
-                self._check_all([key for key in keys if key is not None])
-                self._check_all(values)
-            case ast.Call(ast.Name(name), arguments, keywords) if name in self._words:
+                parts = [*(key for key in keys if key is not None), *values]
+            case ast.Call(ast.Name(name), arguments, keywords) if self._called(name):
                 given = [*arguments, *(word.value for word in keywords if word.arg)]
                 if len(given) < len(arguments) + len(keywords):
                     raise _refused(node, "there is a **")
-                self._check_all(given)
+                parts = given
                 if self._words[name] == "construct":
                     self._check_widths(node, given)
             case ast.BinOp(ast.Constant(str()), ast.Div(), right):
-                self._check(right)
+                parts = [right]
             case ast.BinOp(left, ast.Mult(), ast.Constant(str())) if self._declares(left):
-                self._check(left)
+                parts = [left]
             case _:
                 raise _refused(node, f"there is a {type(node).__name__}")
+        self._size += size
+        if self._size > LARGEST_EXPANSION:
+            raise _refused(node, f"with names replaced it has over {LARGEST_EXPANSION} parts")
+        depth = 1 + max([depth, *map(self._check, parts)])
+        if depth > DEEPEST:
+            raise _refused(node, f"more than {DEEPEST} parts lie within each other")
+        return depth
 
-    def _check_all(self, nodes: list[ast.expr]) -> None:
-        for node in nodes:
-            self._check(node)
+    def _called(self, name: str) -> bool:
+        """Return whether a name may be called: a call of `this` would only hide its argument."""
+        return name in self._words and name not in ("this", "annotations")
 
-    def _check_attribute(self, node: ast.Attribute) -> None:
-        """Accept `Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; refuse other attributes."""
+    def _check_attribute(self, node: ast.Attribute) -> int:
+        """Accept `Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; refuse other attributes.
+
+        Returns how many attributes there are.
+        """
         inner: ast.expr = node
+        count = 0
         while isinstance(inner, ast.Attribute):
+            count += 1
             if inner.attr.startswith("_"):
                 raise _refused(node, f"there is a .{inner.attr}")
             inner = inner.value
@@ -118,6 +147,7 @@ class _Vetting:
         simple = inner is node.value
         if inner.id != "this" and not (inner.id in ("Motion", "Outcome") and simple):
             raise _refused(node, f"there is an attribute of {inner.id}")
+        return count
 
     def _declares(self, node: ast.expr) -> bool:
         """Return whether the node is a declaration: a text times a number could fill the memory."""
@@ -127,9 +157,7 @@ class _Vetting:
 
     def _meant(self, node: ast.expr) -> ast.expr:
         """Return the value of an assigned name; any other node is returned as it is."""
-        while isinstance(node, ast.Name) and node.id in self._values:
-            node = self._values[node.id]
-        return node
+        return self._values.get(node.id, node) if isinstance(node, ast.Name) else node
 
     def _check_widths(self, node: ast.expr, given: list[ast.expr]) -> None:
         for part in map(self._meant, given):
@@ -146,4 +174,4 @@ def _check_constant(node: ast.expr, value: object) -> None:
 
 
 def _refused(node: ast.AST, what: str) -> NotDeclared:
-    return NotDeclared(f"{what} in line {getattr(node, 'lineno', 0)}")
+    return NotDeclared(f"{one_line(what)} in line {getattr(node, 'lineno', 0)}")

@@ -21,7 +21,7 @@ def bar(*columns: ProgressColumn, shown: bool = True) -> Bar:
     """A progress bar on standard error, with a description first; shown on a terminal only."""
     console = Console(stderr=True)
     return Bar(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),  # a case has names of the grammar
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),

@@ -200,7 +200,8 @@ def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> No
 @click.option(
     "--grammar",
     metavar="FILE.py",
-    help="Another grammar of the same family: a changed copy of spec/grammar.py.",
+    help="Another grammar of the same family: a changed copy of spec/grammar.py. Runs the file as "
+    "Python: name only files that you trust; a grammar inside a capture is only read.",
 )
 @click.option(
     "--version",

@@ -23,7 +23,7 @@ from bilprov.spec.codec import (
 )
 from bilprov.spec.fields import Outcome
 from bilprov.spec.grammar import FRAME
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.vectors import (
     COLOURS,
     FRAME_COUNTS,
@@ -308,6 +308,12 @@ def test_the_nearest_valid_frame_is_what_was_most_likely_meant(
     found = nearest(protocol, bytes.fromhex(frame), bytes.fromhex(following))
 
     assert spaced(found) == meant
+
+
+def test_the_nearest_value_of_named_bits_is_in_their_range(grammar_text: str) -> None:
+    lit = load(grammar_text.replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 1, 7,"))
+
+    assert nearest(lit, b"\x81\x08") == b"\x81\x01"
 
 
 @given(data=st.binary(min_size=1, max_size=16), following=st.binary(max_size=3))

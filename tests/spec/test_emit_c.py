@@ -51,7 +51,7 @@ def test_another_grammar_gives_another_header(horn: Protocol) -> None:
 
 
 def test_prose_cannot_end_its_comment(grammar_text: str) -> None:
-    hostile = grammar_text.replace("steering strength", "*/ int x; /* \\\\\\n#define STOP 9")
+    hostile = grammar_text.replace("steering strength", "*/ int x; /* #define STOP 9 \\\\")
 
     text = c_header(load(hostile))
 

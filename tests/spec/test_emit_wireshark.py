@@ -294,9 +294,9 @@ def test_a_grammar_with_any_names_gives_a_script_that_runs(
         ('1: "Speed"', '1: "State"'),
         ('2: "Forward"', '2: "For-ward %d"'),
         ('3: "Backward"', '3: "For ward %D"'),
-        ('7: "RotateLeft"', '7: "Håll \\n--[["'),
+        ('7: "RotateLeft"', '7: "Håll --[["'),
         ('bits="RGB"', 'bits="rR"'),
-        ("Changes the colours", "Changes --]] \\n the colours"),
+        ("Changes the colours", "Changes --]] the colours"),
     ):
         assert odd.count(old) == 1, old
         odd = odd.replace(old, new)
@@ -309,7 +309,7 @@ def test_a_grammar_with_any_names_gives_a_script_that_runs(
 
     assert [row[name] for name in names] == [
         "5",
-        "State|For-ward %d|For ward %D|Håll \\n--[[|LED",
+        "State|For-ward %d|For ward %D|Håll --[[|LED",
         "1",
         "0",
     ]

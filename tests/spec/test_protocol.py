@@ -271,11 +271,11 @@ BROKEN: dict[str, tuple[Any, ...]] = {
     ),
     "effect that is no number": (
         ("steering=0)", 'steering="left")'),
-        "an effect sets steering to 'left', which is no number",
+        "what an effect sets steering to is 'left', allowed is a whole number",
     ),
     "motion that is none": (
         ("motion=Motion.FORWARD", 'motion="sideways"'),
-        "'sideways' is not a valid Motion; compare it with spec/grammar.py",
+        "an effect sets motion to 'sideways', allowed is a Motion",
     ),
     "same name twice": (('5: "Left"', '5: "Right"'), "two instructions are named Right"),
     "same name in another case": (
@@ -298,7 +298,7 @@ BROKEN: dict[str, tuple[Any, ...]] = {
     "negative id": (('8: "LED"', '-1: "LED"'), "the header cannot carry the ID -1"),
     "id that is no number": (
         ('8: "LED"', '"8": "LED"'),
-        "compare it with spec/grammar.py",
+        "an ID in INSTRUCTIONS is '8', allowed is a whole number",
     ),
     "too long data": (
         (STRENGTH, f'{TOO_LONG}, document="Höger"'),

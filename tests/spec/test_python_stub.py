@@ -47,7 +47,7 @@ def test_the_stub_of_another_grammar_has_its_instructions(horn: Protocol) -> Non
     assert signatures(python_stub(horn))["horn"] == ["sound"]
 
 
-HOSTILE = 'A "quoted" \\\\ end, """ and \\n\\n more ' + "word " * 40 + "\\\\"
+HOSTILE = 'A "quoted" \\\\ end, """ and more ' + "word " * 40 + "\\\\"
 
 
 def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
