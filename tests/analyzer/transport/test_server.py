@@ -266,15 +266,6 @@ def test_requests_that_a_probe_does_not_know_get_an_error(served: Start) -> None
         assert ask(probe, b"te\n")["moving"] is False
 
 
-def test_a_probe_that_sends_no_lines_is_closed(served: Start) -> None:
-    room = served(Echo(), pty=True, probe_listen="127.0.0.1:0")
-    with room.probe() as probe, contextlib.suppress(ConnectionError):
-        probe.sendall(bytes(4096))
-        assert probe.recv(1) == b""
-    with room.probe() as probe:
-        assert ask(probe)["moving"] is False
-
-
 def test_a_probe_that_ends_its_sending_is_answered_and_closed(served: Start) -> None:
     with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
         probe.sendall(b"state\nstate\n")
