@@ -214,12 +214,15 @@ def test_a_served_end_sends_small_writes_at_once_and_to_nobody_gone() -> None:
 
 
 class Counted(ListeningEnd):
-    """A listening end that counts how often it is read."""
+    """A listening end that counts how often it is read; from the third time on `timer` runs."""
 
     reads = 0
+    timer: threading.Timer
 
     def read(self) -> bytes:
         self.reads += 1
+        if self.reads == 3:
+            self.timer.start()
         return super().read()
 
 
@@ -229,11 +232,10 @@ def test_without_a_free_descriptor_a_line_waits_until_one_is_free() -> None:
     with Stopper() as stopper, closing(Counted("127.0.0.1:0")) as end, open_pty() as pty:
         other = OpenedEnd(pty.read, pty.write_some, pty.close, waited=(pty.master,))
         with connected(end.served):
-            stop = threading.Timer(0.5, stopper.stop)
-            stop.start()
+            end.timer = threading.Timer(0.5, stopper.stop)
             with no_descriptor_left():
                 join((end, other), (clean[0], clean[1]), stop=stopper, note=notes.append)
-            stop.join()
+            end.timer.join()
             assert end.reads < 50  # a loop that spins makes tens of thousands
             assert notes == [NO_DESCRIPTOR]
             end.read()
