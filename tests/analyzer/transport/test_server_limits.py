@@ -207,6 +207,14 @@ def test_a_flood_of_requests_is_answered_one_a_turn_and_the_device_goes_on(start
     assert heard(flood).count(b"\n") == 100  # none is left out
 
 
+def test_requests_that_came_together_are_all_answered_without_further_bytes(start: Start) -> None:
+    client = (room := start(Patient())).probe()
+    client.sendall(b"state\n" * 3)
+    room.turns(3)
+
+    assert heard(client).count(b"\n") == 3
+
+
 def test_a_probe_is_answered_before_200_slow_clients_next_bytes_are_taken(start: Start) -> None:
     device = Recorder()
     room = start(device)
