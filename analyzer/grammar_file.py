@@ -25,6 +25,7 @@ def load_protocol(path: str | None = None) -> Protocol:
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise GrammarError(
-            f"the grammar {printable(file)} cannot be read: {what}; start from a copy of spec/grammar.py"
+            f"the grammar {printable(file)} cannot be read: {what}; start from a copy of "
+            "spec/grammar.py"
         ) from error
     return load(source, printable(file.name))

@@ -65,7 +65,9 @@ Join A and B by a bad line: bytes go both ways, and some are lost, changed, doub
 A and B are each a device that is opened (a path or a pyserial URL), {SERVED_IN_WORDS}. What was
 made is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
 every byte passes unchanged and at once. What arrives at a listening end without a client is gone;
-at a pty it waits for the program that opens it, as in a driver's buffer.
+at a pty it waits for the program that opens it, as in a driver's buffer. A listening end takes one
+client at a time and closes others; any machine reaches it only where HOST says so, as in
+listen:0.0.0.0:5000, and a warning tells that.
 
 A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
 or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
@@ -129,7 +131,7 @@ def line(
 
 
 def _opened(names: tuple[str, str], settings: LineSettings, stack: ExitStack) -> tuple[End, End]:
-    """Open both ends, and print the names under which new ptys and listeners can be opened."""
+    """Open both ends; print the names of new ptys and listeners, and who else reaches them."""
 
     def opened(name: str) -> End:
         try:
@@ -141,6 +143,8 @@ def _opened(names: tuple[str, str], settings: LineSettings, stack: ExitStack) ->
 
     ends = opened(names[0]), opened(names[1])
     for end in ends:
+        if end.warning:
+            note(end.warning)
         if end.served:
             click.echo(end.served)
     return ends

@@ -14,7 +14,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line
 from bilprov.analyzer.transport.pty import open_pty
-from bilprov.analyzer.transport.streams import Stream, accept_all, listen_on, shown_address
+from bilprov.analyzer.transport.streams import Listener, Stream
 
 
 def require_two_ends(a: str, b: str) -> None:
@@ -46,6 +46,7 @@ class OpenedEnd:
     `read` returns the available bytes and raises LinkError once the end is lost, `write_some`
     returns how many bytes were taken. `served` is the name under which others open the end, "" for
     a device; `port` is what wait_readable waits for, None if there are only `waited` descriptors.
+    `warning` and `full` are a listener's: nobody connects to this end.
     """
 
     read: Callable[[], bytes]
@@ -54,6 +55,8 @@ class OpenedEnd:
     served: str = ""
     port: Port | None = None
     waited: tuple[int, ...] = ()
+    warning: str = ""
+    full: bool = False
 
     def descriptors(self) -> list[int]:
         """Return the descriptors that select waits for besides the port."""
@@ -70,29 +73,36 @@ class ListeningEnd:
     """A raw TCP listener as an end, for one client at a time. It is never lost.
 
     Bytes that arrive while no client is connected are dropped, as at the open end of a cable. A
-    client that only ended its sending still gets what arrives, until another one connects. Raises
-    ValueError for an invalid address, LinkError for one that is not available.
+    client that only ended its sending still gets what arrives, until another one connects.
+    `warning` is a sentence if other machines reach the address, else "". Raises ValueError for an
+    invalid address, LinkError for one that is not available.
     """
 
     port = None
 
     def __init__(self, address: str) -> None:
-        self._listener = listen_on(address)
+        self._listener = Listener(address)
         self._client: Stream | None = None
-        self.served = f"socket://{shown_address(self._listener)}"
+        self.served = f"socket://{self._listener.address}"
+        self.warning = self._listener.warning("drive the robot and read what it answers")
 
     def descriptors(self) -> list[int]:
-        """Return the listener, and the client while it may send."""
+        """Return the listener, unless it is full, and the client while it may send."""
         client = self._client
         return [
-            self._listener.fileno(),
+            *([] if self._listener.full else [self._listener.fileno()]),
             *([client.fileno()] if client is not None and not client.ended else []),
         ]
+
+    @property
+    def full(self) -> bool:
+        """Whether clients wait because no file descriptor is free; `read` tries again."""
+        return self._listener.full
 
     def read(self) -> bytes:
         """Return what the client has sent; accept the next client once it has ended its sending."""
         data = self._client.take() if self._client is not None else b""
-        for stream in accept_all(self._listener):
+        for stream in self._listener.accept():
             if self._client is not None and not self._client.ended:
                 stream.close()
             else:

@@ -14,6 +14,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.server import Stop
+from bilprov.analyzer.transport.streams import FULL_REST, NO_DESCRIPTOR
 
 _RETRY = 1_000_000  # ns between attempts to forward bytes that a peer did not take
 
@@ -78,16 +79,21 @@ def join(
 ) -> None:
     """Forward bytes from the first end through the first lane to the second, and back by the other.
 
-    Returns once `stop` is readable. `note` gets a sentence when a peer does not read. Raises the
-    LinkError of a lost end, after all bytes from it have been forwarded. Forwarded bytes that no
-    program has read from a pty are lost when the pty is closed.
+    Returns once `stop` is readable. `note` gets a sentence when a peer does not read, and when no
+    file descriptor is free for one that connects. Raises the LinkError of a lost end, after all
+    bytes from it have been forwarded. Forwarded bytes that no program has read from a pty are lost
+    when the pty is closed.
     """
     a, b = _Side(ends[0]), _Side(ends[1])
     ways = _Way(a, directions[0], b), _Way(b, directions[1], a)
+    told_full = False
     while not _stopped(ways, stop, clock()):
         for way in ways:
             data = way.start.read()
             way.direction.put(data, clock())
+        if not told_full and any(end.full for end in ends):
+            told_full = True
+            note(NO_DESCRIPTOR)
         for way in ways:
             now = clock()
             complaint = way.out.push(way.direction.take(now), now)
@@ -100,6 +106,7 @@ def _stopped(ways: Sequence[_Way], stop: Stop, now: int) -> bool:
     """Wait until a way needs a turn; return True once `stop` is readable."""
     ends = [way.start.end for way in ways if way.start.lost is None]
     turns = [t for way in ways if (t := way.wanted(now)) is not None]
+    turns += [now + FULL_REST for end in ends if end.full]
     _, found = wait_readable(
         [end.port for end in ends if end.port is not None],
         max(0, min(turns) - now) / 1e9 if turns else None,

@@ -37,7 +37,8 @@ def emulate(
     The firmware is the ELF file for an Arduino Uno (ATmega328P, 16 MHz). It runs as fast as the
     wall clock, and bytes take as long as on a wire of the grammar's baud. Prints one line for each
     thing it serves: the pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT, which are what
-    sniff, replay, conform and --probe take. The probe tells what the pins show.
+    sniff, replay, conform and --probe take. The probe tells what the pins show. The limits for
+    clients are those of simulate; an address that other machines reach comes with a warning.
 
     For conform alone, emulator:simavr:FIRMWARE.elf is quicker: it needs no pty and no real time.
 
@@ -68,6 +69,7 @@ def emulate(
                 probe_listen=probe_listen,
                 announce=lambda line: click.echo(line),
                 stop=stopper,
+                note=note,
                 clock=lambda: time.monotonic_ns() - power_on,
             )
     except ValueError as error:

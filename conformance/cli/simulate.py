@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
@@ -15,7 +16,9 @@ from bilprov.conformance.mutation.catalogue import listed_faults, listed_variant
 
 @click.command()
 @click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
-@click.option("--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too.")
+@click.option(
+    "--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
+)
 @click.option(
     "--fault",
     metavar="NAME",
@@ -44,6 +47,11 @@ def simulate(
 
     Prints one line for each thing it serves: the pty's path, socket://HOST:PORT, and
     probe tcp:HOST:PORT, which are what sniff, conform and --probe take.
+
+    One host at a time is served over TCP; a second is closed. A host that does not read loses what
+    exceeds 64 KiB. 256 probe clients are served, each with lines of at most 1024 bytes; each is
+    answered once in turn, and one that leaves 32 KiB unread is closed with a line of JSON that
+    says so. 127.0.0.1 is this machine alone; an address that others reach comes with a warning.
     """
     protocol = load_protocol(grammar)
     if list_faults:
@@ -62,6 +70,7 @@ def simulate(
                 probe_listen=probe_listen,
                 announce=lambda line: click.echo(line),
                 stop=stopper,
+                note=note,
             )
         except ValueError as error:
             raise click.UsageError(str(error)) from error

@@ -33,7 +33,8 @@ _TRIES, _TWICE = 3, 2
 _MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
 _BYTES = 8000  # most bytes on the line for all tries of a case
 # Share of bytes spoilt on a usable line; probability below which a failure is no chance.
-_NOISE, _UNLIKELY = 2e-4, 0.005
+_NOISE, _UNLIKELY = 1e-3, 0.005
+_FRAME = 3  # bytes on the line for a frame, its answer included, at least
 _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 _FLAKY = 8
 _TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
@@ -125,8 +126,6 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
     """Attempt a failed case again: whether it is reproduced, in how many tries, of which failed."""
     same_place = same_kind = tries = more = 0
     size = _bytes(case)
-    # A spoilt byte shows in an answer: a missed stop beside right answers is no noise.
-    spoilt = 0 if first.axis == "stop" else 1 - (1 - _NOISE) ** size
     # On a line that was flaky before, the same failure in another place may be noise again.
     needed = _OFTEN + min(run.counters.flaky, _OFTEN)
     # On a line that is flaky throughout each case gets fewer tries.
@@ -138,14 +137,37 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
             more += 1
             same_place += again.where == first.where
             same_kind += again.how == first.how
-        if tries <= _TRIES and same_place >= _TWICE:
+        if same_place >= _TWICE and _no_noise(
+            run, first, _burst_bytes(case, first), same_place, tries
+        ):
             return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
-        if same_kind >= needed and at_least(same_kind, tries, spoilt) < _UNLIKELY:
+        if same_kind >= needed and _no_noise(run, first, size, same_kind, tries):
             return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
     return False, tries, more
+
+
+def _no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
+    """Whether so many of so many tries failed that noise on `size` bytes does not explain it.
+
+    The share of bytes that are spoilt is what the run has met so far, at least the most that the
+    suite bears; and each failure so far was tried again, which makes a coincidence likelier.
+    """
+    if first.axis == "stop":
+        return True  # a spoilt byte shows in an answer: a missed stop beside right answers is none
+    flaky = run.counters.flaky
+    met = 2 * flaky / max(1, _FRAME * run.tally.frames)
+    spoilt = 1 - (1 - min(max(_NOISE, met), 1.0)) ** size
+    return at_least(failed, tries, spoilt) * (1 + flaky) < _UNLIKELY
+
+
+def _burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:
+    """Bytes on the line for the burst in which an attempt failed, answers included."""
+    if isinstance(case, SequenceCase) and tried.mismatch and tried.mismatch.burst >= 0:
+        return sum(len(step.frame) + 1 for step in case.bursts[tried.mismatch.burst].steps)
+    return _bytes(case)
 
 
 def _bytes(case: Case | SequenceCase) -> int:

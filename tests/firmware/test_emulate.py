@@ -424,6 +424,16 @@ def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, listen: list
 
 
 @AVR
+def test_an_address_that_the_network_reaches_is_warned_of() -> None:
+    with emulate(built(), "--listen", "0.0.0.0:0") as served:
+        address = served.port.removeprefix("socket://")
+        code, _, err = ended(served)
+
+    assert code == 0
+    assert err == f"{address} is open to the network: anybody there can drive the robot\n"
+
+
+@AVR
 def test_firmware_that_crashed_stays_served_and_ends_with_2() -> None:
     with emulate(echo("RUNS_OFF")) as served:
         assert served.process.stderr is not None

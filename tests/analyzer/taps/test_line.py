@@ -7,24 +7,26 @@ import select
 import signal
 import socket
 import termios
+import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from random import Random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.taps.ends import ListeningEnd
+from bilprov.analyzer.taps.ends import ListeningEnd, OpenedEnd
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import join
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.streams import parse_address
+from bilprov.analyzer.transport.streams import NO_DESCRIPTOR, parse_address
 from tests.support.commands import Done, command, process
 from tests.support.robots import sentence, simulate, unwell
+from tests.support.scarcity import no_descriptor_left
 from tests.support.wires import PATIENCE, Running, running
 
 pytestmark = pytest.mark.waits
@@ -211,7 +213,49 @@ def test_a_served_end_sends_small_writes_at_once_and_to_nobody_gone() -> None:
         end.close()
 
 
+class Counted(ListeningEnd):
+    """A listening end that counts how often it is read; from the third time on `timer` runs."""
+
+    reads = 0
+    timer: threading.Timer
+
+    def read(self) -> bytes:
+        self.reads += 1
+        if self.reads == 3:
+            self.timer.start()
+        return super().read()
+
+
+def test_without_a_free_descriptor_a_line_waits_until_one_is_free() -> None:
+    notes: list[str] = []
+    clean = [ImpairedDirection(LineFaults(), 1, way) for way in ("A to B", "B to A")]
+    with Stopper() as stopper, closing(Counted("127.0.0.1:0")) as end, open_pty() as pty:
+        other = OpenedEnd(pty.read, pty.write_some, pty.close, waited=(pty.master,))
+        with connected(end.served):
+            end.timer = threading.Timer(0.5, stopper.stop)
+            with no_descriptor_left():
+                join((end, other), (clean[0], clean[1]), stop=stopper, note=notes.append)
+            end.timer.join()
+            assert end.reads < 50  # a loop that spins makes tens of thousands
+            assert notes == [NO_DESCRIPTOR]
+            end.read()
+            assert len(end.descriptors()) == 2
+
+
 # the command
+
+
+@pytest.mark.parametrize(("host", "open_to_all"), [("127.0.0.1", False), ("0.0.0.0", True)])
+def test_an_address_that_the_network_reaches_is_warned_of(host: str, open_to_all: bool) -> None:
+    with running("line", f"listen:{host}:0", "pty") as line:
+        served, _ = served_by(line, 2)
+        code, _, err = line.end()
+
+    address = served.removeprefix("socket://")
+    warning = f"{address} is open to the network: anybody there can drive the robot and read"
+    assert code == 0
+    assert (warning in err.decode()) is open_to_all
+    assert ("network" in err.decode()) is open_to_all
 
 
 class Wire:

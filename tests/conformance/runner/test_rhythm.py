@@ -202,7 +202,7 @@ def test_a_failure_says_its_rhythm(protocol: Protocol, change: React) -> None:
 @pytest.mark.parametrize(
     ("react", "words"),
     [
-        (when(every(every_nth("frames", 64), steered_to(-1)), twice), "every 64th frame: "),
+        (when(every(every_nth("frames", 96), steered_to(-1)), twice), "every 96th frame: "),
         (when(every(every_nth("frames", 64), faulty), silent), "every 64th frame: "),
         (when(every(every_nth("faults", 64), faulty), wrong), "every 64th faulty frame: "),
         (each(20, of_kind(1), twice), "every 20th Speed frame: "),

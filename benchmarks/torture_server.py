@@ -1,0 +1,119 @@
+"""How late a look at the simulator's probe is under 200 slow clients, and beside a flood.
+
+`python -m benchmarks.torture_server [--looks N]`: prints p50 and p99 in ms with nobody else there,
+with 200 clients that send their requests byte by byte, and with one that floods newlines. Ends with
+1 only if a look fails or takes 30 s, or if a slow client or the simulator is cut off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import cycle
+from statistics import quantiles
+from subprocess import PIPE, Popen
+
+from bilprov.analyzer.transport.streams import parse_address
+
+_PATIENCE = 30.0  # s; a look that takes longer has failed
+_SLOW = 200  # clients
+_STEP = 0.001  # s between two looks, and between two bytes of a slow client
+_FLOOD = b"\n" * (1 << 16)
+
+Address = tuple[str, int]
+
+
+def _connected(address: Address) -> socket.socket:
+    return socket.create_connection(address, timeout=_PATIENCE)
+
+
+def _slow(address: Address) -> None:
+    """Send requests byte by byte from 200 clients, and read what is answered."""
+    with ExitStack() as stack:
+        clients = [stack.enter_context(_connected(address)) for _ in range(_SLOW)]
+        for client in clients:
+            client.setblocking(False)
+        for byte in cycle(b"state\n"):
+            for client in clients:
+                client.send(bytes([byte]))
+                with suppress(BlockingIOError):
+                    if not client.recv(1 << 16):
+                        return
+            time.sleep(_STEP)
+
+
+def _flood(address: Address) -> None:
+    """Send newlines without a pause and without reading; connect anew when closed for that."""
+    while True:
+        with suppress(ConnectionError, TimeoutError), _connected(address) as client:
+            while True:
+                client.sendall(_FLOOD)
+
+
+_HARMS: dict[str, Callable[[Address], None]] = {
+    "nobody else": lambda _: time.sleep(3600),
+    f"{_SLOW} slow clients": _slow,
+    "a flood of newlines": _flood,
+}
+
+
+@contextmanager
+def _beside(work: Callable[[Address], None], address: Address) -> Iterator[None]:
+    """Let another process do `work` meanwhile. Raises ValueError if it ends by itself."""
+    process = multiprocessing.Process(target=work, args=(address,), daemon=True)
+    process.start()
+    try:
+        yield
+        if not process.is_alive():
+            raise ValueError("the other clients were cut off")
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _looks(probe: socket.socket, count: int) -> list[float]:
+    """Look so often; the times in ms. Raises OSError or ValueError where a look fails."""
+    took = []
+    with probe.makefile("rb") as answers:
+        for _ in range(count):
+            begin = time.perf_counter()
+            probe.sendall(b"state\n")
+            if "moving" not in json.loads(answers.readline()):
+                raise ValueError("the answer does not say whether it moves")
+            took.append((time.perf_counter() - begin) * 1e3)
+            time.sleep(_STEP)
+    return took
+
+
+def main() -> int:
+    """Measure beside each harm; returns 1 if a look failed or somebody was cut off."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--looks", type=int, default=1000, metavar="N", help="looks each (1000)")
+    count = max(2, parser.parse_args().looks)
+    words = [sys.executable, "-m", "bilprov", "simulate", "--probe-listen", "127.0.0.1:0"]
+    failed = 0
+    with Popen(words, stdout=PIPE, text=True) as served:
+        lines = [served.stdout.readline().strip() for _ in range(2)] if served.stdout else []
+        address = parse_address(lines[1].removeprefix("probe tcp:"))
+        for name, work in _HARMS.items():
+            try:
+                with _connected(address) as probe, _beside(work, address):
+                    _looks(probe, 100)  # until the others are there
+                    percent = quantiles(_looks(probe, count), n=100)
+                told = f"p50 {percent[49]:7.2f} ms, p99 {percent[98]:7.2f} ms"
+            except (OSError, ValueError) as error:
+                failed, told = 1, f"failed: {error}"
+            sys.stdout.write(f"{name:20} {told}\n")
+        failed |= served.poll() is not None
+        served.terminate()
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
