@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Writes requirements.lock.
+LOCKER := uv==0.13.9
 SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
 # Without its cache of compiled files each start of Python would take two seconds, not a half.
 export PYTHONDONTWRITEBYTECODE :=
@@ -16,21 +19,29 @@ PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc
 # Another reader of captures, in JavaScript; npm brings it, where there is one.
 MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0
 
-.PHONY: help setup packages demo test quick whole slow pairs mutants check format lint types bench noise pictures clean
+.PHONY: help setup lock packages demo test quick whole slow pairs mutants check format lint types bench noise pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup: $(STAMP) ## set up .venv with the pinned packages
+setup: $(STAMP) ## set up .venv with the packages of requirements.lock
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "bilprov needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version). Try: make $(MAKECMDGOALS) PYTHON=python3.11" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 	  { echo "this Python has no venv. Run: apt-get install python3-venv" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
+
+lock: ## write requirements.lock anew for pyproject.toml; LOCK_ARGS=--upgrade takes the newest versions
+	$(PYTHON) -m venv build/lock
+	build/lock/bin/python -m pip install --quiet --disable-pip-version-check $(LOCKER)
+	build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
+	  --no-annotate --no-emit-index-url --custom-compile-command 'make lock' $(LOCK_ARGS) \
+	  --output-file requirements.lock pyproject.toml
 
 demo: setup ## simulator, sniff, conform and replay, end to end
 	@$(BIN)/python -m examples.demo
