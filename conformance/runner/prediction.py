@@ -11,11 +11,12 @@ from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Procedure, listen, send
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.homing import home
+from bilprov.conformance.runner.noise import burst_bytes, is_no_noise
 from bilprov.conformance.runner.rhythm import Rhythm, fit
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.tally import VALID, Tally, counters
 
-_HELD = 2  # predictions in a row that prove a rhythm
+_HELD = 2  # predictions in a row that prove a rhythm, more of a burst that noise often spoils
 _GUESSES = 3  # counters tried for one mismatch, each with its best period
 _FACTORS = (2, 3, 5, 7)
 _BATCH = 8  # frames sent ahead on the way to a place
@@ -34,12 +35,13 @@ def find_rhythm(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedur
         run.rhythms.fits += 1
         guesses = fit(run.protocol, tally.sent, tally.places)[:_GUESSES]
     for guess in guesses:
-        held = 0
-        while held < _HELD and not run.rhythms.spent:
+        held, proven, size = 0, False, burst_bytes(case, first)
+        while not proven and not run.rhythms.spent:
             if not (yield from _holds(run, case, first, guess)):
                 break
             held += 1
-        if held == _HELD:
+            proven = held >= _HELD and is_no_noise(run, first, size, held, held)
+        if proven:
             if guess in run.rhythms.proven:
                 return guess
             shortest = yield from _shortest(run, case, first, guess)

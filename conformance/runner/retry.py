@@ -22,8 +22,9 @@ from bilprov.conformance.dut.operations import Ended, Procedure
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
+from bilprov.conformance.runner.noise import burst_bytes, case_bytes, is_no_noise
 from bilprov.conformance.runner.prediction import find_rhythm
-from bilprov.conformance.runner.rhythm import Rhythm, at_least
+from bilprov.conformance.runner.rhythm import Rhythm
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.wheel_sweep import sweep_wheels
@@ -32,10 +33,6 @@ from bilprov.spec.codec import spaced
 _TRIES, _TWICE = 3, 2
 _MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
 _BYTES = 8000  # most bytes on the line for all tries of a case
-# Share of bytes spoilt on a usable line; probability below which a failure is no chance.
-_NOISE, _UNLIKELY = 1e-3, 0.005
-_FRAME = 3  # bytes on the line for a frame, its answer included, at least
-_SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 _FLAKY = 8
 _TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
 
@@ -125,56 +122,29 @@ def _shortened(
 def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int, int]]:
     """Attempt a failed case again: whether it is reproduced, in how many tries, of which failed."""
     same_place = same_kind = tries = more = 0
-    size = _bytes(case)
+    size = case_bytes(case)
     # On a line that was flaky before, the same failure in another place may be noise again.
     needed = _OFTEN + min(run.counters.flaky, _OFTEN)
     # On a line that is flaky throughout each case gets fewer tries.
     most = _TRIES if run.counters.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
-    while tries < most:
+    # What fails in its place each time is told from noise by further tries.
+    while tries < most or same_place == tries < _MORE:
         again = yield from _retry(run, case)
         tries += 1
         if again.failed:
             more += 1
             same_place += again.where == first.where
             same_kind += again.how == first.how
-        if same_place >= _TWICE and _no_noise(
-            run, first, _burst_bytes(case, first), same_place, tries
+        if same_place >= _TWICE and is_no_noise(
+            run, first, burst_bytes(case, first), same_place, tries
         ):
             return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
-        if same_kind >= needed and _no_noise(run, first, size, same_kind, tries):
+        if same_kind >= needed and is_no_noise(run, first, size, same_kind, tries):
             return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
     return False, tries, more
-
-
-def _no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
-    """Whether so many of so many tries failed that noise on `size` bytes does not explain it.
-
-    The share of bytes that are spoilt is what the run has met so far, at least the most that the
-    suite bears; and each failure so far was tried again, which makes a coincidence likelier.
-    """
-    if first.axis == "stop":
-        return True  # a spoilt byte shows in an answer: a missed stop beside right answers is none
-    flaky = run.counters.flaky
-    met = 2 * flaky / max(1, _FRAME * run.tally.frames)
-    spoilt = 1 - (1 - min(max(_NOISE, met), 1.0)) ** size
-    return at_least(failed, tries, spoilt) * (1 + flaky) < _UNLIKELY
-
-
-def _burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:
-    """Bytes on the line for the burst in which an attempt failed, answers included."""
-    if isinstance(case, SequenceCase) and tried.mismatch and tried.mismatch.burst >= 0:
-        return sum(len(step.frame) + 1 for step in case.bursts[tried.mismatch.burst].steps)
-    return _bytes(case)
-
-
-def _bytes(case: Case | SequenceCase) -> int:
-    """Bytes on the line in one try, answers included; an estimate for a single-frame case."""
-    if isinstance(case, SequenceCase):
-        return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
-    return _SINGLE + len(case.frame)
 
 
 def _cannot_be_noise(run: Run, tried: Attempt) -> bool:

@@ -160,7 +160,12 @@ class Run:
         self.rhythms = Rhythms()
         self.followed: set[str] = set()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(config.protocol, self.conclude, lossless=config.lossless)
+        self.strays = StrayAnswers(
+            config.protocol,
+            self.conclude,
+            lossless=config.lossless,
+            frames=lambda: self.tally.frames,
+        )
         self.begin = begin
         self.note = note
         self._report = report

@@ -14,7 +14,9 @@ from bilprov.spec.protocol import Protocol
 
 Answers = tuple[tuple[int, int], ...]
 
-_STRAYS = 3  # stray answers: so many are no noise but a failure of the device
+_STRAYS = 3  # stray answers at once: so many are no noise but a failure of the device
+_SEVERAL = 5  # of them in a run, beyond what noise may make of all its frames
+_NOISE = 2e-3  # of frames: an instruction and its answer, each doubled once in a thousand times
 
 
 class StrayAnswers:
@@ -22,12 +24,19 @@ class StrayAnswers:
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
     answers are the device's failure, and so is a device that stops answering; on a `lossless` line
-    so is every one.
+    so is every one. `frames` tells how many frames were sent so far: the more there were, the more
+    of them noise may have doubled.
     """
 
     def __init__(
-        self, protocol: Protocol, conclude: Callable[..., None], *, lossless: bool = False
+        self,
+        protocol: Protocol,
+        conclude: Callable[..., None],
+        *,
+        lossless: bool = False,
+        frames: Callable[[], int] = lambda: 0,
     ) -> None:
+        self._frames = frames
         self._protocol = protocol
         self._lossless = lossless
         self._conclude = conclude
@@ -39,7 +48,8 @@ class StrayAnswers:
         """Record answers, as (time in ns, code), that no instruction asked for."""
         came = tuple(answers)
         self._strays.append((came, reason))
-        if self._lossless or len(self._strays) >= _STRAYS or len(came) >= _STRAYS:
+        many = len(self._strays) >= _SEVERAL + _NOISE * self._frames()
+        if self._lossless or many or len(came) >= _STRAYS:
             self._end_strays(Verdict.FAIL)
 
     def missing(self, count: int) -> None:

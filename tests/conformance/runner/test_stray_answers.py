@@ -48,8 +48,10 @@ def test_a_byte_or_two_may_be_the_lines(told: Told, times: int, words: str) -> N
     assert words in told.reasons[0]
 
 
-@pytest.mark.parametrize("came", [[1, 1, 1], [3], [1, 5], [1] * 9])
-def test_the_third_byte_is_the_devices_and_is_told_once(told: Told, came: list[int]) -> None:
+@pytest.mark.parametrize("came", [[1] * 5, [3], [1, 5], [1] * 9])
+def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_are_told_once(
+    told: Told, came: list[int]
+) -> None:
     for count in came:
         told.state.unexpected([(number, 0) for number in range(count)], "came")
 

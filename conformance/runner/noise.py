@@ -1,0 +1,41 @@
+"""Noise: whether failures that came again may be spoilt bytes on the line after all."""
+
+from __future__ import annotations
+
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.runner.attempt import Attempt
+from bilprov.conformance.runner.rhythm import at_least
+from bilprov.conformance.runner.run import Run
+
+_SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
+_FRAME = 3  # bytes on the line for a frame, its answer included, at least
+_SINGLE = 20  # bytes of a single-frame case's preamble and recovery
+
+
+def is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
+    """Whether so many of so many tries failed that noise on `size` bytes does not explain it.
+
+    The share of bytes that are spoilt is what the run has met so far, at least the most that the
+    suite bears; and each failure so far was tried again, which makes a coincidence likelier.
+    """
+    if first.axis == "stop":
+        return True  # a spoilt byte shows in an answer: a missed stop beside right answers is none
+    flaky = run.counters.flaky
+    met = 2 * flaky / max(1, _FRAME * run.tally.frames)
+    spoilt = 1 - (1 - min(max(_SPOILT, met), 1.0)) ** size
+    return at_least(failed, tries, spoilt) * (1 + flaky) < _UNLIKELY
+
+
+def case_bytes(case: Case | SequenceCase) -> int:
+    """Bytes on the line in one try, answers included; an estimate for a single-frame case."""
+    if isinstance(case, SequenceCase):
+        return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
+    return _SINGLE + len(case.frame)
+
+
+def burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:
+    """Bytes on the line for the burst in which an attempt failed, answers included."""
+    if isinstance(case, SequenceCase) and tried.mismatch and tried.mismatch.burst >= 0:
+        return sum(len(step.frame) + 1 for step in case.bursts[tried.mismatch.burst].steps)
+    return case_bytes(case)
