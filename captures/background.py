@@ -1,4 +1,7 @@
-"""Writes a capture behind the reader of a line, in a thread of its own; nothing is ever dropped."""
+"""Writes a capture behind the reader of a line, in a thread of its own.
+
+Nothing is dropped as long as the file can be written.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from typing import Final
 
 from bilprov.captures import topics
 from bilprov.captures.closing import Closing
+from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Checkpoint, Chunk
 from bilprov.captures.text import printable
 from bilprov.captures.writer import CaptureWriter
@@ -29,14 +33,16 @@ class BackgroundWriter(Closing):
     over is written in order and reaches the operating system at most 0.1 s later, or at once when
     256 KiB wait. While 16 MiB wait, handing over waits too; `waited_ns` adds up for how long.
 
-    An error of the file is kept: every later call raises it, `close` only if no call did. After it
-    nothing more is written.
+    A file that can no longer be written stops nothing else: `failure` says in one sentence what
+    happened and what is kept, "" before, and what is handed over after it is dropped. Any other
+    error is wrong use, which every later call raises, `close` only if no call did.
     """
 
     def __init__(
         self, path: str | Path, *, start_wall: int, metadata: Mapping[str, str], version: str
     ) -> None:
         self.waited_ns = 0
+        self.failure = ""
         self._writer = CaptureWriter(
             path, start_wall=start_wall, metadata=metadata, version=version
         )
@@ -54,39 +60,34 @@ class BackgroundWriter(Closing):
         self._thread.start()
 
     def chunk(self, chunk: Chunk) -> None:
-        """Hand over a chunk. Raises CaptureError if the file could not be written."""
+        """Hand over a chunk."""
         self._put(chunk, chunk.t, len(chunk.data) + EVENT_BYTES)
 
     def write(self, value: topics.Written, t: int) -> None:
-        """Hand over a value for the topic of its type; `t` is ns since the capture's start.
-
-        Raises CaptureError if the file could not be written.
-        """
+        """Hand over a value for the topic of its type; `t` is ns since the capture's start."""
         size = len(value.decoder) if type(value) is Checkpoint else 0
         self._put(value, t, size + EVENT_BYTES)
 
-    def check(self) -> None:
-        """Raise the CaptureError of the file, if there is one."""
-        if self._error is not None:
-            self._raised = True
-            raise self._error
-
     def close(self) -> None:
-        """Write all that waits, finish the file and end the thread; further calls do nothing.
-
-        Raises CaptureError if the file could not be written and no call has said so.
-        """
+        """Write all that waits, finish the file and end the thread; further calls do nothing."""
         self._closing = True
         self._wake.set()
         self._thread.join()
         if not self._raised:
-            self.check()
+            self._check()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            self._raised = True
+            raise self._error
 
     def _put(self, value: Chunk | topics.Written, t: int, size: int) -> None:
         if self._error is not None:
-            self.check()
+            self._check()
         if self._closing:
             raise ValueError(f"the capture {printable(self.path)} is closed")
+        if self.failure:
+            return
         waiting = self._put_bytes - self._taken_bytes
         if waiting >= WAKE_BYTES:
             if waiting + size > QUEUE_BYTES:
@@ -109,7 +110,7 @@ class BackgroundWriter(Closing):
         finally:
             self._full = False
             self.waited_ns += time.monotonic_ns() - began
-        self.check()
+        self._check()
 
     def _run(self) -> None:
         try:
@@ -120,11 +121,13 @@ class BackgroundWriter(Closing):
                 closing = self._closing  # looked at before the queue: nothing is put in after it
                 self._write_waiting()
             self._writer.close()
+        except CaptureError as error:
+            self.failure = str(error)
         except Exception as error:
             self._error = error
-            self._queue.clear()
             with suppress(Exception):  # the first error is the one to tell
                 self._writer.close()
+        self._queue.clear()
 
     def _write_waiting(self) -> None:
         """Write what waits, in order, and pass it to the operating system."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import click
 
+from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Command,
     Finite,
@@ -50,6 +51,7 @@ from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_n
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
+from bilprov.spec.errors import UserError
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
@@ -112,6 +114,9 @@ def sniff(
     On a terminal the traffic is shown on a screen, as by `bilprov browse`; ? lists its keys.
     Without -w the last GiB of it is kept meanwhile, and can be saved when the screen is left.
 
+    A full disk or a capture that is deleted ends only the recording: one sentence says so at once
+    and again at the end, with exit code 2.
+
     With --judge a table at the end (with --format jsonl a last object of kind judgement) tells
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
@@ -159,11 +164,11 @@ def sniff(
             protocol, timeout=timeout, heard=source.heard, skew=skew, attached=source.attached
         )
 
-        def listened(shown: Shown, patience: int) -> Lost:
-            """Listen to the end, and finish the capture."""
+        def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> Lost:
+            """Listen to the end, and finish the capture; `tell` is told at once if it fails."""
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
-            lost = _listen(source, pipeline, stopper, duration)
+            lost = _listen(source, pipeline, stopper, duration, tell)
             pipeline.events([Line(source.now(), "close")])
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
@@ -172,7 +177,7 @@ def sniff(
 
         queue = None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, count), PATIENCE)
+            lost = listened(Shown(NoOutput(), test, count), PATIENCE, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -181,7 +186,8 @@ def sniff(
 
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
-                lost = listened(AllShown(output, test, count), PATIENCE)
+                # The output puts the notice on the screen, which standard error would tear.
+                lost = listened(AllShown(output, test, count), PATIENCE, lambda notice: None)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -203,14 +209,16 @@ def sniff(
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
-            lost = listened(Shown(output, test, count), 0)
+            lost = listened(Shown(output, test, count), 0, say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
+    failure = recorder.failure if path and recorder else ""
     if path or quiet or style == "live":
-        _tell(statistics, path, waited)
+        _tell(statistics, "" if failure else path, waited)
     code = tell_findings(judge.finish(), style) if judge else 0
-    if lost.sentence:
-        kept = f"; what was captured is kept in {path}" if path else ""
-        raise LinkError(lost.sentence + kept)
+    if lost.sentence and path and not failure:
+        raise LinkError(f"{lost.sentence}; what was captured is kept in {path}")
+    if lost.sentence or failure:
+        raise UserError("; ".join(filter(None, (lost.sentence, failure))))
     return code
 
 
@@ -221,10 +229,20 @@ class Lost(NamedTuple):
     unplugged: bool = False
 
 
-def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: float | None) -> Lost:
-    """Process events until the end, and return whether bytes or a port were lost."""
+def _listen(
+    source: Source,
+    pipeline: Pipeline,
+    stopper: Stopper,
+    duration: float | None,
+    tell: Callable[[str], object],
+) -> Lost:
+    """Process events until the end, and return whether bytes or a port were lost.
+
+    `tell` is told once if the capture fails, which ends nothing else.
+    """
     end = None if duration is None else round(duration * 1e9)
-    overrun, waited = "", 0
+    overrun, waited, told = "", 0, False
+    recorder = pipeline.recorder
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
             now, due = source.now(), pipeline.deadline
@@ -233,6 +251,9 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
             else:
                 pipeline.advance(now)
                 due = pipeline.deadline
+            if recorder and recorder.failure and not told:
+                told = True
+                tell(f"{recorder.failure}; listening goes on, without recording")
             if end is not None and now >= end:
                 break
             wait = LONGEST_WAIT
@@ -243,8 +264,8 @@ def _listen(source: Source, pipeline: Pipeline, stopper: Stopper, duration: floa
             collect(not events)
             if not events:
                 continue
-            if pipeline.recorder and pipeline.recorder.waited_ns > waited:
-                more, waited = pipeline.recorder.waited_ns - waited, pipeline.recorder.waited_ns
+            if recorder and recorder.waited_ns > waited:
+                more, waited = recorder.waited_ns - waited, recorder.waited_ns
                 detail = f"nothing was read for {more / 1e9:.3f} s: the capture file was too slow"
                 events.insert(0, Line(events[0].t, "waited", "", detail))
             pipeline.events(events)

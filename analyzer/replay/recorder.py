@@ -129,8 +129,9 @@ class Recorder(Closing):
     and every second with traffic. `bytes` is how many raw bytes were handed over. Times are ns
     since the session's start; the grammar's hash is the one in `metadata`.
 
-    A context manager that finishes the file. Every method raises CaptureError once the file could
-    not be written.
+    A context manager that finishes the file. Only making the file raises CaptureError: one that can
+    no longer be written stops nothing else. `failure` then says what happened and what is kept, and
+    nothing more is recorded; it is "" before, and is final once the file is finished.
     """
 
     def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
@@ -145,6 +146,11 @@ class Recorder(Closing):
         self._checkpoints = Checkpoints(metadata["grammar_sha256"])
 
     @property
+    def failure(self) -> str:
+        """Why the file is no longer written, in one sentence; "" while it is."""
+        return self._writer.failure
+
+    @property
     def waited_ns(self) -> int:
         """How long the reader has waited in all for a file that was too slow."""
         return self._writer.waited_ns
@@ -152,6 +158,8 @@ class Recorder(Closing):
     def events(self, events: Iterable[Chunk | Line]) -> None:
         """Write raw events, before they are decoded."""
         writer = self._writer
+        if writer.failure:
+            return
         for event in events:
             if isinstance(event, Chunk):
                 writer.chunk(event)
@@ -165,7 +173,7 @@ class Recorder(Closing):
         Call it once for each batch, with 0 frames too.
         """
         self._count(frames, now)
-        if not self._throttle.stopped:
+        if not self._throttle.stopped and not self.failure:
             for record in records():
                 self._write(record)
 
@@ -175,13 +183,12 @@ class Recorder(Closing):
         `save` gives the decoder's state as JSON text, and is called only if it is due. Where it
         gives None, the next call tries again.
         """
-        made = self._checkpoints.made(t, self.bytes, save)
+        made = None if self.failure else self._checkpoints.made(t, self.bytes, save)
         if made:
             self._writer.write(made, t)
 
     def tick(self, now: int) -> None:
         """Let time pass to `now`."""
-        self._writer.check()
         self._count(0, now)
 
     def finish(self) -> None:

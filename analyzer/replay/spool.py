@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Final, NamedTuple
@@ -38,9 +38,8 @@ class Spool(Closing):
     """Records as a Recorder does, into temporary files that are deleted at `close`.
 
     At most about `most` bytes are kept. `oldest` is the time (ns since the start) from which on
-    everything is there; `bytes` and `waited_ns` are as a Recorder's, over the whole session.
-    Nobody asked for these files, so nothing is raised where they cannot be written: `failure` says
-    why, and nothing more is.
+    everything is there; `bytes` and `waited_ns` are as a Recorder's, over the whole session, and so
+    is `failure`. Nobody asked for these files, so they may fail from the beginning on.
     """
 
     def __init__(
@@ -116,8 +115,7 @@ class Spool(Closing):
     def close(self) -> None:
         """Delete the temporary files; further calls do nothing."""
         if self._parts:
-            with suppress(CaptureError):
-                self._parts[-1].recorder.close()
+            self._parts[-1].recorder.close()
         for thread in self._closings:
             thread.join()
         if self._folder:
@@ -129,8 +127,13 @@ class Spool(Closing):
             return
         try:
             act()
+            if self._parts:
+                self._note(self._parts[-1].recorder.failure)
         except (CaptureError, OSError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
+            self._note(error.strerror if isinstance(error, OSError) else error)
+
+    def _note(self, why: object) -> None:
+        if why:
             self.failure = f"the session cannot be saved: {printable(why)}"
 
     def _open(self) -> None:
@@ -159,9 +162,14 @@ class Spool(Closing):
         self._ended_bytes += recorder.bytes
         self._waited += recorder.waited_ns
 
-        thread = Thread(target=self._try, args=(recorder.close,), name="end of a part", daemon=True)
+        close = partial(self._close_part, recorder)
+        thread = Thread(target=self._try, args=(close,), name="end of a part", daemon=True)
         thread.start()
         self._closings.append(thread)
+
+    def _close_part(self, recorder: Recorder) -> None:
+        recorder.close()
+        self._note(recorder.failure)
 
     @staticmethod
     def _copy(part: Path, path: Path) -> None:

@@ -155,11 +155,14 @@ class ScreenOutput:
         feed = self._feed
         feed.rates = self._statistics.rates(now)
         gone, recorder = feed.recording.first, self._recorder
+        if recorder:
+            feed.notice = recorder.failure
         if isinstance(recorder, Spool):
-            feed.notice, feed.keeps = recorder.failure, not recorder.failure
+            feed.keeps = not recorder.failure
             feed.recording.let_go_older(recorder.oldest)
         elif recorder:
-            feed.captured = f"{recorder.path.name} {recorder.bytes:,} B"
+            written = f"{recorder.path.name} {recorder.bytes:,} B"
+            feed.captured = "" if recorder.failure else written
         while feed.recording.nbytes > self._most and feed.recording.let_go_oldest():
             pass
         if feed.recording.first > gone:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +181,117 @@ def test_an_unplugged_tap_ends_it_in_one_sentence_and_what_was_captured_is_kept(
     assert "Traceback" not in err.decode()
     assert _kept(path, "host") == b"\x20"
     assert not open_capture(path).unfinished
+
+
+def _fills(command: Running, path: Path) -> None:
+    """From now on the file system takes no byte more of the program, as a full disk."""
+    size = path.stat().st_size
+    resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (size, size))
+
+
+def _deletes(command: Running, path: Path) -> None:
+    path.unlink()
+
+
+def _cuts(command: Running, path: Path) -> None:
+    os.truncate(path, path.stat().st_size - 100)
+
+
+def _until_kept(path: Path, data: bytes) -> None:
+    give_up = time.monotonic() + PATIENCE
+    while not path.stat().st_size or _kept(path, "host") != data:
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("fault", "form", "words"),
+    [
+        (_fills, "jsonl", "disk full: what was captured until "),
+        (_fills, "lines", "disk full: what was captured until "),
+        (_deletes, "jsonl", "was deleted while recording"),
+        (_cuts, "jsonl", "another program made the capture file "),
+    ],
+)
+def test_a_capture_that_fails_is_said_at_once_and_at_the_end_and_decoding_goes_on(
+    tmp_path: Path, fault: Callable[[Running, Path], None], form: str, words: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        open_pty() as host,
+        open_pty() as device,
+        running("sniff", host.name, device.name, "-w", str(path), "--format", form) as command,
+    ):
+        command.wait_for(path)
+        _write(host, b"\x20")
+        _read(command, 1)
+        _until_kept(path, b"\x20")
+        fault(command, path)
+        _write(host, b"\x11\x07")
+        at_once = command.stderr.readline().decode()  # while it runs
+        _write(host, b"\x81\x05")
+        shown = b""
+        while b"81 05" not in shown:
+            shown += b"".join(_read(command, 1))
+        code, _, err = command.end()
+
+    (*totals, sentence) = err.decode().splitlines()
+    assert code == 2
+    assert words in sentence
+    assert at_once == f"{sentence}; listening goes on, without recording\n"
+    assert str(path) not in "".join(totals)
+    assert "Traceback" not in err.decode()
+    if fault is _fills:
+        assert _kept(path, "host") == b"\x20"
+        assert (open_capture(path).unfinished, open_capture(path).damage) == (True, ())
+
+
+def test_a_quiet_log_on_a_full_disk_goes_on_counting(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        open_pty() as host,
+        running("sniff", host.name, "-w", str(path), "--quiet", "--count", "101") as command,
+    ):
+        command.wait_for(path)
+        _write(host, b"\x20")
+        _until_kept(path, b"\x20")
+        _fills(command, path)
+        _write(host, b"\x11\x07")
+        at_once = command.stderr.readline().decode()
+        assert command.process.poll() is None
+        _write(host, b"\x11\x08" * 99)
+        code, _, err = command.result()
+
+    totals, sentence = err.decode().splitlines()
+    assert code == 2
+    assert at_once.startswith(f"{sentence}; ")
+    assert totals.startswith("101 instructions")
+
+
+def test_a_bridge_hands_on_though_the_disk_is_full(tmp_path: Path, protocol: Protocol) -> None:
+    path = tmp_path / "run.mcap"
+    robot = PtyRobot(protocol)
+    with (
+        served(robot) as port,
+        running("sniff", "--bridge", port, "-w", str(path), "--format", "jsonl") as command,
+    ):
+        name = command.stderr.readline().decode().strip()
+        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        try:
+            _fills(command, path)
+            os.write(descriptor, b"\x20")
+            _read(command, 2)
+            assert os.read(descriptor, 1) == b"\x00"
+            assert b"disk full" in command.stderr.readline()
+            os.write(descriptor, b"\x81\x09")
+            _read(command, 2)
+            assert os.read(descriptor, 1) == b"\x02"
+        finally:
+            os.close(descriptor)
+        code, _, err = command.end()
+
+    assert code == 2
+    assert err.decode().splitlines()[-1].startswith("bilprov: disk full")
 
 
 def test_a_reader_that_goes_ends_it_quietly(tmp_path: Path) -> None:

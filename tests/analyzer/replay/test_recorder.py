@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from bilprov.analyzer.replay.recorder import (
     session_metadata,
 )
 from bilprov.analyzer.replay.throttle import RESUMED, SECOND, STOPPED, Throttle
-from bilprov.captures.errors import CaptureError
 from bilprov.captures.indexed import open_indexed
 from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -212,15 +212,27 @@ def test_a_state_too_long_for_a_message_is_no_checkpoint_and_no_fault(
     assert (counts["/checkpoint"], counts["/faults"]) == (written, 0)
 
 
-def test_an_error_of_the_file_is_raised_by_the_next_call_of_the_session(
+@pytest.mark.waits
+def test_a_file_that_breaks_is_told_and_nothing_more_is_made_for_it(
     recorder: Recorder, tmp_path: Path
 ) -> None:
     recorder.path.unlink()
     recorder.events([Chunk(0, "host", b"x")])
-    with pytest.raises(CaptureError, match="was deleted while recording"):
-        recorder.close()
-    with pytest.raises(CaptureError, match="was deleted while recording"):
-        recorder.tick(SECOND)
+    give_up = time.monotonic() + 20
+    while not recorder.failure:
+        assert time.monotonic() < give_up
+        time.sleep(0.005)
+
+    def asked() -> str:
+        raise AssertionError("there is no file for it")
+
+    recorder.events([Chunk(1, "host", b"yz")])
+    recorder.decoded(1, 2, asked)  # type: ignore[arg-type]
+    recorder.checkpoint(2 * SECOND, asked)
+    recorder.tick(2 * SECOND)
+    recorder.close()
+    assert "was deleted while recording" in recorder.failure
+    assert recorder.bytes == 1
 
 
 def test_below_the_limit_it_writes_what_is_written_of_a_run(

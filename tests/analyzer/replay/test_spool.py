@@ -115,3 +115,32 @@ def test_where_nothing_can_be_written_the_session_goes_on(
         assert (spool.bytes, spool.waited_ns) == (0, 0)
         with pytest.raises(CaptureError, match="cannot be saved"):
             spool.keep(Path("anywhere.mcap"))
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("when", ["while it is written", "when it ends", "when the spool ends"])
+def test_a_part_that_cannot_be_written_is_told(
+    own_folder: Path, metadata: dict[str, str], when: str
+) -> None:
+    with Spool(START, metadata, most=PARTS * 1024) as spool:
+        give_up = time.monotonic() + 20
+        if when == "when it ends":
+            spool.events([Chunk(0, "host", Random(1).randbytes(5_000))])
+            part = next(own_folder.rglob("*.mcap"))
+            while part.stat().st_size < 5_000:
+                assert time.monotonic() < give_up
+                time.sleep(0.005)
+            with part.open("ab") as file:
+                file.write(b"from another program")
+            spool.checkpoint(MS, lambda: None)
+            assert len(list(own_folder.rglob("*.mcap"))) == 2
+        else:
+            next(own_folder.rglob("*.mcap")).open("wb").close()  # another program empties it
+            spool.events([Chunk(MS, "host", b"x")])
+        if when == "while it is written":
+            while not spool.failure:
+                assert time.monotonic() < give_up
+                spool.tick(2 * MS)
+                time.sleep(0.005)
+        spool.finish()
+        assert spool.failure.startswith("the session cannot be saved: another program made")

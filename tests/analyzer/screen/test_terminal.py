@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -181,6 +182,27 @@ def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: P
         tmux.press("q")
         assert any("kept in" in line for line in left(tmux, code=2))
     assert not open_capture(path).unfinished
+
+
+def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "run.mcap"
+    with (
+        tapped() as (host, device),
+        terminal(tmp_path, (100, 30), "sniff", host.name, device.name, "-w", str(path)) as tmux,
+    ):
+        tmux.wait("q quit")
+        talk(host, device, tmux, "Speed speed=80")
+        tmux.wait("run.mcap")
+        size = path.stat().st_size
+        resource.prlimit(pid_of(str(path)), resource.RLIMIT_FSIZE, (size, size))
+        talk(host, device, tmux, "disk full: what was captured until")
+        os.write(host.master, b"\x11\x51")
+        talk(host, device, tmux, "Speed speed=81")
+        tmux.press("q")
+        assert any("bilprov: disk full" in line for line in left(tmux, code=2))
+    assert open_capture(path).damage == ()
 
 
 def test_a_replay_is_paced_on_the_screen_and_stays(tmp_path: Path) -> None:
