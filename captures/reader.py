@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -63,6 +63,18 @@ class Message(msgspec.Struct, frozen=True):
     def t_ns(self) -> int:
         """The same as `t`, under the name that tells its unit."""
         return self.t
+
+
+class Loss(NamedTuple):
+    """A place where messages of a capture are lost: the times (ns) beside it, and what is lost.
+
+    The times are those of the messages before and after it, since the capture's start; a loss at
+    the end has the same time twice.
+    """
+
+    before: int
+    after: int
+    what: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +133,21 @@ class Capture:
                     continue
                 value = _value(topic, encoding, message.data)
                 yield Message(topic, message.log_time - self.start, value, message.sequence)
+
+    def losses(self) -> Iterator[Loss]:
+        """Yield the places where messages are lost, in order. Raises CaptureError as `events`."""
+        before = 0
+        for message in self._stored():
+            t = message.log_time - self.start
+            if message.lost:
+                yield Loss(min(before, t), t, message.lost)
+            before = max(before, t)
+
+    @property
+    def left_out(self) -> int:
+        """How many bytes of the file are not read, because they are damaged or incomplete."""
+        read = sum(end - first for first, end in self.contents.regions)
+        return self.contents.size - min(len(MAGIC), self.contents.size) - read
 
     def attachments(self) -> Iterator[AttachmentRecord]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""

@@ -1,4 +1,4 @@
-"""`bilprov doctor`: finds what keeps a port from being used, and what mends it."""
+"""`bilprov doctor`: finds what keeps a port or a capture from being used, and what mends it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("port", metavar="PORT")
+@click.argument("port", metavar="PORT|FILE.mcap")
 @click.argument("device", metavar="[DEVICE]", required=False)
 @click.option(
     "--seconds",
@@ -54,14 +54,16 @@ def doctor(
 ) -> int:
     """Find what keeps a port from being used, and say the one command that mends it.
 
-    PORT is a path or a pyserial URL. With DEVICE they are two taps, the host's and the device's,
+    PORT is a path or a pyserial URL. Of a capture file it is told what is damaged, where, and what
+    is lost, in bytes and seconds. With DEVICE they are two taps, the host's and the device's,
     and it is told whether they are swapped. Nothing is sent; opening raises DTR, which resets an
     Arduino. A port that somebody holds is not opened.
 
     With --ask the link check is sent at each common baud rate, and the device that answers is
     homed. At a wrong rate it hears other bytes, and may drive.
 
-    Exit code: 0 the port can be used as it is, with or without advice; 2 it cannot; 130 Ctrl-C.
+    Exit code: 0 the port can be used as it is, with or without advice, or nothing of the capture is
+    lost; 2 it cannot, or something is; 130 Ctrl-C.
     """
     from bilprov.analyzer.doctor.asking import longest_time, rates_of
     from bilprov.analyzer.doctor.examination import of_line, of_system
@@ -71,6 +73,8 @@ def doctor(
     from bilprov.analyzer.transport.line_settings import line_settings
     from bilprov.analyzer.transport.signals import Stopper
 
+    if Path(port).is_file():
+        return _capture(Path(port), device, ask=ask, as_json=style == "json")
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     names = [name for name in (port, device) if name is not None]
@@ -103,6 +107,18 @@ def doctor(
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return report.end(names)
+
+
+def _capture(path: Path, device: str | None, *, ask: bool, as_json: bool) -> int:
+    """Examine a capture file; returns the exit code."""
+    from bilprov.analyzer.doctor.capture_file import of_capture
+
+    if device is not None or ask:
+        raise click.UsageError(f"{path} is a file: it is examined alone, and nothing is asked")
+    report = _Report(as_json=as_json)
+    report.begin(str(path))
+    report.tell(of_capture(path))
+    return report.end([str(path)])
 
 
 def _what_may_move(port: str, rates: Sequence[int], seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""`bilprov cut`, `join` and `compare`: a part of a capture, several as one, two side by side."""
+"""`bilprov cut`, `join`, `recover` and `compare`: parts of captures, and two side by side."""
 
 from __future__ import annotations
 
@@ -87,6 +87,45 @@ def cut(
             )
             what = quantity(frames, "frame or answer", "frames and answers")
     note(f"{printable(new)} holds {what} of {printable(path)}")
+
+
+@click.command()
+@click.argument("path", metavar="BROKEN.mcap", type=click.Path(path_type=Path))
+@click.argument("new", metavar="OUT.mcap", type=click.Path(path_type=Path))
+@force_option
+@click.pass_obj
+def recover(grammar: str | None, path: Path, new: Path, force: bool) -> None:
+    """Write what is whole of a capture that is damaged or was never finished.
+
+    OUT holds all raw bytes, line events and notes of conformance runs that can be read, with
+    metadata and attachments; where something is lost stands a gap that says so. BROKEN stays as it
+    is. bilprov doctor BROKEN.mcap tells what is lost. Decoded topics are left out: bilprov convert
+    --decoded writes them. Ctrl-C leaves no OUT.
+    """
+    from bilprov.analyzer.edit.cut import write_window
+    from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.outputs import Window
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.seek import opened_at
+    from bilprov.captures.reader import open_capture
+
+    protocol = load_protocol(grammar)
+    capture = open_capture(path)  # surveyed: an index tells nothing of damage
+    require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
+    _say(said_about(capture, protocol))
+    _say_left_out(capture)
+    metadata = edited_metadata(capture, protocol, f"recover {printable(path.name)}")
+    with (
+        reading([capture]) as progress,
+        new_capture(new, capture.start, metadata, force=force) as out,
+    ):
+        for file in capture.attachments():
+            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+        size = write_window(opened_at(path, protocol, 0), protocol, out, Window(), progress)
+    lost = quantity(capture.left_out, "byte")
+    note(f"{printable(new)} holds {quantity(size, 'byte')} of {printable(path)}")
+    note(f"{lost} of the file could not be read")
 
 
 @click.command()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich.console import RenderableType
 from rich.padding import Padding
@@ -28,7 +29,7 @@ def title(name: str, machine: Machine | None = None) -> str:
     """The name of a port with what the system knows of its device: a title, ids, its driver."""
     machine = machine or Machine()
     path = path_in(name)
-    if not path:
+    if not path or Path(path).is_file():
         return name or "''"
     device = machine.device(path)
     usb = machine.usb(path)

@@ -58,6 +58,12 @@ COMMANDS = {
     ),
     "cut": Row("Files", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
     "join": Row("Files", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
+    "recover": Row(
+        "Files",
+        "bilprov.analyzer.cli.edit",
+        "recover",
+        "Write what is whole of a damaged capture.",
+    ),
     "compare": Row(
         "Files", "bilprov.analyzer.cli.edit", "compare", "Tell where two captures differ."
     ),

@@ -477,6 +477,9 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
     file = tmp_path / "drive.mcap"
     file.touch()
     result = command("doctor", str(file))
+    assert result.returncode == 2
+    assert b"is empty: name an MCAP file" in result.stdout
+    result = command("doctor", "/dev/ttyUSB0", str(file))
     assert (result.returncode, result.stdout) == (2, b"")
     assert f"{file} is a file and no port".encode() in result.stderr
 
