@@ -112,7 +112,7 @@ def write_whole(file: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
-    """Write a file atomically: a temporary file beside it, which is synced and then renamed.
+    """Write a file atomically: a temporary file beside it, synced, renamed, its folder synced.
 
     So a reader, or a crash, finds the old content or the new one, never a half; where the block
     raises, the temporary file goes. It is always a new one: nobody can plant a link under its name.
@@ -149,9 +149,20 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
             part.replace(file)
         elif not _linked(part, file):
             part.rename(file)
+        _sync_folder(file.parent)
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk, where its file system can do that."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _linked(part: Path, file: Path) -> bool:
