@@ -5,8 +5,9 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,9 +46,10 @@ from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.spool import Spool
-from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
+from bilprov.analyzer.taps.sources import LOOK_AGAIN, TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
+from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
@@ -77,6 +79,11 @@ def tap_options(command: Command) -> Command:
 @click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
 @click.option("--duration", type=Finite(0, min_open=True), help="End after S seconds.")
 @plain_option
+@click.option(
+    "--wait",
+    is_flag=True,
+    help="Wait for a port that is not there yet, or no longer, until it is there (again).",
+)
 @click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
 @judge_option
 @line_options
@@ -96,6 +103,7 @@ def sniff(
     count: int | None,
     duration: float | None,
     plain: bool,
+    wait: bool,
     quiet: bool,
     judged: bool,
     baud: int | None,
@@ -117,6 +125,10 @@ def sniff(
     A full disk or a capture that is deleted ends only the recording: one sentence says so at once
     and again at the end, with exit code 2.
 
+    Where a tap is unplugged the other one is listened to, and exit code 2 follows at the end;
+    without another one it ends. A tap that is plugged in again is listened to again. With --wait
+    it never ends for want of a port, and a port that came back is no fault.
+
     With --judge a table at the end (with --format jsonl a last object of kind judgement) tells
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
@@ -131,10 +143,10 @@ def sniff(
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         given = {"": (host, device), **{option: (name,) for option, name in taps.items()}}
-        try:
-            source = stack.enter_context(opened_tap(given, settings))
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
+        opened = _opened(given, settings, stopper, wait)
+        if opened is None:
+            return 0
+        source = stack.enter_context(opened)
         note_hindrances(*source.names.values())
         skew = 0 if source.one_clock else SKEW
         if test:
@@ -165,10 +177,10 @@ def sniff(
         )
 
         def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> Lost:
-            """Listen to the end, and finish the capture; `tell` is told at once if it fails."""
+            """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
-            lost = _listen(source, pipeline, stopper, duration, tell)
+            lost = _listen(source, pipeline, stopper, duration, tell, wait=wait)
             pipeline.events([Line(source.now(), "close")])
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
@@ -186,8 +198,8 @@ def sniff(
 
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
-                # The output puts the notice on the screen, which standard error would tear.
-                lost = listened(AllShown(output, test, count), PATIENCE, lambda notice: None)
+                tell = partial(setattr, feed, "notice")
+                lost = listened(AllShown(output, test, count), PATIENCE, tell)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -222,8 +234,28 @@ def sniff(
     return code
 
 
+def _opened(
+    given: Mapping[str, Sequence[str | None]], settings: LineSettings, stopper: Stopper, wait: bool
+) -> Source | None:
+    """Open the tap that was asked for; with `wait`, once it can be. None if stopped before."""
+    said = ""
+    while not stopper.stopped:
+        try:
+            return opened_tap(given, settings)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        except LinkError as error:
+            if not wait:
+                raise
+            if str(error) != said:
+                said = str(error)
+                say(f"{said}; waiting")
+        wait_readable([], LOOK_AGAIN, [stopper.fileno()])
+    return None
+
+
 class Lost(NamedTuple):
-    """What was lost, in a sentence ("" for nothing), and whether a port was `unplugged`."""
+    """What was lost, in a sentence ("" for nothing), and whether it ended as all is `unplugged`."""
 
     sentence: str = ""
     unplugged: bool = False
@@ -235,13 +267,18 @@ def _listen(
     stopper: Stopper,
     duration: float | None,
     tell: Callable[[str], object],
+    *,
+    wait: bool,
 ) -> Lost:
     """Process events until the end, and return whether bytes or a port were lost.
 
-    `tell` is told once if the capture fails, which ends nothing else.
+    `tell` is told at once of what ends only a part of the work: a port is lost while there is
+    another one, or it is to `wait` for it; the capture cannot be written. With `wait` a port that
+    is there again is not lost.
     """
     end = None if duration is None else round(duration * 1e9)
     overrun, waited, told = "", 0, False
+    unplugged: dict[str, str] = {}
     recorder = pipeline.recorder
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
@@ -256,11 +293,11 @@ def _listen(
                 tell(f"{recorder.failure}; listening goes on, without recording")
             if end is not None and now >= end:
                 break
-            wait = LONGEST_WAIT
+            pause = LONGEST_WAIT
             for at in (due, end):
                 if at is not None:
-                    wait = min(wait, max(0.0, (at - now) / 1e9))
-            events = source.poll(wait, [stopper.fileno()])
+                    pause = min(pause, max(0.0, (at - now) / 1e9))
+            events = source.poll(pause, [stopper.fileno()])
             collect(not events)
             if not events:
                 continue
@@ -271,10 +308,21 @@ def _listen(
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":
-                    return Lost(event.detail, unplugged=True)
+                    unplugged[event.tap] = event.detail
+                    if not source.ended:
+                        tell(f"listening goes on without the {event.tap}: {event.detail}")
+                    elif wait:
+                        tell(f"waiting for the {event.tap}: {event.detail}")
+                if isinstance(event, Line) and event.event == "reconnected":
+                    tell(f"{event.detail}, and listened to")
+                    if wait:
+                        unplugged.pop(event.tap, None)
                 if isinstance(event, Line) and event.event == "overrun":
                     overrun = f"bytes of the {event.tap} were lost on the way: {event.detail}"
-    return Lost(overrun)
+            if source.ended and not wait:
+                break
+    ended = source.ended and not wait
+    return Lost("; ".join(filter(None, (*unplugged.values(), overrun))), unplugged=ended)
 
 
 @contextmanager

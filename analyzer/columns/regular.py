@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
-from bilprov.analyzer.decode.decoder import LOSSES
+from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
@@ -365,7 +365,7 @@ def _sorted(
                 chunks[event.direction].append(event.data)
         else:
             lines.append((place, event))
-            if event.event in LOSSES:
+            if event.event in TURNS:
                 loss = min(loss, place)
     host, device = (_Side(places[side], chunks[side], t) for side in ("host", "device"))
     return host, device, lines, loss

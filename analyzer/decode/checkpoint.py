@@ -46,7 +46,8 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     instructions that wait for an answer, the last of them the newest of all, and `held` the answers
     (time, byte) that wait for an instruction. `out_of_step` is when the open frame is given up,
     `lost_at` when bytes were last lost. `unsynced_since` is since when frame boundaries are unknown
-    and the host is silent, and `spoken` tells whether the device has sent a byte since.
+    and the host is silent, and `spoken` tells whether the device has sent a byte since. `away` are
+    the sides whose port is unplugged; then nothing is paired.
     """
 
     time: int
@@ -64,6 +65,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     lost_at: int | None = None
     unsynced_since: int | None = None
     spoken: bool = False
+    away: tuple[Direction, ...] = ()
 
     @property
     def may_be_out_of_step(self) -> bool:
@@ -94,6 +96,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(group.frames for group in self.waiting)
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
+            and not (self.away and self.waiting)
             and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])
             and (self.out_of_step is None or self.may_be_out_of_step)
         )

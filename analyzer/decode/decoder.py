@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
+from typing import Final
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
@@ -21,7 +22,7 @@ from bilprov.analyzer.decode.records import (
     Record,
     written_state,
 )
-from bilprov.captures.schemas import Line, State
+from bilprov.captures.schemas import Direction, Line, State
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind
 from bilprov.spec.motion import is_moving
@@ -30,6 +31,10 @@ from bilprov.spec.steps import Step, Steps
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
+# Line events after which decoding goes on in another way.
+TURNS = LOSSES | {"unplugged"}
+
+SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 
 _Due = Callable[[int, list[Record]], None]
 
@@ -43,6 +48,8 @@ class Decoder:
 
     def __init__(self, protocol: Protocol, *, timeout: int, paired: bool, skew: int) -> None:
         self._protocol = protocol
+        self._both_heard = paired
+        self._away: frozenset[Direction] = frozenset()  # the sides whose port is unplugged
         self._paired = paired
         self._framer = Framer(protocol.lengths, timeout)
         self._skew = skew
@@ -113,6 +120,12 @@ class Decoder:
     def line(self, event: Line, out: list[Record]) -> None:
         """Handle a line event; after a loss, framing and pairing start anew."""
         lost = event.event in LOSSES
+        if event.event in ("unplugged", "reconnected"):
+            taps: frozenset[Direction] = frozenset({event.tap} if event.tap else SIDES)
+            self._turn(self._away - taps if lost else self._away | taps)
+        if event.event == "unplugged":
+            self._lost_at = event.t
+            self._pairing.waiting.clear()  # it is not known whether they are answered
         if lost:
             self._out_of_step = None
             self._lost_at = event.t
@@ -122,6 +135,11 @@ class Decoder:
             for held in self._pairing.forget():
                 self._unsolicited(held, out)
         out.append(LineRecord(event, lost, self._state, anomalies.of_line(event, lost)))
+
+    def _turn(self, away: frozenset[Direction]) -> None:
+        """Pair what the two sides say, unless the port of one of them is away."""
+        self._away = away
+        self._paired = self._both_heard and not away
 
     def garbage(self, framed: Framed, reason: str, out: list[Record]) -> None:
         """Append the record of host bytes that belong to no frame; `reason` says why."""
@@ -142,8 +160,12 @@ class Decoder:
         Then columns can go on from here.
         """
         longest = self._pairing.longest
-        return self._unhurried and not any(
-            w.judgement.truncated or w.expires != w.end + longest for w in self._pairing.waiting
+        return (
+            self._unhurried
+            and not self._away
+            and not any(
+                w.judgement.truncated or w.expires != w.end + longest for w in self._pairing.waiting
+            )
         )
 
     def save(self, state: DecoderState) -> DecoderState:
@@ -165,6 +187,7 @@ class Decoder:
             held=tuple((held.t, held.byte) for held in self._pairing.held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
+            away=tuple(sorted(self._away)),
         )
 
     def resume(self, state: DecoderState) -> None:
@@ -185,6 +208,7 @@ class Decoder:
         self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
         self._out_of_step = state.out_of_step
         self._lost_at = state.lost_at
+        self._turn(frozenset(state.away))
 
     def _due(self) -> tuple[int, _Due] | None:
         """The next due time and its handler; at equal times the end of the frame comes first."""

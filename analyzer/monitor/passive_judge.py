@@ -12,6 +12,7 @@ from collections import Counter
 
 import msgspec
 
+from bilprov.analyzer.decode.decoder import SIDES
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -104,6 +105,7 @@ class PassiveJudge:
         self._newest = -1
         self._motion = written_state(protocol.power_on).motion
         self._stopped_by: int | None = None  # the faulty instruction that stopped the robot
+        self._away: frozenset[str] = frozenset()  # the sides whose port is unplugged
         self._said = 0  # time of the host's last byte
         self._decoded = 0  # time up to which host bytes are decoded
         self._refused = 0  # when the instruction of `_stopped_by` was answered, or else ended
@@ -189,7 +191,7 @@ class PassiveJudge:
         self._newest = value.sequence
         if lost or not (judgement.valid or _is_short(judgement)):
             self._flushes_until = value.end + self._idle
-        if self._paired:
+        if self._paired and not self._away:
             self._pending[value.sequence] = lost
         else:
             self._findings.not_judged[_DEAF] += 1
@@ -246,7 +248,13 @@ class PassiveJudge:
             self._findings.readings[SILENCE_READING] += 1
 
     def _line(self, record: LineRecord) -> None:
-        if record.lost:
+        event = record.value
+        taps: set[str] = {event.tap} if event.tap else set(SIDES)
+        if event.event == "unplugged":
+            self._away |= taps
+        elif event.event == "reconnected":
+            self._away -= taps
+        if record.lost or self._away:
             self._give_up(_LOST)
             self._heard = record.t
             self._out_of_step()

@@ -155,8 +155,6 @@ class ScreenOutput:
         feed = self._feed
         feed.rates = self._statistics.rates(now)
         gone, recorder = feed.recording.first, self._recorder
-        if recorder:
-            feed.notice = recorder.failure
         if isinstance(recorder, Spool):
             feed.keeps = not recorder.failure
             feed.recording.let_go_older(recorder.oldest)

@@ -9,7 +9,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
@@ -17,14 +17,18 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
 from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.replug import Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
 
 Events: TypeAlias = list[Chunk | Line]
 
+SIDES: Final[tuple[Direction, ...]] = ("host", "device")
+
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
 _LINGER = 0.0003  # s that a bridge waits for an answer before what was said is decoded
 _MOST_LINGER = 5_000_000  # ns for which it goes on to do so
+LOOK_AGAIN = 0.2  # s between looks whether a port is there again
 _RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
 
 
@@ -45,6 +49,9 @@ class Source(Closing):
     `served` the name under which the host program opens the source, "" if there is none.
     `one_clock` is true if one clock stamps both directions; `attached` is true if traffic may have
     passed before listening began.
+
+    A port that is lost (a Line event `unplugged`) is opened again once it is there again (see
+    `Place`), which is a Line event `reconnected`.
     """
 
     heard: frozenset[Direction] = frozenset({"host", "device"})
@@ -55,15 +62,23 @@ class Source(Closing):
     def __init__(self, ports: Mapping[Direction, Port]) -> None:
         self.names = {str(tap): port.name for tap, port in ports.items()}
         self._ports = dict(ports)  # the ports that are not lost, host before device
-        self._all = tuple(ports.values())
+        self._settings = {tap: port.settings for tap, port in ports.items()}
+        self._places = {tap: Place(port.name) for tap, port in ports.items()}
+        self._looked_at = 0.0
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
         self.start_wall = time.time_ns()
         self._start = self._counted_at = time.monotonic_ns()
 
     @property
     def ended(self) -> bool:
-        """Whether all ports are lost."""
+        """Whether all ports are lost, for now or for ever."""
         return not self._ports
+
+    @property
+    def _missing(self) -> list[Direction]:
+        """The lost ports that may be there again some time."""
+        places = self._places.items()
+        return [tap for tap, place in places if place.lasts and tap not in self._ports]
 
     def now(self) -> int:
         """Return the time since the start in ns."""
@@ -76,7 +91,12 @@ class Source(Closing):
         bytes the host comes first, since an instruction is older than its answer.
         """
         events: Events = []
-        if not self.ended:
+        missing = self._missing
+        if missing:
+            self._reopen(missing, events)
+            wait = 0 if events else LOOK_AGAIN
+            timeout_s = wait if timeout_s is None else min(timeout_s, wait)
+        if self._ports or missing:
             self._gather(events, timeout_s, also)
             self._count(events)
         return events
@@ -87,8 +107,10 @@ class Source(Closing):
 
     def close(self) -> None:
         """Close the ports; further calls do nothing."""
+        ports = list(self._ports.values())
         self._ports.clear()
-        for port in self._all:
+        self._places.clear()
+        for port in ports:
             port.close()
 
     def _read(self, tap: Direction, *, ready: bool) -> Chunk | Line | None:
@@ -96,9 +118,28 @@ class Source(Closing):
         try:
             data = self._ports[tap].read(ready=ready)
         except LinkError as error:
-            del self._ports[tap]
+            self._ports.pop(tap).close()  # so that its path is free for when it comes back
             return Line(self.now(), "unplugged", tap, str(error))
         return Chunk(self.now(), tap, data) if data else None
+
+    def _reopen(self, missing: Sequence[Direction], events: Events) -> None:
+        """Open the ports that are there again; looked at every 0.2 s at most."""
+        if time.monotonic() - self._looked_at < LOOK_AGAIN:
+            return
+        self._looked_at = time.monotonic()
+        for tap in missing:
+            name = self._places[tap].found()
+            if not name:
+                continue
+            try:
+                port = open_port(name, self._settings[tap])
+            except LinkError:  # it has just come and is not ours yet, or somebody else was quicker
+                continue
+            self._places[tap] = Place(name)
+            self._counts[tap] = port.error_counts()
+            found = {**self._ports, tap: port}
+            self._ports = {side: found[side] for side in SIDES if side in found}
+            events.append(Line(self.now(), "reconnected", tap, f"{name} is there again"))
 
     def _count(self, events: Events) -> None:
         """Append events for new driver errors, at most every 0.1 s; few drivers count errors."""
@@ -185,8 +226,8 @@ class Bridge(Source):
         self._pty = open_pty()
         self.served = self._pty.name
         self.names = {"bridge": port.name, "pty": self.served}
-        self._port = port
-        self._to_device = Forward(port.write_some, "the device does not read")
+        self._name = port.name
+        self._to_device = Forward(self._write_some, "the device does not read")
         self._to_host = Forward(self._pty.write_some, "the host program does not read")
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
@@ -206,7 +247,8 @@ class Bridge(Source):
     def _hand_on_all(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
-        ready, others = wait_readable([self._port], timeout_s, [self._pty.master, *also])
+        ports = list(self._ports.values())
+        ready, others = wait_readable(ports, timeout_s, [self._pty.master, *also])
         said = self._pty.read() if self._pty.master in others else b""
         if said:
             events.append(Chunk(self.now(), "host", said))
@@ -216,6 +258,11 @@ class Bridge(Source):
             events.append(answer)
         answered = answer.data if isinstance(answer, Chunk) else b""
         self._hand_on(self._to_host, answered, "device", events)
+
+    def _write_some(self, data: bytes) -> int:
+        if "device" not in self._ports:
+            raise LinkError(f"{self._name} is unplugged")
+        return self._ports["device"].write_some(data)
 
     def close(self) -> None:
         """Close the pty and the port; further calls do nothing."""

@@ -82,7 +82,9 @@ _line = st.builds(
     _pause,
     st.just("line"),
     side=st.sampled_from(["host", "device", ""]),
-    word=st.sampled_from(["break", "open", "parity", "modem", "gap", "overrun", "reconnected"]),
+    word=st.sampled_from(
+        ["break", "open", "parity", "modem", "gap", "overrun", "unplugged", "reconnected"]
+    ),
 )
 
 _act = st.sampled_from(["say", "answer"] * 20 + ["noise", "line"]).flatmap(

@@ -6,15 +6,17 @@ import os
 import resource
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support import commands
 from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
@@ -46,6 +48,13 @@ def _read(command: Running, count: int) -> list[bytes]:
     lines = [command.stdout.readline() for _ in range(count)]
     assert all(lines), command.stderr.read()
     return lines
+
+
+def _shown(command: Running, words: str) -> dict[str, Any]:
+    """The next JSON line with these words."""
+    while words.encode() not in (line := b"".join(_read(command, 1))):
+        pass
+    return json_lines(line)[0]
 
 
 def _taps(tmp_path: Path, host: PtyPair, device: PtyPair, *more: str) -> tuple[list[str], Path]:
@@ -162,7 +171,7 @@ def test_the_host_alone_can_be_tapped_and_is_not_said_to_go_unanswered(tmp_path:
     assert [line["faults"] for line in json_lines(out)] == [[]]
 
 
-def test_an_unplugged_tap_ends_it_in_one_sentence_and_what_was_captured_is_kept(
+def test_when_the_last_tap_is_unplugged_it_ends_and_what_was_captured_is_kept(
     tmp_path: Path,
 ) -> None:
     with open_pty() as host, open_pty() as device:
@@ -171,16 +180,127 @@ def test_an_unplugged_tap_ends_it_in_one_sentence_and_what_was_captured_is_kept(
             command.wait_for(path)
             _write(host, b"\x20")
             _read(command, 1)
+            device.close()
+            at_once = command.stderr.readline().decode()
             host.close()
             code, _, err = command.result()
 
     assert code == 2
     sentence = err.decode().splitlines()[-1]
+    assert at_once.startswith("bilprov: listening goes on without the device: ")
     assert sentence.startswith("bilprov: ")
-    assert str(path) in sentence
-    assert "Traceback" not in err.decode()
+    assert all(name in sentence for name in (host.name, device.name, str(path)))
     assert _kept(path, "host") == b"\x20"
     assert not open_capture(path).unfinished
+
+
+def test_when_one_tap_is_unplugged_the_other_is_heard_on_and_nothing_is_unanswered(
+    tmp_path: Path,
+) -> None:
+    with open_pty() as host, open_pty() as device:
+        arguments, path = _taps(tmp_path, host, device, "--judge")
+        with running(*arguments) as command:
+            command.wait_for(path)
+            _write(host, b"\x20")
+            _read(command, 1)
+            _write(device, b"\x00")
+            _read(command, 1)
+            device.close()
+            assert device.name.encode() in command.stderr.readline()
+            shown = b"".join(_read(command, 1))
+            _write(host, b"\x11\x07")
+            shown += b"".join(_read(command, 1))
+            time.sleep(0.5)  # longer than any answer takes
+            _write(host, b"\x11\x08")
+            shown += b"".join(_read(command, 1))
+            code, rest, err = command.end()
+
+    assert code == 2
+    assert [line["faults"] for line in json_lines(shown)] == [["unplugged"], [], []]
+    (judgement,) = json_lines(rest)
+    assert not judgement["violations"], judgement
+    assert device.name in err.decode().splitlines()[-1]
+    assert _kept(path, "host") == b"\x20\x11\x07\x11\x08"
+    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
+    assert replayed.stdout.endswith(shown)
+
+
+@contextmanager
+def _plugged(link: Path) -> Iterator[PtyPair]:
+    """A port under the path that is always its own."""
+    with open_pty() as pair:
+        link.unlink(missing_ok=True)
+        link.symlink_to(pair.name)
+        yield pair
+
+
+@pytest.mark.parametrize(("more", "expected"), [((), 2), (("--wait",), 0)])
+def test_a_tap_that_is_plugged_in_again_is_heard_again(
+    tmp_path: Path, more: tuple[str, ...], expected: int
+) -> None:
+    path, link = tmp_path / "run.mcap", tmp_path / "tap"
+    arguments = ["-w", str(path), "--format", "jsonl", *more]
+    with open_pty() as host, ExitStack() as stack:
+        device = stack.enter_context(_plugged(link))
+        with running("sniff", host.name, str(link), *arguments) as command:
+            command.wait_for(path)
+            device.close()
+            assert str(link).encode() in command.stderr.readline()
+            _write(host, b"\x20")
+            _shown(command, '"20"')
+            device = stack.enter_context(_plugged(link))
+            assert b"is there again" in command.stderr.readline()
+            _write(host, b"\x11\x07")
+            said = _shown(command, '"11 07"')
+            _write(device, b"\x00")
+            (answer,) = json_lines(b"".join(_read(command, 1)))
+            code, _, err = command.end()
+
+    assert code == expected, err
+    assert (answer["agrees"], answer["answers"]) == (True, said["sequence"])
+    events = [event.event for event in open_capture(path) if isinstance(event, Line)]
+    assert events == ["open", "unplugged", "reconnected", "close"]
+
+
+@pytest.mark.parametrize("option", ["", "--bridge"])
+def test_with_wait_a_port_may_come_late_and_again(tmp_path: Path, option: str) -> None:
+    path, link = tmp_path / "run.mcap", tmp_path / "port"
+    words = [option] * bool(option) + [str(link), "-w", str(path), "--format", "jsonl", "--wait"]
+    with ExitStack() as stack, running("sniff", *words) as command:
+        assert b"; waiting\n" in command.stderr.readline()
+        for turn in range(2):
+            port = stack.enter_context(_plugged(link))
+            if turn:
+                assert b"is there again" in command.stderr.readline()
+            elif option:
+                name = command.stderr.readline().decode().strip()
+                host = stack.enter_context(open_port(name))
+            if not turn:
+                command.wait_for(path)
+            if option:
+                host.write(b"\x20")
+                while not port.read():
+                    time.sleep(0.005)
+            _write(port, b"\x00" if option else b"\x20")
+            _shown(command, '"20"')
+            if option:
+                _shown(command, "response")
+            port.close()
+            assert b"bilprov: waiting for the " in command.stderr.readline()
+        code, _, err = command.end()
+
+    assert code == 2
+    assert str(link) in err.decode().splitlines()[-1]
+    assert _kept(path, "host") == b"\x20" * 2
+    assert not open_capture(path).unfinished
+
+
+def test_what_is_waited_for_may_never_come(tmp_path: Path) -> None:
+    with running("sniff", str(tmp_path / "port"), "--wait") as command:
+        assert b"; waiting\n" in command.stderr.readline()
+        code, out, err = command.end()
+
+    assert (code, out, err) == (0, b"", b"")
 
 
 def _fills(command: Running, path: Path) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.records import HostRecord, LineRecord, Record, Severity
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record, Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
@@ -286,6 +288,29 @@ def test_one_direction_alone_is_not_paired(protocol: Protocol, side: str) -> Non
     assert kinds(records) == []
 
 
+@pytest.mark.parametrize("tap", ["host", "device", ""])
+def test_while_a_tap_is_unplugged_nothing_is_paired_or_missed(
+    protocol: Protocol, tap: Literal["host", "device", ""]
+) -> None:
+    def exchange(at: int) -> list[Event]:
+        return [Chunk(at * MS, "host", b"\x20"), Chunk((at + 1) * MS, "device", b"\x00")]
+
+    events: list[Event] = [
+        Chunk(0, "host", b"\x20"),
+        Line(MS, "unplugged", tap),
+        *exchange(2000)[tap == "host" :][: 2 - (tap == "device")],
+        Line(4000 * MS, "reconnected", tap),
+        *exchange(6000),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert kinds(records) == ["unplugged", "lost bytes"]
+    answers = [record for record in records if isinstance(record, DeviceRecord)]
+    assert [answer.agrees for answer in answers][-1] is True
+    assert not any(answer.agrees for answer in answers[:-1])
+
+
 def test_an_event_from_the_past_counts_as_coming_with_the_last(protocol: Protocol) -> None:
     events = [Chunk(10 * MS, "host", b"\x11"), Chunk(5 * MS, "host", b"\x05")]
 
@@ -433,3 +458,20 @@ def test_another_grammar_is_followed(horn: Protocol) -> None:
         ("Horn", {"sound": 2}, "OK"),
         ("Horn", {"sound": 4}, "BAD_DATA"),
     ]
+
+
+@pytest.mark.usefixtures("columns_at_once")
+def test_columns_and_a_resumed_session_know_that_a_tap_is_unplugged(protocol: Protocol) -> None:
+    said: list[Event] = [Chunk(n * 2000 * MS, "host", b"\x20" * 600) for n in range(1, 20)]
+    gone = Line(MS, "unplugged", "device")
+    columns, session = StreamDecoder(protocol), Session(protocol)
+    session.feed(gone)
+    state = session.saved()
+    assert state is not None
+    resumed = Session(protocol)
+    resumed.resume(state)
+
+    records = [record for part in columns.feed([gone, *said]) for record in part.records()]
+
+    assert kinds(records) == ["unplugged"]
+    assert kinds(decoded(resumed, said)) == []

@@ -174,7 +174,7 @@ def test_line_events_have_the_types_of_the_link_and_comments_for_the_rest(
         *(
             Line(1_000 * at, word, "device", "7 \x1b[31m")
             for at, word in enumerate(
-                ("framing", "parity", "break", "overrun", "gap", "reconnected", "unplugged"), 1
+                ("framing", "parity", "break", "overrun", "gap", "unplugged", "reconnected"), 1
             )
         ),
         Line(9_000, "modem", "device", "CTS DSR"),
@@ -188,7 +188,7 @@ def test_line_events_have_the_types_of_the_link_and_comments_for_the_rest(
     assert [(p.event, p.interface, p.lines) for p in found] == [
         (0, 0, 0),
         (TX, 0, 0),
-        *((event, 1, 0) for event in (7, 8, 9, 10, 5, 5, 0)),
+        *((event, 1, 0) for event in (7, 8, 9, 10, 5, 0, 5)),
         (0, 1, 1 | 4),
         (0, 1, 32),
         (RX_END, 1, 32),
@@ -196,8 +196,8 @@ def test_line_events_have_the_types_of_the_link_and_comments_for_the_rest(
     ]
     assert found[0].comment == "open: host a device b"
     assert found[6].comment == "gap: 7 \\x1b[31m"
-    assert found[7].comment == "reconnected: 7 \\x1b[31m"
-    assert found[8].comment == "unplugged: 7 \\x1b[31m"
+    assert found[7].comment == "unplugged: 7 \\x1b[31m"
+    assert found[8].comment == "reconnected: 7 \\x1b[31m"
     assert found[11].comment == "may answer an instruction around the lost bytes"
     assert found[12].comment == "close"
 

@@ -176,6 +176,10 @@ def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: P
     ):
         tmux.wait("q quit")
         talk(host, device, tmux, "Speed speed=80")
+        device.close()
+        tmux.wait("listening goes on without the device")
+        os.write(host.master, b"\x11\x51")
+        tmux.wait("Speed speed=81")
         host.close()
         tmux.wait(host.name)
         tmux.wait("unplugged")
