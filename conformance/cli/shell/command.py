@@ -132,7 +132,8 @@ def _simulator(protocol: Protocol) -> Iterator[tuple[str, str]]:
     from bilprov.conformance.dut.simulator import Simulator
 
     lines: SimpleQueue[str] = SimpleQueue()
-    with ThreadPoolExecutor(max_workers=1) as pool, closing(Stopper()) as stop:
+    # The thread ends before the stop is closed: a closed descriptor wakes no selector.
+    with closing(Stopper()) as stop, ThreadPoolExecutor(max_workers=1) as pool:
         served = pool.submit(
             serve,
             Simulator(protocol),
