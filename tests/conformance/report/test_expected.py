@@ -10,7 +10,10 @@ import msgspec
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.conformance.api import suite_ids
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.conformance import api
+from bilprov.conformance.api import Options, suite_ids
+from bilprov.conformance.cli.options import expected_file
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.report.expected import (
     Entry,
@@ -22,6 +25,7 @@ from bilprov.conformance.report.expected import (
     updated,
 )
 from bilprov.conformance.report.expected_file import ExpectedFile
+from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.robots import sentence
 
@@ -305,12 +309,18 @@ def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
     assert run("conform", "sim", "--fault", "never-moves", *only, file=file)[0] == 3
 
 
-@pytest.mark.slow
-def test_one_file_serves_every_level(tmp_path: Path) -> None:
+def test_one_file_serves_every_level(
+    tmp_path: Path, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "suite_ids", lambda _, options, line: (f"{options.level}/1",))
     file = tmp_path / "f"
-    file.write_text("complete/answers/0001 : answer\nsequence/tour/060 : answer\n")
+    file.write_text("deep/1 : answer\ncomplete/1 : answer\n")
+    line = line_settings(protocol, None, None, None)
 
-    assert run("conform", "sim", "--level", "smoke", "--only", "valid/Stop", file=file)[0] == 0
+    assert expected_file(protocol, Options(level="smoke"), str(file), line) is not None
+    file.write_text("valid/1 : answer\n")
+    with pytest.raises(ExpectedError, match="no case matches 'valid/1'"):
+        expected_file(protocol, Options(level="smoke"), str(file), line)
 
 
 @pytest.mark.slow

@@ -76,6 +76,10 @@ def open_case(page: Page, ident: str) -> str:
     """Click a case; gives the text of what is inside."""
     row = f'#list details[data-id="{ident}"]'
     page.click(f"{row} summary")
+    # On a busy machine the list may have moved on between finding the place and the click.
+    page.eval(
+        f"(d => d.open || d.querySelector('summary').click())(document.querySelector('{row}'))"
+    )
     page.wait(f"document.querySelector('{row} .inside')")
     return str(page.eval(f"document.querySelector('{row} .inside').innerText"))
 
