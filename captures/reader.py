@@ -68,8 +68,8 @@ class Message(msgspec.Struct, frozen=True):
 class Loss(NamedTuple):
     """A place where messages of a capture are lost: the times (ns) beside it, and what is lost.
 
-    The times are those of the messages before and after it, since the capture's start; a loss at
-    the end has the same time twice.
+    The times are those of the messages before and after it, since the capture's start. What is lost
+    behind the last message is no such place: `Capture.left_out` counts its bytes.
     """
 
     before: int

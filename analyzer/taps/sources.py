@@ -71,7 +71,7 @@ class Source(Closing):
 
     @property
     def ended(self) -> bool:
-        """Whether all ports are lost, for now or for ever."""
+        """Whether all ports are lost; one that is there again is opened by `poll`."""
         return not self._ports
 
     @property

@@ -150,9 +150,8 @@ class Listener(Closing):
         for _ in range(_ACCEPT_LIMIT):
             try:
                 connection, _ = self._socket.accept()
-            except (
-                OSError
-            ) as error:  # none left, or a connection that closed before it was accepted
+            except OSError as error:
+                # None is left, or one closed before it was accepted, or no descriptor is free.
                 self.full = error.errno in _SCARCE
                 return
             self.full = False
