@@ -141,13 +141,8 @@ def test_sniff_shows_markup_as_it_is(marked: str) -> None:
         open_pty() as host,
         running("--grammar", marked, "sniff", host.name, "--plain", "--count", "1") as sniffing,
     ):
-        while sniffing.process.poll() is None:
-            os.write(host.master, bytes.fromhex("11 05"))
-            try:
-                sniffing.process.wait(0.2)
-            except Exception:  # it is not there yet: say it again
-                continue
-        code, out, err = sniffing.result()
+        said = bytes.fromhex("11 05")
+        code, out, err = sniffing.result_of(lambda: os.write(host.master, said))
 
     assert code == 0, err
     assert f"{SPEED} sp[/x][red]eed=5" in out.decode()

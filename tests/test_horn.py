@@ -226,13 +226,8 @@ def test_the_copy_sniffs_and_filters(grammar: str) -> None:
             *("--filter", "name == Horn"),
         ) as sniffing,
     ):
-        while sniffing.process.poll() is None:
-            os.write(host.master, bytes.fromhex("20 91 02"))
-            try:
-                sniffing.process.wait(0.2)
-            except Exception:  # it is not there yet: say it again
-                continue
-        code, out, err = sniffing.result()
+        said = bytes.fromhex("20 91 02")
+        code, out, err = sniffing.result_of(lambda: os.write(host.master, said))
 
     assert code == 0, err
     (line,) = [json.loads(text) for text in out.splitlines()]

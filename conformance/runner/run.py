@@ -116,7 +116,7 @@ def result_of(
     most = 2 * len(case.sent) + SPARE_ANSWERS
     verdict = worst(axis.verdict for axis in axes.values())
     counted = isinstance(case, SequenceCase) and case.seeded and verdict < Verdict.FAIL
-    counted = counted and Verdict.PASS <= axes["answer"].verdict < Verdict.INCONCLUSIVE
+    counted = counted and axes["answer"].verdict < Verdict.INCONCLUSIVE
     return CaseResult(
         id=case.id,
         clause=case.clause,
