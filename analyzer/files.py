@@ -94,10 +94,40 @@ def real_path(path: str | Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+PLANTED = "another user made this link, in a folder that everybody may write to"
+
+
+def _is_planted(file: Path) -> bool:
+    """Whether a file is a link that another user made in a folder like /tmp.
+
+    Whoever wrote through it would overwrite a file of his own that the other one chose. The kernel
+    refuses to open such a link (`fs.protected_symlinks`); a file that is renamed is not opened.
+    """
+    try:
+        link, folder = file.lstat(), file.absolute().parent.stat()
+    except OSError:  # there is none
+        return False
+    shared = stat.S_ISVTX | stat.S_IWOTH
+    return (
+        stat.S_ISLNK(link.st_mode)
+        and folder.st_mode & shared == shared
+        and link.st_uid not in (os.geteuid(), folder.st_uid)
+    )
+
+
+def _target(file: Path) -> Path:
+    """The file that is written where this one is named. Raises OSError for a planted link."""
+    if _is_planted(file):
+        raise OSError(errno.EACCES, PLANTED, str(file))
+    return real_path(file)
+
+
 def why_not_writable(file: Path) -> str:
     """Why a file cannot be written and what to do instead, "" if it can."""
     if file.is_dir() or not file.absolute().parent.is_dir():
         return "name a file in a folder that exists"
+    if _is_planted(file):
+        return f"{PLANTED}; name another file"
     allowed = not file.exists() or os.access(file, os.W_OK)
     if not file.exists() or file.is_file():  # anything else, as a pipe, is written as it is
         allowed = allowed and os.access(real_path(file).parent, os.W_OK | os.X_OK)
@@ -119,7 +149,7 @@ def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     A pipe or a terminal is written to directly. Raises OSError, and FileExistsError where there is
     a file, now or at the end, which `replace` does not allow to be replaced.
     """
-    file = real_path(file)
+    file = _target(file)
     if file.exists() and not file.is_file():
         with _opened_for_writing(file) as pipe:
             yield pipe
@@ -137,7 +167,7 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
     If the block raises, what was written is removed. Raises FileExistsError, and keeps the old
     file, if there is one by then, unless `force`.
     """
-    file = real_path(file)
+    file = _target(file)
     part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
     try:
         yield part

@@ -81,6 +81,8 @@ class Pipeline:
         """Let recorder and output know the time (ns), where nothing falls due before it."""
         if self.recorder:
             self.recorder.tick(now)
+            if not self._pending and self.recorder.part_due(now):
+                self._save(now)
         self.shown.output.tick(now)
 
     def finish(self) -> list[Part]:

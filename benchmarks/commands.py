@@ -29,12 +29,17 @@ class Skipped(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a command ended: time and CPU time in s, peak memory in bytes, and its output if kept."""
+    """How a command ended: time and CPU time in s, peak memory in bytes, and its output if kept.
+
+    `error` is what it said on standard error, `code` its exit code.
+    """
 
     seconds: float
     cpu: float
     memory: int
     output: str = ""
+    error: str = ""
+    code: int = 0
 
 
 def bilprov_words(*words: str) -> list[str]:
@@ -90,6 +95,21 @@ def run(words: list[str], *, keep: bool = False, patience: float = _PATIENCE) ->
 
     Raises Skipped if it takes longer than `patience` (s), RuntimeError if it fails.
     """
+    ended = run_any(words, keep=keep, patience=patience)
+    if ended.code:
+        last = ended.error.strip().splitlines()[-1:]
+        raise RuntimeError(f"{' '.join(words)}: exit {ended.code}: {''.join(last)}")
+    return ended
+
+
+def run_any(
+    words: list[str],
+    *,
+    keep: bool = False,
+    patience: float = _PATIENCE,
+    stdin: Stream = subprocess.DEVNULL,
+) -> Ended:
+    """Run a program to its end, whatever its exit code. Raises Skipped as `run` does."""
     with (
         tempfile.TemporaryFile() as output,
         tempfile.TemporaryFile() as error,
@@ -98,7 +118,7 @@ def run(words: list[str], *, keep: bool = False, patience: float = _PATIENCE) ->
         told = figures.fileno()
         start = [sys.executable, "-S", "-c", _LAUNCH, str(told), *words]
         out = output if keep else subprocess.DEVNULL
-        with started(start, stdout=out, stderr=error, kept=[told]) as process:
+        with started(start, stdin, out, error, kept=[told]) as process:
             try:
                 process.wait(patience)
             except subprocess.TimeoutExpired:
@@ -106,10 +126,8 @@ def run(words: list[str], *, keep: bool = False, patience: float = _PATIENCE) ->
         for file in (output, error, figures):
             file.seek(0)
         code, took, cpu, memory = json.load(figures)
-        if code:
-            last = error.read().decode(errors="replace").strip().splitlines()[-1:]
-            raise RuntimeError(f"{' '.join(words)}: exit {code}: {''.join(last)}")
-        return Ended(took, cpu, memory, output.read().decode(errors="replace"))
+        said, told_why = (file.read().decode(errors="replace") for file in (output, error))
+        return Ended(took, cpu, memory, said, told_why, code)
 
 
 def first_line(words: list[str], patience: float = _PATIENCE) -> float:

@@ -17,6 +17,7 @@ from struct import Struct
 
 from bilprov.captures.chunked_file import SEAL_BYTES, SEAL_HASH, SEAL_NAME
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import kept_parts
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, MAGIC, RECORD_HEAD, Damaged
@@ -50,6 +51,12 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
     wrong; also for a finished file without a seal.
     """
     path = Path(path)
+    parts = kept_parts(path)
+    if parts:
+        raise CaptureError(
+            f"{printable(path)} is kept in parts, each with a seal of its own: name one of them, "
+            f"like {printable(next(iter(parts.values())))}"
+        )
     content = _content(path)
     if content is None:
         capture = open_capture(path)  # raises the proper error for an empty or missing file
@@ -68,7 +75,11 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
         if capture.damage:
             raise CaptureError(_damaged(path, "a checksum (CRC) told", capture.damage))
         end = seals[-1] if seals else len(content)
-        return Evidence(capture, _attachments(content, end, wanted), sealed=bool(seals))
+        try:
+            attachments = _attachments(content, end, wanted)
+        except Damaged as damage:  # in a file of another program, where not all is checked
+            raise CaptureError(_damaged(path, str(damage))) from damage
+        return Evidence(capture, attachments, sealed=bool(seals))
 
 
 def _content(path: Path) -> mmap.mmap | None:

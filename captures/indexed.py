@@ -7,18 +7,31 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 
 import msgspec
 
 from bilprov.captures import topics
-from bilprov.captures.reader import Capture, Recorded, events_of, recorded_of, sights_of
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import kept_parts, merged, volumes_of
+from bilprov.captures.reader import (
+    Capture,
+    Recorded,
+    capture_of,
+    events_of,
+    first_expected,
+    in_one,
+    read_volume,
+    recorded_of,
+    sights_of,
+)
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
 from bilprov.captures.storage.index import Index, IndexedChunk, read_index
-from bilprov.captures.storage.messages import Contents, Place, Stored, messages_after
+from bilprov.captures.storage.messages import Contents, Order, Place, Stored, messages_after
 from bilprov.captures.storage.records import MAGIC, Damaged
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS
@@ -28,10 +41,14 @@ _CHECKPOINTS = topics.BY_VALUE[Checkpoint].channel
 
 @dataclass(frozen=True, slots=True)
 class StoredCheckpoint:
-    """A checkpoint of a file, and the place of its message: what stands behind it comes after."""
+    """A checkpoint of a file, and the place of its message: what stands behind it comes after.
+
+    `volume` tells in which of the capture's volumes, counted from 0.
+    """
 
     value: Checkpoint
     place: Place = field(repr=False)
+    volume: int = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +57,10 @@ class IndexedCapture(Capture):
 
     It reads as other captures do. `damage` is empty because nobody looked: where a part turns out
     to be damaged, it is left out and a Line `gap` is inserted, as after a survey. `contents.sizes`
-    is empty.
+    is empty. `indexes` are those of its volumes.
     """
 
-    index: Index = field(repr=False)
+    indexes: tuple[Index, ...] = field(repr=False)
 
     def checkpoint_before(self, t: int, grammar: str | None = None) -> StoredCheckpoint | None:
         """The last checkpoint with a time below `t` (ns since the capture's start), None without.
@@ -58,18 +75,23 @@ class IndexedCapture(Capture):
         ):
             return None
 
-        def read(file: BufferedReader, contents: Contents) -> Iterator[StoredCheckpoint]:
-            _check_size(file.fileno(), contents.size)
-            source = RecordFile(file, contents.size)
-            source.own = True
-            for chunk in self.index.chunks_before(self.start + t, _CHECKPOINTS):
-                yield from _checkpoints(source, chunk, self.start)
-
-        for found in self._read(read):
-            value = found.value
-            if value.t < t and value.whole and grammar in (None, value.grammar):
-                return found
+        for number in reversed(range(len(self.volumes))):
+            read = partial(self._checkpoints_before, t, number)
+            for found in read_volume(self.volumes[number], read):
+                value = found.value
+                if value.t < t and value.whole and grammar in (None, value.grammar):
+                    return found
         return None
+
+    def _checkpoints_before(
+        self, t: int, number: int, file: BufferedReader, contents: Contents
+    ) -> Iterator[StoredCheckpoint]:
+        _check_size(file.fileno(), contents.size)
+        source = RecordFile(file, contents.size)
+        source.own = True
+        for chunk in self.indexes[number].chunks_before(self.start + t, _CHECKPOINTS):
+            for value, place in _checkpoints(source, chunk, self.start):
+                yield StoredCheckpoint(value, place, number)
 
     def events(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line]:
         """Yield the chunks and line events in order; those behind a checkpoint if one is given.
@@ -87,12 +109,17 @@ class IndexedCapture(Capture):
         return recorded_of(self, self._stored(after))
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
-        def read(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+        order = Order(first_expected(self))
+        first = after.volume if after else 0
+
+        def read(place: Place | None, file: BufferedReader, contents: Contents) -> Iterator[Stored]:
             _check_size(file.fileno(), contents.size)
-            yield from messages_after(file, contents, after.place if after else None)
+            yield from messages_after(file, contents, order, place)
             _check_size(file.fileno(), contents.size)
 
-        return self._read(read)
+        places = [after.place if after else None, *(None for _ in self.volumes[first + 1 :])]
+        reads = zip(self.volumes[first:], (partial(read, place) for place in places), strict=True)
+        return in_one(order, reads)
 
 
 def open_indexed(path: str | Path) -> IndexedCapture | None:
@@ -102,6 +129,29 @@ def open_indexed(path: str | Path) -> IndexedCapture | None:
     its index does not fit: then `open_capture` opens it or says what is wrong. Raises nothing.
     """
     path = Path(path)
+    parts = kept_parts(path) or {1: path}
+    indexes: list[Index] = []
+    for file in parts.values():
+        index = _index_of(file)
+        if index is None:
+            return None
+        indexes.append(index)
+    held = [
+        (number, file, index.contents)
+        for (number, file), index in zip(parts.items(), indexes, strict=True)
+    ]
+    try:
+        volumes = volumes_of(path, held)
+    except CaptureError:
+        return None
+    contents = volumes[0].contents if volumes[0].path == path else merged(volumes)
+    opened = capture_of(path, contents, volumes)
+    known = {one.name: getattr(opened, one.name) for one in fields(opened)}
+    return IndexedCapture(**known, indexes=tuple(indexes))
+
+
+def _index_of(path: Path) -> Index | None:
+    """The index of a file with traffic that says when it began; None if there is none."""
     try:
         if not path.is_file():
             return None
@@ -112,23 +162,13 @@ def open_indexed(path: str | Path) -> IndexedCapture | None:
         return None
     if index is None or not {topics.HOST_RAW, topics.DEVICE_RAW} & index.contents.counts.keys():
         return None
-    contents = index.contents
-    start = contents.starts[0] if contents.starts else ""
-    if not (start.isascii() and start.isdigit() and len(start) <= 20):
-        return None
-    return IndexedCapture(
-        path=path,
-        start=int(start),
-        metadata=contents.metadata,
-        library=contents.library,
-        unfinished=False,
-        damage=(),
-        contents=contents,
-        index=index,
-    )
+    start = index.contents.starts[0] if index.contents.starts else ""
+    return index if start.isascii() and start.isdigit() and len(start) <= 20 else None
 
 
-def _checkpoints(source: RecordFile, chunk: IndexedChunk, start: int) -> Iterator[StoredCheckpoint]:
+def _checkpoints(
+    source: RecordFile, chunk: IndexedChunk, start: int
+) -> Iterator[tuple[Checkpoint, Place]]:
     """Yield the checkpoints of a chunk, the last one first; none if the chunk is not as indexed."""
     try:
         found = source.record(chunk.offset)
@@ -149,7 +189,7 @@ def _checkpoints(source: RecordFile, chunk: IndexedChunk, start: int) -> Iterato
         except JSON_ERRORS:
             continue
         if value.t == log_time - start:
-            yield StoredCheckpoint(value, Place(chunk.offset, end, sequence))
+            yield value, Place(chunk.offset, end, sequence)
 
 
 def _check_size(descriptor: int, size: int) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from dataclasses import replace as with_changes
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
@@ -15,6 +17,7 @@ from msgspec.structs import replace
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import Volume, kept_parts, merged, start_of, volumes_of
 from bilprov.captures.schemas import (
     Asked,
     CaseMark,
@@ -25,7 +28,13 @@ from bilprov.captures.schemas import (
     Look,
     Resumption,
 )
-from bilprov.captures.storage.messages import Contents, Stored, attachments, stored_messages
+from bilprov.captures.storage.messages import (
+    Contents,
+    Order,
+    Stored,
+    attachments,
+    stored_messages,
+)
 from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.storage.recovery import WINDOW, RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
@@ -84,6 +93,9 @@ class Capture:
     `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov`, empty if there
     is none; `library` names the writer. `unfinished` is true if the writer never closed the file:
     then the complete records are read. `damage` has a sentence for each part that is left out.
+
+    `volumes` are its files: of a recording that is kept in parts, those that are there. `path` is
+    then the name that stands for all of them, and `contents` are those of all together.
     """
 
     path: Path
@@ -93,6 +105,7 @@ class Capture:
     unfinished: bool
     damage: tuple[str, ...]
     contents: Contents = field(repr=False)
+    volumes: tuple[Volume, ...] = field(repr=False)
 
     def __iter__(self) -> Iterator[Chunk | Line]:
         """The same as `events()`."""
@@ -144,26 +157,72 @@ class Capture:
             before = max(before, t)
 
     @property
+    def in_parts(self) -> bool:
+        """Whether it is the parts of a recording, and not one file."""
+        return self.volumes[0].path != self.path
+
+    @property
     def left_out(self) -> int:
         """How many bytes of the file are not read, because they are damaged or incomplete."""
-        read = sum(end - first for first, end in self.contents.regions)
-        return self.contents.size - min(len(MAGIC), self.contents.size) - read
+        return sum(_left_out(volume.contents) for volume in self.volumes)
 
     def attachments(self) -> Iterator[AttachmentRecord]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
-        return self._read(attachments)
+        for volume in self.volumes:
+            yield from read_volume(volume, attachments)
 
     def _stored(self) -> Iterator[Stored]:
-        return self._read(stored_messages)
+        order = Order(first_expected(self))
+        reads = ((volume, partial(stored_messages, order=order)) for volume in self.volumes)
+        return in_one(order, reads)
 
-    def _read(self, read: Callable[[BufferedReader, Contents], Iterator[Item]]) -> Iterator[Item]:
-        try:
-            with self.path.open("rb") as file:
-                yield from read(file, self.contents)
-        except Damaged as error:
-            raise changed(self.path, error) from error
-        except OSError as error:
-            raise unreadable(self.path, error) from error
+
+Read: TypeAlias = Callable[[BufferedReader, Contents], Iterator[Item]]
+
+
+def read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
+    """Yield what `read` yields of a volume. Raises CaptureError as `Capture.events` does."""
+    try:
+        with volume.path.open("rb") as file:
+            yield from read(file, volume.contents)
+    except Damaged as error:
+        raise changed(volume.path, error) from error
+    except OSError as error:
+        raise unreadable(volume.path, error) from error
+
+
+def first_expected(capture: Capture) -> int | None:
+    """The sequence number with which a capture begins, None for a later part of a recording."""
+    return None if capture.volumes[0].contents.metadata.get(topics.PART, "1") != "1" else 0
+
+
+def in_one(order: Order, reads: Iterable[tuple[Volume, Read[Stored]]]) -> Iterator[Stored]:
+    """Yield the messages of some volumes, which `order` counts, as those of one file.
+
+    Each part begins with a checkpoint for those who read it alone. Where nothing is missing before
+    it, decoding is in that state anyway, and it is left out.
+    """
+    for number, (volume, read) in enumerate(reads):
+        order.missing = volume.missing
+        stored = read_volume(volume, read)
+        begin = next(stored, None) if number else None
+        if begin and (begin.lost or not _resumes(begin)):
+            yield begin
+        yield from stored
+
+
+def _resumes(message: Stored) -> bool:
+    if message.channel != topics.BY_VALUE[Checkpoint].channel:
+        return False
+    try:
+        return bool(msgspec.json.decode(message.data, type=Checkpoint).resumes)
+    except JSON_ERRORS:
+        return False
+
+
+def _left_out(contents: Contents) -> int:
+    read = sum(end - first for first, end in contents.regions)
+    return contents.size - min(len(MAGIC), contents.size) - read
 
 
 def events_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line]:
@@ -229,10 +288,67 @@ def _recorded(
 def open_capture(path: str | Path) -> Capture:
     """Open a capture and survey it in one pass with bounded memory.
 
+    Where there is no such file, but parts of a recording under this name (`drive.00001.mcap` and so
+    on for `drive.mcap`), they are opened as one capture.
+
     Raises CaptureError if the file does not exist, is no MCAP file, or has neither a `/host/raw`
-    nor a `/device/raw` topic.
+    nor a `/device/raw` topic; also if the parts are not of one recording.
     """
     path = Path(path)
+    parts = kept_parts(path)
+    if parts:
+        return _opened_parts(path, parts)
+    contents = _surveyed(path)
+    _check_topics(path, contents)
+    return capture_of(path, contents, (Volume(path, contents),))
+
+
+def capture_of(path: Path, contents: Contents, volumes: tuple[Volume, ...]) -> Capture:
+    """The capture of these volumes, which hold `contents` together."""
+    return Capture(
+        path=path,
+        start=start_of(contents),
+        metadata=contents.metadata,
+        library=contents.library,
+        unfinished=contents.unfinished,
+        damage=contents.damage,
+        contents=contents,
+        volumes=volumes,
+    )
+
+
+def _opened_parts(path: Path, parts: Mapping[int, Path]) -> Capture:
+    held: list[tuple[int, Path, Contents]] = []
+    newest = max(parts)
+    cut_short = False
+    for number, part in parts.items():
+        # What killed the program may have come before the newest part had a whole front.
+        may_be_cut = number > min(parts) and number == newest
+        contents = None if may_be_cut and _is_empty(part) else _surveyed(part)
+        if contents is None or (may_be_cut and _is_hardly_begun(contents)):
+            cut_short = True
+            continue
+        _check_topics(part, contents)
+        held.append((number, part, contents))
+    volumes = volumes_of(path, held)
+    contents = merged(volumes)
+    if cut_short:
+        contents = with_changes(contents, unfinished=True)
+    return capture_of(path, contents, volumes)
+
+
+def _is_empty(path: Path) -> bool:
+    try:
+        return path.is_file() and not path.stat().st_size
+    except OSError:
+        return False
+
+
+def _is_hardly_begun(contents: Contents) -> bool:
+    return contents.unfinished and not contents.starts and not any(contents.counts.values())
+
+
+def _surveyed(path: Path) -> Contents:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -241,19 +357,9 @@ def open_capture(path: str | Path) -> Capture:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             damage = _magic_damage(path, file, size)
-            contents = surveyed(file, size, damage)
+            return surveyed(file, size, damage)
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from error
-    _check_topics(path, contents)
-    return Capture(
-        path=path,
-        start=_start(contents),
-        metadata=contents.metadata,
-        library=contents.library,
-        unfinished=contents.unfinished,
-        damage=contents.damage,
-        contents=contents,
-    )
 
 
 def changed(path: Path, why: Damaged) -> CaptureError:
@@ -302,13 +408,6 @@ def _check_topics(path: Path, contents: Contents) -> None:
         f"{printable(path)} holds {'topics ' + printable(listed) if held else 'no topics'}; "
         f"bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
     )
-
-
-def _start(contents: Contents) -> int:
-    for text in contents.starts:
-        if text.isascii() and text.isdigit() and len(text) <= 20:
-            return int(text)
-    return contents.first
 
 
 def _value(topic: str, encoding: str, data: bytes) -> dict[str, Any] | bytes:

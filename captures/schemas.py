@@ -138,7 +138,8 @@ class Asked(Timed, frozen=True):
     What was sent, heard and seen stands in the messages before it; `t` is when it was done, of a
     `send` when the last byte had gone, `begun` when a `look` was asked for. `ended` says why it
     could not be done, or why the run was told to end (`interrupt`); then `error` tells that the
-    kit, the port or the probe failed and `line_works` that the robot could still be homed.
+    kit, the port or the probe failed and `line_works` that the robot could still be homed. A port
+    that was lost was missed at `lost` and there again at `t`; then the run went on.
     """
 
     ask: Literal["send", "listen", "look", "power", "interrupt"]
@@ -146,6 +147,7 @@ class Asked(Timed, frozen=True):
     ended: str | None = None
     error: bool | None = None
     line_works: bool | None = None
+    lost: int | None = None
 
 
 class Look(Timed, frozen=True):

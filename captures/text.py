@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
-import re
+import json
+from collections.abc import Callable
 from typing import Any
 
-# C0 and C1 controls, lone surrogates, marks that change the direction of text or are invisible,
-# line and paragraph separators, and characters that are not allowed in XML.
-_UNSEEN = re.compile(
-    "[\x00-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff"
-    "\ufff9-\ufffb\ufffe\uffff]"
-)
+
+class _Escapes(dict[int, str]):
+    """What stands for each character in `str.translate`, found out when it is first met."""
+
+    def __init__(self, escape: Callable[[str], str]) -> None:
+        self._escape = escape
+
+    def __missing__(self, number: int) -> str:
+        character = chr(number)
+        shown = character if character.isprintable() else self._escape(character)
+        if len(self) < _REMEMBERED:
+            self[number] = shown
+        return shown
+
+
+_REMEMBERED = 1 << 16  # characters
+_PLAIN = _Escapes(lambda character: character.encode("unicode_escape").decode())
+_IN_JSON = _Escapes(lambda character: json.dumps(character)[1:-1])
+_IN_JSON[ord("\n")] = "\n"
 
 
 def escape_controls(text: str) -> str:
-    """Replace each control character, bidi mark and lone surrogate by an escape like `\\x1b`."""
-    return _UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    """Replace each character that does not print by an escape like `\\x1b`; gives one line.
+
+    These are control characters, marks that change the direction of text, characters of no width,
+    lone surrogates, all spaces but the usual one, and all that XML does not allow.
+    """
+    return text if text.isprintable() else text.translate(_PLAIN)
+
+
+def escape_json(data: bytes) -> bytes:
+    """JSON of the same value in which every character prints, but for its line ends."""
+    if data.isascii() and b"\x7f" not in data:  # JSON itself escapes the rest
+        return data
+    return data.decode().translate(_IN_JSON).encode()
 
 
 def escape_all_controls(value: Any) -> Any:
@@ -53,11 +78,7 @@ def printable(text: object) -> str:
     At most 200 characters are kept; an ellipsis marks a cut.
     """
     line = str(text)
-    clipped = line[:PRINTABLE_CHARACTERS]
-    safe = "".join(
-        character if character.isprintable() else f"\\x{ord(character):02x}"
-        for character in clipped
-    )
+    safe = escape_controls(line[:PRINTABLE_CHARACTERS])
     if len(line) > PRINTABLE_CHARACTERS or len(safe) > PRINTABLE_CHARACTERS:
         return safe[: PRINTABLE_CHARACTERS - 1] + "…"
     return safe

@@ -45,7 +45,8 @@ METADATA_NAME = "bilprov"
 START_KEY = "start"  # in the metadata: the wall clock at t = 0, ns
 MACHINE = "machine"  # in the metadata: the name of the machine that recorded
 HISTORY = "history"  # what was done to the recording, edit by edit
-CUT_START = "cut_start_ns"  # where a part that was cut out begins, ns since `start`
+PART = "part"  # the number of this part, from 1, of a recording that is kept in several
+CUT_START = "cut_start_ns"  # where a part, also one that was cut out, begins, ns since `start`
 CUT_END = "cut_end_ns"
 CHANNEL_START_KEY = "bilprov.start"  # the same in each channel's metadata
 

@@ -57,6 +57,8 @@ class CaptureWriter(Closing):
         self._chunk_bytes = 0
         self._kept_bytes = 0
         self._kept_until = 0
+        self._version = version
+        self._before = ""  # what else holds a part of the recording
         self._failure = ""
         self._closed = False
         about = {_utf8(name): _utf8(text) for name, text in metadata.items()}
@@ -69,7 +71,12 @@ class CaptureWriter(Closing):
         self._file = _new_file(self.path)
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
-        self._guarded(lambda: self._open(about, f"bilprov {version}"))
+        try:
+            self._guarded(lambda: self._open(about, f"bilprov {version}"))
+        except CaptureError:
+            with suppress(OSError):
+                self.path.unlink()  # it holds nothing
+            raise
 
     @property
     def failed(self) -> bool:
@@ -140,6 +147,29 @@ class CaptureWriter(Closing):
         self._kept_until = self._newest
         self._flush_at = NEVER
         self._chunk_messages = self._chunk_bytes = 0
+
+    @property
+    def size(self) -> int:
+        """How many bytes of the file have been written, in complete chunks."""
+        return self._kept_bytes
+
+    def following(self, path: str | Path, metadata: Mapping[str, str]) -> CaptureWriter:
+        """Finish the file, and return the writer of a new one that goes on where this one ends.
+
+        Times count from the same start and sequence numbers go on. Raises CaptureError if this file
+        cannot be finished, or the new one made.
+        """
+        self.close()
+        try:
+            writer = CaptureWriter(
+                path, start_wall=self._start, metadata=metadata, version=self._version
+            )
+        except CaptureError as error:
+            raise CaptureError(f"{error}; {self._kept()} in {printable(self.path)}") from error
+        writer._sequence = self._sequence
+        writer._newest = writer._kept_until = self._newest
+        writer._before = " and the parts before it"
+        return writer
 
     def close(self) -> None:
         """Finish the file; further calls, and a call after a failure, do nothing.
@@ -213,8 +243,8 @@ class CaptureWriter(Closing):
         status = os.fstat(self._file.fileno())
         if self._counts_links and status.st_nlink == 0:
             self._fail(
-                f"the capture file {printable(self.path)} was deleted while recording: what was "
-                "captured is lost, record again"
+                f"the capture file {printable(self.path)} was deleted while recording: what it "
+                "held is lost, record again"
             )
         if stat.S_ISREG(status.st_mode) and status.st_size != self._kept_bytes:
             self._fail(
@@ -242,11 +272,13 @@ class CaptureWriter(Closing):
             act()
         except OSError as error:
             why = "disk full" if error.errno in FULL else printable(error.strerror or error)
-            self._fail(
-                f"{why}: what was captured until {self._kept_until / 1e9:.1f} s is kept in "
-                f"{printable(self.path)}",
-                error,
-            )
+            name = printable(self.path)
+            if not self._kept_bytes:
+                self._fail(f"{why}: {name} cannot be begun", error)
+            self._fail(f"{why}: {self._kept()} in {name}{self._before}", error)
+
+    def _kept(self) -> str:
+        return f"what was captured until {self._kept_until / 1e9:.1f} s is kept"
 
     def _fail(self, sentence: str, cause: OSError | None = None) -> None:
         self._failure = sentence

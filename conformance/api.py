@@ -9,7 +9,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable
-from bilprov.conformance.cases.budget import before_the_cases, dropped, seconds, within
+from bilprov.conformance.cases.budget import Pace, before_the_cases, dropped, seconds, within
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
     INDEPENDENT_GROUPS,
@@ -22,7 +22,13 @@ from bilprov.conformance.cases.levels import (
     single_cases,
 )
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching, reaches, share
+from bilprov.conformance.cases.selection import (
+    CONDITIONAL_CASES,
+    LONGEST_GLOB,
+    matching,
+    reaches,
+    share,
+)
 from bilprov.conformance.dut.link import Device, drive, interruption
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
@@ -32,7 +38,7 @@ from bilprov.conformance.oracle.timers import Timers, timers_of
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
-from bilprov.conformance.runner.executor import Runner, SkipPolicy
+from bilprov.conformance.runner.executor import Runner, SkipPolicy, is_slow
 from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener
 from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
@@ -82,10 +88,10 @@ def select_cases(
     for a glob with characters that no id has, and for a shard that there is not.
     """
     for glob in options.only:
-        if not glob.isprintable():
+        if not glob.isprintable() or len(glob) > LONGEST_GLOB:
             raise ValueError(
-                f"{printable(glob)} is no glob of case ids, which are letters, digits, - and /; "
-                "see them with --list"
+                f"{printable(glob)} is no glob of case ids, which are letters, digits, - and /, "
+                f"of up to {LONGEST_GLOB} characters; see them with --list"
             )
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
         cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
@@ -118,7 +124,7 @@ def select_cases(
         return estimated_seconds(grammar, [case], options, line)
 
     if options.budget is not None:
-        left = options.budget - before_the_cases(grammar.timing.truncation_timeout / 1000)
+        left = options.budget - before_the_cases(Pace(grammar.timing.truncation_timeout / 1000))
         chosen = within(grammar, cases, left, cost)
         if len(chosen) == len(cases) and not options.only:
             left -= sum(map(cost, chosen))
@@ -200,13 +206,15 @@ def run_suite(
     logged: bool = True,
     experiments: frozenset[str] | None = None,
     short_homing: bool = True,
+    slow_preambles: bool = True,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
     `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
     before each case, from its id and the results so far, whether to skip it. Without `logged` no
     case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
-    one is made). Raises ValueError when no case is left to run.
+    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. Raises ValueError
+    when no case is left to run.
     """
     grammar = target.protocol
     log, meter = WireLog(), Meter(target.byte_time)
@@ -250,6 +258,9 @@ def run_suite(
             environment.lossless,
             experiments,
             short_homing,
+            slow_preambles,
+            target.look_time,
+            environment.announced,
         ),
         profile,
         begin=begin,
@@ -324,17 +335,37 @@ def estimated_seconds(
     cases: Sequence[AnyCase],
     options: Options,
     line: LineSettings | None = None,
-    *,
-    byte_time: int | None = None,
-    answer: float = 0.0,
 ) -> float:
     """About how long the cases take on a port, in s: the wire, silences and time-outs, looks.
 
-    `line` are the line's settings, the grammar's own if None; `byte_time` (ns) is given where a
-    byte takes another time than these say, as on a pty or a socket. `answer` is for how long (s)
-    the line holds an answer back, as a USB adapter does.
+    `line` are the line's settings, the grammar's own if None.
     """
-    timeout = (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000
-    if byte_time is None:
-        byte_time = (line or line_settings(grammar, None, None, None)).byte_time
-    return sum(seconds(grammar, case, byte_time / 1e9, timeout, answer) for case in cases)
+    byte_time = (line or line_settings(grammar, None, None, None)).byte_time
+    pace = Pace(_timeout(grammar, options), byte_time / 1e9)
+    return sum(seconds(grammar, case, pace) for case in cases)
+
+
+def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
+    """About how long (s) a run of the cases takes at a target, with what comes before them.
+
+    It counts how long its adapter holds bytes back and how long its probe takes for a look. Cases
+    for which such a line leaves no time in the run's budget are not run.
+    """
+    sees = target.environment.observability
+    pace = Pace(
+        _timeout(target.protocol, options),
+        target.byte_time / 1e9,
+        target.latency / 1e9,
+        target.look_time / 1e9 if sees.available else 0.0,
+        sees.costly or not sees.available,
+    )
+    spent = sum(seconds(target.protocol, case, pace) for case in cases)
+    whole = _timers(target, options).run_budget
+    if whole is not None and is_slow(max(pace.answer, pace.look)):
+        spent = min(spent, whole / 1e9)
+    return before_the_cases(pace) + spent
+
+
+def _timeout(grammar: Grammar, options: Options) -> float:
+    """The pause (s) that ends a truncated frame, for an estimate."""
+    return (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000

@@ -40,6 +40,7 @@ SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile
 # Keys that were added to a report later: older recordings lack them.
 _LATER = (
     *("planned_clause", "frames", "facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels"),
+    "preamble_speed",
     *COMBINED.values(),
 )
 
@@ -85,6 +86,7 @@ class _Run(msgspec.Struct, frozen=True):
     options: Options
     environment: Environment = msgspec.field(name="circumstances")
     short_homing: bool = False
+    slow_preambles: bool = False
 
 
 class _Results(RunListener):
@@ -124,6 +126,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
             [listener],
             experiments=_experiments(evidence),
             short_homing=run.short_homing,
+            slow_preambles=run.slow_preambles,
         )
         cut = link.cut
         if link.left:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import compileall
 import gc
 import os
 import select
@@ -40,6 +41,18 @@ _NOT_QUICK = (
     (select, "select", "waits in real time"),
     (select, "poll", "waits in real time"),
 )
+_refusals: list[str] = []  # of the test that runs
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the product before the first test.
+
+    A command that a test lets write short files only would else leave a module's compiled file cut
+    short, and no command could import it again.
+    """
+    if not hasattr(config, "workerinput"):  # once, and not in each process of a run
+        for room in ("src", "spec", "captures", "analyzer", "conformance"):
+            compileall.compile_dir(ROOT / room, quiet=2)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -60,10 +73,22 @@ def _quick(request: pytest.FixtureRequest) -> Iterator[None]:
         for owner, name, what in _NOT_QUICK if request.config.getoption("--quick") else ():
 
             def refused(*_: object, what: str = what, **__: object) -> None:
+                _refusals.append(what)
                 pytest.skip(f"not quick: {what}")
 
             patch.setattr(owner, name, refused)
         yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Skip what was refused something, also where a thread or a command took the refusal."""
+    _refusals.clear()
+    try:
+        yield
+    finally:
+        if _refusals:
+            pytest.skip(f"not quick: {_refusals[0]}")
 
 
 def _sampled(items: list[pytest.Item], seed: int) -> list[pytest.Item]:

@@ -14,6 +14,7 @@ import pytest
 
 from bilprov import __main__ as front_door
 from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.storage import messages, records, recovery
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 
@@ -86,3 +87,35 @@ def test_a_command_line_is_one_that_exists(page: str, line: str) -> None:
         group, context = command, click.Context(command, context, name, resilient_parsing=True)
     if "--help" not in words:
         group.make_parser(context).parse_args(words)
+
+
+def test_the_limits_of_a_reader_are_those_that_it_has() -> None:
+    text = (ROOT / "docs" / "captures.md").read_text()
+    said = dict(re.findall(r"^\| (.+?) \| (.+?) \|$", text, re.MULTILINE))
+    mib, kib = 1 << 20, 1 << 10
+    limits = {
+        "bytes unpacked of all chunks": f"{recovery.UNPACKED_FREE // mib} MiB, and "
+        f"{recovery.UNPACKED_SHARE:,} for each byte of the file",
+        "messages in chunks": f"{recovery.MESSAGES_FREE:,}, and one for every two bytes "
+        "of the file",
+        "records outside of chunks, without messages and index": f"{recovery.LOOSE_RECORDS:,}",
+        "one chunk, packed or unpacked; any other record": f"{records.CHUNK_BYTES // mib} MiB",
+        "data of one message; one text of a header or a channel": (
+            f"{records.MESSAGE_BYTES // kib} KiB"
+        ),
+        "one attachment whose content is read": f"{records.ATTACHMENT_BYTES // mib} MiB",
+        "channels; other records in a chunk": f"{records.CHANNELS}; {records.DESCRIPTIONS:,}",
+        "messages held back to bring a foreign file into time order": (
+            f"{messages.WINDOW_MESSAGES:,}, or {messages.WINDOW_BYTES // mib} MiB"
+        ),
+    }
+
+    assert {name: said.get(name) for name in limits} == limits
+    assert records.RECORD_BYTES == records.CHUNK_BYTES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+def test_what_a_page_links_to_is_there(page: Path) -> None:
+    links = re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", page.read_text())
+
+    assert [link for link in links if not (page.parent / link).exists()] == []

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.hostile_grammars import mutated
 from bilprov.analyzer.transport.pty import open_pty
-from tests.spec.test_grammar_mutations import mutated
 from tests.support.commands import command, process
 from tests.support.robots import sentence, simulate
 from tests.support.wires import running
@@ -105,7 +105,10 @@ SHOWN = {
 }
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.waits] * (name == "shell")) for name in SHOWN],
+)
 @pytest.mark.parametrize("colour", [False, True], ids=["plain", "colour"])
 def test_markup_is_shown_as_it_is(marked: str, name: str, colour: bool) -> None:
     words, piece = SHOWN[name]

@@ -35,6 +35,7 @@ ROOMS = (
         "captures.background",
         "captures.chunked_file",
         "captures.indexed",
+        "captures.parts",
         "captures.reader",
         "captures.writer",
     ),

@@ -16,6 +16,7 @@ from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
@@ -71,8 +72,9 @@ def _input(
     if words == ("-",):
         return decoder, _pieces(None, sender), 0
     path = Path(words[0])
-    if len(words) == 1 and _is_file(path):
-        if _begins_like_a_capture(path):
+    in_parts = len(words) == 1 and bool(kept_parts(path))
+    if in_parts or (len(words) == 1 and _is_file(path)):
+        if in_parts or _begins_like_a_capture(path):
             from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
             from bilprov.analyzer.replay.playback import batches
             from bilprov.captures.reader import open_capture

@@ -23,6 +23,7 @@ from bilprov.captures.text import escape_controls
 
 if TYPE_CHECKING:
     from bilprov.analyzer.doctor.finding import Finding
+    from bilprov.spec.protocol import Protocol
 
 
 @click.command()
@@ -73,7 +74,7 @@ def doctor(
     from bilprov.analyzer.transport.line_settings import line_settings
     from bilprov.analyzer.transport.signals import Stopper
 
-    if Path(port).is_file():
+    if _is_capture(port):
         return _capture(Path(port), device, ask=ask, as_json=style == "json")
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
@@ -95,7 +96,7 @@ def doctor(
     if usable(report.findings):
         rates = rates_of(port, settings.baud) if ask else ()
         if rates:
-            what = _what_may_move(port, rates, longest_time(protocol, rates))
+            what = _what_may_move(protocol, port, rates, longest_time(protocol, rates))
             confirm_motion(what, yes=yes)
             if yes:
                 note(what)
@@ -109,25 +110,42 @@ def doctor(
     return report.end(names)
 
 
+def _is_capture(name: str) -> bool:
+    """Whether a name is a capture's: a character device, a URL or nothing at all is a port's."""
+    from bilprov.captures.parts import kept_parts
+
+    path = Path(name)
+    if "://" in name:
+        return False
+    if not path.exists():
+        return path.suffix == ".mcap" or bool(kept_parts(path))
+    return not path.is_char_device()
+
+
 def _capture(path: Path, device: str | None, *, ask: bool, as_json: bool) -> int:
     """Examine a capture file; returns the exit code."""
     from bilprov.analyzer.doctor.capture_file import of_capture
 
     if device is not None or ask:
-        raise click.UsageError(f"{path} is a file: it is examined alone, and nothing is asked")
+        raise click.UsageError(f"{path} is a capture: it is examined alone, and nothing is asked")
     report = _Report(as_json=as_json)
     report.begin(str(path))
     report.tell(of_capture(path))
     return report.end([str(path)])
 
 
-def _what_may_move(port: str, rates: Sequence[int], seconds: float) -> str:
+def _what_may_move(protocol: Protocol, port: str, rates: Sequence[int], seconds: float) -> str:
+    from bilprov.spec.by_effect import link_check
+    from bilprov.spec.movement import all_movement, movement_of, movement_words
+
     first = f"the robot at {port} is asked at {rates[0]} baud"
     if len(rates) == 1:
-        return first
+        words = movement_words(protocol, movement_of(protocol, link_check(protocol)))
+        return f"{first}: {words}"
+    words = movement_words(protocol, all_movement(protocol))
     return (
         f"{first} and {len(rates) - 1} other rates, for up to {seconds:.0f} s; at a wrong rate it "
-        "hears other bytes than are sent, and may drive"
+        f"hears other bytes than are sent, and may do anything: {words}"
     )
 
 

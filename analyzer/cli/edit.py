@@ -16,7 +16,7 @@ from bilprov.analyzer.cli.output_files import (
     write_output,
 )
 from bilprov.analyzer.cli.progress import reading
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import escape_json, printable, quantity
 
 if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
@@ -247,7 +247,7 @@ def compare(
         comparison = compared(one, other, round(tolerance * 1e6))
     paths = (first, second)
     value = as_json(comparison, protocol, paths)
-    text = msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n"
+    text = escape_json(msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n")
     if output is not None:
         write_output(output, text)
     if output != STANDARD_OUTPUT:

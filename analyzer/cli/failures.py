@@ -1,16 +1,54 @@
-"""Reports exceptions of a command: one sentence on standard error, and the exit code."""
+"""Reports exceptions of a command: one sentence on standard error, and the exit code.
+
+A Ctrl-C that the interpreter would ignore is sent again, so that it is reported too.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
+import signal
 import sys
+from collections.abc import Iterator
+from types import FrameType
 
 import click
 from click import exceptions
 
+from bilprov.captures.text import escape_controls
 from bilprov.spec.errors import UserError
+
+_LONGEST = 4000  # characters of a sentence
+_AGAIN = 0.05  # s
+
+
+@contextlib.contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Send a SIGINT again whose KeyboardInterrupt was raised where no exception can go on.
+
+    Such a place is a callback of the interpreter's own, as when an import ends: it prints
+    "Exception ignored in" and goes on, and a robot would drive although Ctrl-C was pressed.
+    """
+    before = sys.unraisablehook
+
+    def ignored(lost: sys.UnraisableHookArgs) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            before(lost)
+            return
+        # Not at once: it would be raised in here, and be lost again.
+        signal.signal(signal.SIGALRM, _interrupt)
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+
+    sys.unraisablehook = ignored
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def report(error: BaseException) -> int:
@@ -35,10 +73,11 @@ def report(error: BaseException) -> int:
 
 
 def say(sentence: str) -> None:
-    """Print a sentence on standard error as one line, with control and bidi characters escaped."""
-    line = " ".join(sentence.split())
-    safe = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-    click.echo(f"bilprov: {safe}", err=True)
+    """Print a sentence on standard error as one safe line of at most 4,000 characters."""
+    line = escape_controls(" ".join(sentence.split()))
+    if len(line) > _LONGEST:  # what came stands first, what to do last
+        line = f"{line[: _LONGEST // 2]} … {line[3 - _LONGEST // 2 :]}"
+    click.echo(f"bilprov: {line}", err=True)
 
 
 # The beginnings of click's own sentences; ours may begin with a name, which keeps its case.

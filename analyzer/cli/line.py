@@ -18,8 +18,9 @@ from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFau
 from bilprov.analyzer.taps.relay import join
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.text import printable
 
-_TIME = re.compile(r"(\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)\s*(ms|s|)", re.ASCII | re.IGNORECASE)
+_TIME = re.compile(r"(\d+(?:\.\d*)?(?:e[-+]?\d+)?|\.\d+)\s*(ms|s|)", re.ASCII | re.IGNORECASE)
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -30,7 +31,7 @@ def nanoseconds(text: str) -> int:
     value = float(match[1]) * (1e9 if match[2].lower() == "s" else 1e6) if match else math.inf
     if value > LONGEST:
         raise ValueError(
-            f"{text!r} is no such time; write 5ms, 0.2s or a number of milliseconds, "
+            f"{printable(text)!r} is no such time; write 5ms, 0.2s or a number of milliseconds, "
             f"from 0 to {LONGEST // 10**9}s"
         )
     return round(value)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.outputs import Format
     from bilprov.analyzer.output.row_columns import RowStyle
+    from bilprov.analyzer.replay.rotation import Rotation
     from bilprov.analyzer.transport.signals import Stopper
     from bilprov.spec.protocol import Protocol
 
@@ -38,6 +39,23 @@ class Finite(click.FloatRange):
         if not abs(number) <= 1e10:
             self.fail(f"{value} is not a number up to 1e10", param, ctx)
         return number
+
+
+class RotateAt(click.ParamType):  # type: ignore[type-arg]  # takes arguments since click 8.5
+    """A size or a time at which a part of a recording is full, as a Rotation."""
+
+    name = "SIZE|TIME"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Rotation:
+        """The Rotation of an option's value."""
+        from bilprov.analyzer.replay.rotation import rotation_at
+
+        try:
+            return rotation_at(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 def line_options(command: Command) -> Command:
@@ -192,6 +210,16 @@ timeout_option = click.option(
     help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
 )
 
+# In s, as `max_drive`.
+max_drive_option = click.option(
+    "--max-drive",
+    metavar="S",
+    type=Finite(0),
+    default=30.0,
+    show_default=True,
+    help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
+)
+
 # Whether the device is judged by what passes, as `judged`.
 judge_option = click.option(
     "--judge",
@@ -211,8 +239,11 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 
 
 def note(sentence: str) -> None:
-    """Print a note on standard error, so that standard output holds nothing but the records."""
-    click.echo(sentence, err=True)
+    """Print a note on standard error, so that standard output holds nothing but the records.
+
+    It is one line, made safe to show.
+    """
+    click.echo(escape_controls(sentence), err=True)
 
 
 def note_suspension(stopper: Stopper) -> None:
@@ -227,7 +258,7 @@ def note_hindrances(*names: str) -> None:
 
     for name in names:
         for sentence in notes(name):
-            note(escape_controls(sentence))
+            note(sentence)
 
 
 class NotConfirmed(click.ClickException):

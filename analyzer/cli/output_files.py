@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from bilprov.analyzer.files import real_path, why_not_writable, write_whole
+from bilprov.captures.parts import kept_parts
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
@@ -26,11 +27,13 @@ def require_writable(
 ) -> None:
     """Raise UsageError, in one sentence, for an output that cannot be written.
 
-    `outputs` are the option and the path of each, `inputs` files that must not be overwritten.
+    `outputs` are the option and the path of each, `inputs` files, or recordings in parts, that must
+    not be overwritten.
     Without `force` none may exist; a pipe or a device is not overwritten, and with `regular` it is
     refused.
     """
     inputs = list(inputs)
+    inputs += [str(part) for one in inputs for part in kept_parts(Path(one)).values()]
     taken: dict[Path, str] = {}
     on_standard_output = ""
     for option, path in outputs:

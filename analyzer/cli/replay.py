@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import click
@@ -15,6 +16,7 @@ from bilprov.analyzer.cli.options import (
     filter_option,
     judge_option,
     line_options,
+    max_drive_option,
     note,
     plain_option,
     row_options,
@@ -24,6 +26,7 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import (
@@ -34,6 +37,7 @@ from bilprov.analyzer.output.outputs import (
 )
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH
 from bilprov.analyzer.replay.capture_session import (
     capture_decoder,
     capture_line,
@@ -45,10 +49,11 @@ from bilprov.analyzer.replay.playback import batches, interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
+from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -84,6 +89,7 @@ if TYPE_CHECKING:
 @plain_option
 @judge_option
 @click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
+@max_drive_option
 @line_options
 @timeout_option
 @click.pass_obj
@@ -103,6 +109,7 @@ def replay(
     plain: bool,
     judged: bool,
     yes: bool,
+    max_drive: float,
     baud: int | None,
     parity: str | None,
     stopbits: str | None,
@@ -113,7 +120,8 @@ def replay(
     It is decoded from its raw bytes, and shown as `sniff` would have shown it. With --to the host's
     bytes between --start and --end go to a device too, with their recorded timing (at --rate 0 each
     frame when the one before is answered), and every answer that differs from the recorded one is
-    reported: exit code 1 if there is any, 3 if the recording holds no answers.
+    reported: exit code 1 if there is any, 3 if the recording holds no answers. It is also 1 where
+    the device does not answer the stops at the end.
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) tells which parts of the document the traffic covered and what
@@ -148,10 +156,11 @@ def replay(
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
-        confirm_motion(f"the device at {port} will move as recorded in {printable(path)}", yes=yes)
+        if not yes:  # what moves is in the whole capture
+            confirm_motion(_what_moves(protocol, port, path, capture, timeout, window), yes=False)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
-        target = None
+        target, sent = None, 0
         if port is not None:
             from bilprov.analyzer.cli.resend import opened_target, send_again
             from bilprov.analyzer.replay.comparison import ReplayRun
@@ -160,7 +169,7 @@ def replay(
             pause = capture_timeout(capture, protocol, timeout)
             run = ReplayRun()
             target = stack.enter_context(
-                opened_target(protocol, port, settings, pause, rate, stopper, run)
+                opened_target(protocol, port, settings, pause, rate, stopper, run, max_drive)
             )
         statistics = Statistics()
         judge = None
@@ -197,16 +206,40 @@ def replay(
             shown_rows = Shown(output, test, count, window)
             pipeline = Pipeline(opened.decoder, statistics, shown_rows, judge=judge)
             if target is not None:
-                return send_again(
+                sent = send_again(
                     protocol, capture, pipeline, output, target, run, rate, window, stopper
                 )
-            events = capture.sights() if judge else opened.events()
-            _show(events, pipeline, rate, window, stopper, judge)
+            else:
+                events = capture.sights() if judge else opened.events()
+                _show(events, pipeline, rate, window, stopper, judge)
+    if target is not None and not target.answered_stops:
+        from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+
+        note(UNANSWERED_STOPS)
+        return sent or 1
+    if target is not None:
+        return sent
     if judge is None:
         return 0
     from bilprov.analyzer.output.findings import tell_findings
 
     return tell_findings(judge.finish(), style)
+
+
+def _what_moves(
+    protocol: Protocol, port: str, path: str, capture: Capture, timeout: int | None, window: Window
+) -> str:
+    """What the host bytes of the window will make the device at the port do, in words."""
+    decoder = capture_decoder(capture, protocol, timeout)
+
+    def frames() -> Iterator[bytes]:
+        inside = (event for event in capture.events() if window.has(event.t))
+        parts = map(decoder.feed, batches(inside, at_once=True))
+        for part in chain(chain.from_iterable(parts), decoder.finish()):
+            yield from (r.data for r in part.records() if isinstance(r, HostRecord))
+
+    words = movement_words(protocol, movement_of(protocol, frames()))
+    return f"the device at {port} will move as recorded in {printable(path)}: {words}"
 
 
 def _window(start: float | None, end: float | None, duration: float | None) -> Window:
@@ -240,7 +273,7 @@ def _show(
     # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
-    for batch in batches(playing, at_once=not rate and judge is None):
+    for batch in batches(playing, at_once=not rate and judge is None, largest=TEXT_BATCH):
         if stopper.stopped or pipeline.shown.full:
             return
         now = batch[-1].t

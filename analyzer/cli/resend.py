@@ -37,13 +37,14 @@ def opened_target(
     rate: float,
     stopper: Stopper,
     run: ReplayRun,
+    max_drive: float,
 ) -> Target:
     """Open the device; `timeout` (ns) is the recorded truncation time-out. Raises LinkError.
 
-    `run` gets what is sent to it and what it answers.
+    `run` gets what is sent to it and what it answers. `max_drive` is that of `Target`.
     """
     pause = scaled_timeout(timeout, rate)
-    return Target(protocol, open_port(port, settings), pause, stopper, run.record)
+    return Target(protocol, open_port(port, settings), pause, stopper, run.record, max_drive)
 
 
 def send_again(
@@ -65,7 +66,7 @@ def send_again(
     target.begin()
     inside = (event for event in capture.events() if window.has(event.t))
     for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
-        if stopper.stopped:
+        if stopper.stopped or target.driven_out:
             break
         records = _records(pipeline.events([event]))
         _note_all(recorded, records)
@@ -76,8 +77,11 @@ def send_again(
         pipeline.advance(event.t)
     rest = _records(pipeline.finish())
     _note_all(recorded, rest)
-    if not rate and not stopper.stopped:
+    if not rate and not (stopper.stopped or target.driven_out):
         _send_frames(target, rest)
+    if target.driven_out:
+        note(f"{target.driven_out_words}; --max-drive allows more, and nothing was compared")
+        return 1
     target.finish()
     if stopper.stopped:
         note_suspension(stopper)

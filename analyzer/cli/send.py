@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Literal
 
 import click
@@ -11,6 +12,7 @@ import click
 from bilprov.analyzer.cli.options import (
     confirm_motion,
     line_options,
+    max_drive_option,
     note,
     note_hindrances,
     note_suspension,
@@ -31,11 +33,15 @@ from bilprov.analyzer.replay.answers import (
 )
 from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.replay.target import Target
-from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
+from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.replug import Place, opened_again, opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
+from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
 _NO_ANSWER = "none"
@@ -57,6 +63,12 @@ _NO_ANSWER = "none"
     "--format", "style", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
 )
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
+@max_drive_option
+@click.option(
+    "--wait",
+    is_flag=True,
+    help="Wait for a port that is not there yet, and for one that is unplugged meanwhile.",
+)
 @line_options
 @timeout_option
 @click.pass_obj
@@ -68,6 +80,8 @@ def send(
     expectations: tuple[str, ...],
     style: Literal["lines", "jsonl"],
     yes: bool,
+    max_drive: float,
+    wait: bool,
     baud: int | None,
     parity: str | None,
     stopbits: str | None,
@@ -78,9 +92,13 @@ def send(
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
     pause=MS. The device is homed first and on every way out.
 
+    With --wait a port that was unplugged and is there again is homed first; what was not yet sent
+    then follows, and the exit code is 1.
+
     Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
     answer is missing, is no code of the grammar or is not allowed, bytes came without an
-    instruction, or not all was sent; 2 the port cannot be used or nobody answers.
+    instruction, or not all was sent, as where it drove too long (--max-drive); 2 the port cannot be
+    used or nobody answers.
     """
     protocol = load_protocol(grammar)
     timeout = timeout_in_ns(protocol, truncation_timeout)
@@ -89,7 +107,8 @@ def send(
         expected = [_code(protocol, word) for text in expectations for word in text.split(",")]
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    planned = _instructions(protocol, steps, timeout, together=together)
+    frames = _frames(protocol, steps, timeout, together=together)
+    planned = len(frames)
     if expectations:
         promise_verdict()
         if len(expected) != planned:
@@ -99,9 +118,14 @@ def send(
             )
     settings = line_settings(protocol, baud, parity, stopbits)
     output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
-    with open_port(port, settings) as opened:
+    first = _opened(port, settings, wait=wait)
+    if first is None:
+        note("stopped before the port was there: nothing was sent")
+        return 1
+    with first as opened:
         note_hindrances(port)
-        confirm_motion(f"the robot at {port} will do what is sent", yes=yes)
+        words = movement_words(protocol, movement_of(protocol, frames))
+        confirm_motion(f"the robot at {port} will do what is sent: {words}", yes=yes)
         with Stopper() as stopper:
 
             def heard(record: Record) -> None:
@@ -113,25 +137,36 @@ def send(
                 if check.flooded:
                     stopper.stop()
 
-            with Target(protocol, opened, timeout, stopper, heard) as target:
+            def done(what: bytes | float) -> None:
+                if isinstance(what, float):
+                    target.wait(what)
+                    return
+                target.send(what)
+                if not together:
+                    target.settle()
+
+            place, gaps = Place(port), list[str]()
+            with Target(protocol, opened, timeout, stopper, heard, max_drive) as target:
                 target.begin()
-                for what in steps:
-                    if stopper.stopped:
+                actions: list[Callable[[], object]] = [partial(done, what) for what in steps]
+                # With --wait it is homed while a port that is lost can still be waited for.
+                for action in (*actions, target.finish, *([target.home] * wait)):
+                    if stopper.stopped or target.driven_out:
                         break
-                    if isinstance(what, float):
-                        target.wait(what)
-                        continue
-                    target.send(what)
-                    if not together:
-                        target.settle()
-                target.finish()
+                    try:
+                        action()
+                    except LinkError as lost:
+                        if not wait:
+                            raise
+                        gaps.append(_resumed(target, place, settings, stopper, lost))
             note_suspension(stopper)
-    told = [FLOOD_WORDS if check.flooded else check.unasked_words]
+    told = [*gaps, target.driven_out_words]
+    told.append(FLOOD_WORDS if check.flooded else check.unasked_words)
     if expectations:
         told.append(first_difference(protocol, run, expected))
     else:
         told += [check.wrong_words, check.missing_words]
-    if stopper.stopped and check.sent < planned:
+    if check.sent < planned:
         told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
@@ -139,6 +174,30 @@ def send(
     for sentence in sentences:
         note(sentence)
     return 1 if sentences else 0
+
+
+def _opened(port: str, settings: LineSettings, *, wait: bool) -> Port | None:
+    """Open the port; with `wait`, once it is there. None if stopped before. Raises LinkError."""
+    if not wait:
+        return open_port(port, settings)
+    with Stopper() as stopper:
+        return opened_when_there(partial(open_port, port, settings), stopper, note)
+
+
+def _resumed(
+    target: Target, place: Place, settings: LineSettings, stopper: Stopper, lost: LinkError
+) -> str:
+    """Wait for the port that was lost, and home the robot there; returns what was, in words.
+
+    Raises `lost` where the port cannot be found again or a stop was asked for before it was.
+    """
+    note(f"{lost}; waiting")
+    port = opened_again(place, settings, stopper, lost)
+    if port is None:
+        raise lost
+    gap = f"{port.name} was lost and is there again, and the robot was stopped there first"
+    target.resume(port, gap)
+    return gap
 
 
 def _code(protocol: Protocol, word: str) -> int | None:
@@ -160,10 +219,10 @@ def _code(protocol: Protocol, word: str) -> int | None:
     )
 
 
-def _instructions(
+def _frames(
     protocol: Protocol, steps: Sequence[bytes | float], timeout: int, *, together: bool
-) -> int:
-    """How many instructions the steps hold, whole ones and those that the time-out cuts short."""
+) -> list[bytes]:
+    """The instructions that the steps hold, whole ones and those that the time-out cuts short."""
     session = Session(protocol, timeout=timeout, heard=frozenset({"host"}))
     records: list[Record] = []
     now = 0
@@ -175,4 +234,4 @@ def _instructions(
         if not together:  # a frame that is incomplete is waited for
             now += timeout
     records += session.finish()
-    return sum(isinstance(record, HostRecord) for record in records)
+    return [record.data for record in records if isinstance(record, HostRecord)]

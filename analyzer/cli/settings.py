@@ -134,14 +134,23 @@ def _defaults(
             value = value.split()
         if isinstance(value, list) and not option.multiple:
             raise SettingsError(f"{source}: {key} is a list, allowed is one value")
+        given = _as_typed(value, option)
         checked = _NAMING.get(option.name)
         protocol = load_protocol(grammar) if checked else None
         try:
-            option.type_cast_value(context, value)
+            option.type_cast_value(context, given)
             if checked and protocol:
                 checked(str(value), protocol)
         except (click.BadParameter, UserError) as error:
             said = plain_words(str(error))
             raise SettingsError(f"{source}: {key} = {printable(value)}: {said}") from error
-        defaults[option.name] = value
+        defaults[option.name] = given
     return defaults
+
+
+def _as_typed(value: Any, option: click.Parameter) -> Any:
+    """A value as it would be typed: click converts texts, and trips over numbers of other kinds."""
+    if isinstance(value, list):
+        return [_as_typed(part, option) for part in value]
+    is_flag = isinstance(option, click.Option) and option.is_flag
+    return value if isinstance(value, bool) and is_flag else str(value)

@@ -8,6 +8,7 @@ fish a value may have commas.
 from __future__ import annotations
 
 import os
+import re
 from typing import Any
 
 from click.shell_completion import (
@@ -70,6 +71,8 @@ class Bash(BashComplete):
             before = ""
         kind = "part" if value.endswith(GOES_ON) else "plain"
         rest = _requoted(value, quote)[len(before) :]
+        if quote == '"':  # in which bash runs $(...) and what stands in backticks
+            rest = re.sub(r"([$`\\])", r"\\\1", rest)
         if not quote and not set(rest) <= _SAFE:
             rest = f"'{rest}'"
         return f"{kind},{rest}"

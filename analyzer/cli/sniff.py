@@ -17,6 +17,8 @@ from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Command,
     Finite,
+    RotateAt,
+    asked_here,
     compiled,
     filter_option,
     judge_option,
@@ -45,12 +47,14 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.replay.spool import Spool
-from bilprov.analyzer.taps.sources import LOOK_AGAIN, TAPS, Source, opened_tap
+from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
-from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.replug import opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
 from bilprov.spec.errors import UserError
@@ -73,6 +77,14 @@ def tap_options(command: Command) -> Command:
 @click.argument("device", required=False)
 @tap_options
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
+@click.option(
+    "--rotate",
+    type=RotateAt(),
+    help="Begin a new part of the log when one has this size or age, like 100MB or 1h.",
+)
+@click.option(
+    "--keep", metavar="N", type=click.IntRange(1), help="Keep the newest N parts of this log only."
+)
 @filter_option
 @session_format_option
 @row_options
@@ -96,6 +108,8 @@ def sniff(
     host: str | None,
     device: str | None,
     path: str | None,
+    rotate: Rotation | None,
+    keep: int | None,
     expression: str | None,
     style: Format | None,
     time_style: str | None,
@@ -122,6 +136,10 @@ def sniff(
     On a terminal the traffic is shown on a screen, as by `bilprov browse`; ? lists its keys.
     Without -w the last GiB of it is kept meanwhile, and can be saved when the screen is left.
 
+    With --rotate the log -w drive.mcap is kept in parts, drive.00001.mcap, drive.00002.mcap and so
+    on. Each is a capture by itself, and all commands read the parts as one under the name
+    drive.mcap.
+
     A full disk or a capture that is deleted ends only the recording: one sentence says so at once
     and again at the end, with exit code 2.
 
@@ -134,6 +152,7 @@ def sniff(
     anything does.
     """
     style = session_style(style, plain)
+    rotation = _rotation(path, rotate, keep)
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
     test = compiled(expression, protocol)
@@ -161,8 +180,9 @@ def sniff(
             attached=source.attached,
         )
         recorder: Recorder | Spool | None = None
+        kept: str | None = None
         if path:
-            recorder = stack.enter_context(Recorder(path, source.start_wall, metadata))
+            recorder = stack.enter_context(Recorder(path, source.start_wall, metadata, rotation))
         elif style == "live" and not quiet:
             recorder = stack.enter_context(Spool(source.start_wall, metadata))
         statistics = Statistics()
@@ -217,41 +237,53 @@ def sniff(
             lost = feed.join()
             if name and isinstance(recorder, Spool):
                 recorder.keep(Path(name))
-                path = name
+                kept = name
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
             lost = listened(Shown(output, test, count), 0, say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
+    if isinstance(recorder, Recorder) and not failure:
+        kept = said_of_parts(recorder.paths)
     if path or quiet or style == "live":
-        _tell(statistics, "" if failure else path, waited)
+        _tell(statistics, kept, waited)
     code = tell_findings(judge.finish(), style) if judge else 0
-    if lost.sentence and path and not failure:
-        raise LinkError(f"{lost.sentence}; what was captured is kept in {path}")
+    if lost.sentence and kept:
+        raise LinkError(f"{lost.sentence}; what was captured is kept in {kept}")
     if lost.sentence or failure:
         raise UserError("; ".join(filter(None, (lost.sentence, failure))))
     return code
+
+
+def _rotation(path: str | None, rotate: Rotation | None, keep: int | None) -> Rotation | None:
+    """How the recording in `path` is kept in parts, None for one file.
+
+    Raises UsageError for what has no use on this command line; a setting is left alone there.
+    """
+    if rotate is None:
+        if keep is not None and asked_here("keep"):
+            raise click.UsageError(
+                "--keep is how many parts to keep: say with --rotate when a part is full"
+            )
+        return None
+    if path is None:
+        if asked_here("rotate"):
+            raise click.UsageError("--rotate is for a recording: name its file with -w")
+        return None
+    return rotate._replace(keep=keep)
 
 
 def _opened(
     given: Mapping[str, Sequence[str | None]], settings: LineSettings, stopper: Stopper, wait: bool
 ) -> Source | None:
     """Open the tap that was asked for; with `wait`, once it can be. None if stopped before."""
-    said = ""
-    while not stopper.stopped:
-        try:
+    try:
+        if not wait:
             return opened_tap(given, settings)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
-        except LinkError as error:
-            if not wait:
-                raise
-            if str(error) != said:
-                said = str(error)
-                say(f"{said}; waiting")
-        wait_readable([], LOOK_AGAIN, [stopper.fileno()])
-    return None
+        return opened_when_there(partial(opened_tap, given, settings), stopper, say)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
 
 
 class Lost(NamedTuple):

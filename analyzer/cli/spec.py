@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from bilprov.analyzer.cli.options import text_format_option
-from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.output.console import show_as
 from bilprov.analyzer.output.help import Group
+
+_output_option = click.option(
+    "-o",
+    "--output",
+    metavar="FILE",
+    default=STANDARD_OUTPUT,
+    help="Where to; standard output if left out.",
+)
 
 
 @click.group(cls=Group)
@@ -78,9 +84,9 @@ def spec_emit() -> None:
 
 
 @spec_emit.command("c")
-@click.option("-o", "--output", metavar="FILE", help="Where to; standard output if left out.")
+@_output_option
 @click.pass_obj
-def spec_emit_c(grammar: str | None, output: str | None) -> None:
+def spec_emit_c(grammar: str | None, output: str) -> None:
     """A C header with the protocol's constants, for firmware and for hosts.
 
     Example: bilprov spec emit c -o protocol.h
@@ -88,13 +94,13 @@ def spec_emit_c(grammar: str | None, output: str | None) -> None:
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.spec.emit.c import c_header
 
-    _deliver(c_header(load_protocol(grammar)), output)
+    write_output(output, c_header(load_protocol(grammar)).encode())
 
 
 @spec_emit.command("wireshark")
-@click.option("-o", "--output", metavar="FILE", help="Where to; standard output if left out.")
+@_output_option
 @click.pass_obj
-def spec_emit_wireshark(grammar: str | None, output: str | None) -> None:
+def spec_emit_wireshark(grammar: str | None, output: str) -> None:
     """A dissector in Lua for Wireshark and tshark, which reads what `export` writes as pcapng.
 
     Example: bilprov spec emit wireshark -o robot.lua, then tshark -2 -r drive.pcapng -X
@@ -105,16 +111,4 @@ def spec_emit_wireshark(grammar: str | None, output: str | None) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    _deliver(lua_dissector(load_protocol(grammar), SKEW / MS), output)
-
-
-def _deliver(text: str, output: str | None) -> None:
-    if output is None:
-        click.echo(text, nl=False)
-        return
-    try:
-        write_whole(Path(output), text.encode())
-    except OSError as error:
-        raise click.UsageError(
-            f"{output} cannot be written ({error.strerror}): name a file in a folder that exists"
-        ) from error
+    write_output(output, lua_dissector(load_protocol(grammar), SKEW / MS).encode())

@@ -12,6 +12,7 @@ from bilprov.analyzer.cli.output_files import (
     write_output,
 )
 from bilprov.analyzer.cli.progress import reading
+from bilprov.captures.text import escape_json
 
 
 @click.command()
@@ -83,7 +84,8 @@ def stats(
             each.append(file_stats(capture, totals, capture_line(capture, protocol)))
     found = stats_of(protocol, each, together, expression)
     if json_file is not None:
-        write_output(json_file, msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n")
+        text = msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n"
+        write_output(json_file, escape_json(text))
     if csv_file is not None:
         write_output(csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():

@@ -80,7 +80,7 @@ class PortDriver(Driver):
                 self._port.close()
 
     def __enter__(self) -> Self:
-        self._signals.enter_context(ending_in_order())
+        self._signals.enter_context(ending_in_order(self._halt))
         self._signals.enter_context(suspending(self._halt, self._continued))
         return self
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
+from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
@@ -153,6 +154,7 @@ class RegularDecoder:
             early = _early(host, device, np.append(carried, come), len(held))
             cut = min(cut, self._first_unsolicited(t, end, answer_t, early))
             cut = min(cut, self._first_overdue(t, end, answer_t))
+            cut = min(cut, _first_crowded(host, device, np.append(carried, come), len(held)))
             wrong = self._first_shifted(frames, end, byte, answer_t)
             if wrong is not None:
                 cut = min(cut, device.event_of(wrong - len(held)))
@@ -369,6 +371,19 @@ def _sorted(
                 loss = min(loss, place)
     host, device = (_Side(places[side], chunks[side], t) for side in ("host", "device"))
     return host, device, lines, loss
+
+
+def _first_crowded(host: _Side, device: _Side, come: NDArray[np.int64], held: int) -> int:
+    """The first event after which more than MOST instructions wait, or answers are held.
+
+    `come` are the host rows that are complete after 0, 1, 2 ... of the host's chunks. A number
+    above that of every event where there is none.
+    """
+    heard = held + np.append(0, device.bytes)
+    waiting = come[1:] - heard[np.searchsorted(device.event, host.event)]
+    early = heard[1:] - come[np.searchsorted(host.event, device.event)]
+    crowded = *host.event[waiting > MOST][:1], *device.event[early > MOST][:1]
+    return int(min(crowded, default=1 << 62))
 
 
 def _early(host: _Side, device: _Side, come: NDArray[np.int64], held: int) -> NDArray[np.bool_]:

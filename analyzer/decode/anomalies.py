@@ -116,14 +116,18 @@ def unsolicited_because(instructions: int, near_loss: bool) -> Cause:
     return _UNSOLICITED if instructions else _EARLY  # R-unsolicited: a banner
 
 
-def unanswered(waiting: Waiting, now: int) -> Anomaly:
-    """The anomaly of an instruction that got no answer, found at `now` (ns)."""
+def unanswered(waiting: Waiting, now: int, others: int = 0) -> Anomaly:
+    """The anomaly of an instruction that got no answer, found at `now` (ns).
+
+    So many `others` that wait are why it is given up before its time.
+    """
     judgement = waiting.judgement
     # R-truncated-known: a device may stop without an answer.
     severity = Severity.WARNING if judgement.truncated else Severity.ERROR
     reason = (
         f"no answer to instruction {waiting.sequence}, {judgement.describe()} "
         f"({spaced(judgement.frame)}), in {(now - waiting.end) / MS:.0f} ms"
+        f"{f', and {others} others wait' if others else ''}"
     )
     return Anomaly(now, "unanswered", severity, reason, waiting.sequence)
 

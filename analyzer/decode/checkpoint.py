@@ -12,6 +12,7 @@ from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
 _MOST = 1 << 62  # instructions: numbers of some more still fit into 64 bits
+_LATEST = 1 << 80  # ns: no clock shows it, and as seconds it is a number still
 
 
 QUIET = 20 * MS
@@ -88,6 +89,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
                 low <= getattr(state, variable) <= high
                 for variable, (low, high) in protocol.bounds.items()
             )
+            and self.time <= _LATEST
             and all(0 <= t <= self.time for t in past)
             and self.frame_start <= self.frame_end
             and (len(set(self.heard)) > 1 or not (self.waiting or self.held))

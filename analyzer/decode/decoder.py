@@ -124,8 +124,11 @@ class Decoder:
             taps: frozenset[Direction] = frozenset({event.tap} if event.tap else SIDES)
             self._turn(self._away - taps if lost else self._away | taps)
         if event.event == "unplugged":
-            self._lost_at = event.t
-            self._pairing.waiting.clear()  # it is not known whether they are answered
+            self._lost_at, self._out_of_step = event.t, None
+            # It is not known whether what waits is answered; what is held comes before all that
+            # follows, which is told at once.
+            for held in self._pairing.forget():
+                self._unsolicited(held, out)
         if lost:
             self._out_of_step = None
             self._lost_at = event.t
@@ -157,11 +160,12 @@ class Decoder:
     def regular(self) -> bool:
         """Whether all frames that wait for an answer are whole ones, given up after the same time.
 
-        Then columns can go on from here.
+        Then columns can go on from here, if there is room for more to wait.
         """
         longest = self._pairing.longest
         return (
             self._unhurried
+            and max(len(self._pairing.waiting), len(self._pairing.held)) < self._pairing.most
             and not self._away
             and not any(
                 w.judgement.truncated or w.expires != w.end + longest for w in self._pairing.waiting
@@ -277,6 +281,10 @@ class Decoder:
             if pairing.held:
                 self._pair(pairing.held.popleft(), waiting, out)
             else:
+                if len(pairing.waiting) >= pairing.most:
+                    oldest = pairing.waiting.popleft()
+                    early = anomalies.unanswered(oldest, known, pairing.most)
+                    out.append(FaultRecord(early, state))
                 pairing.waiting.append(waiting)
 
     def _answer(self, byte: int, now: int, out: list[Record]) -> None:
@@ -291,6 +299,8 @@ class Decoder:
                 ok = answer is not None and answer.outcome is Outcome.VALID
                 if ok or self._may_be_valid(self._framer.held[0]):
                     self._out_of_step = now + QUIET
+            if len(pairing.held) >= pairing.most:
+                self._unsolicited(pairing.held.popleft(), out)
             pairing.held.append(held)
             return
         if pairing.passes_over(held):

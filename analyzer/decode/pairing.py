@@ -8,12 +8,20 @@ instruction may be delayed in the other adapter. It uses no port and no clock.
 from __future__ import annotations
 
 from collections import deque
+from typing import Final
 
 import msgspec
 
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
+
+MOST: Final = 1 << 15
+"""Instructions that wait at a time, and answers that are held: several times what a line carries.
+
+Only a forged file has more, in which a million instructions have the same time. Then the oldest is
+given up before its time.
+"""
 
 
 class Waiting(msgspec.Struct, frozen=True, gc=False):
@@ -39,12 +47,14 @@ class Pairing:
     """Queues of the instructions that wait for an answer and of the answers held for one.
 
     `skew` (ns) is how much earlier than its instruction's last byte an answer may be timestamped.
-    `waiting` and `held` are the queues, the oldest first; one of them is empty at any time.
+    `waiting` and `held` are the queues, the oldest first; one of them is empty at any time, and the
+    other has `most` entries at most.
     """
 
     def __init__(self, protocol: Protocol, skew: int) -> None:
         timing = protocol.timing
         self._skew = skew
+        self.most = MOST
         self.late = round(timing.answer_deadline * MS)
         self.longest = round(timing.answer_longest * MS)
         # A device may take longer than we do to give up on a frame (R-truncation-timeout).

@@ -23,6 +23,7 @@ listening begins at a random time the share is higher, since a line is idle betw
 # A place is taken as the first frame boundary if it is one with this probability.
 _SURE = 0.99
 _LIKELIER = 0.5  # the same when no more evidence can come; a host idle that long is mostly idle
+_OTHERS = 1 << 14  # device bytes and line events that are buffered, which no line brings meanwhile
 _HELD = 4  # longest frames that are buffered; then the likelier alternative is taken
 
 
@@ -44,6 +45,7 @@ class Resync:
         self._most = _HELD * protocol.longest_frame
         self._synchroniser = Synchroniser(traffic(protocol), BOUNDARY)
         self._events: list[Chunk | Line] = []
+        self._others = 0
         self._last = since
         self._sure = _SURE
         self._answered = False
@@ -58,7 +60,8 @@ class Resync:
     @property
     def over(self) -> bool:
         """Whether resynchronisation has ended: boundaries are found, or the buffer is full."""
-        return self._synchroniser.locked or self._synchroniser.held >= self._most
+        held = self._synchroniser.held
+        return self._synchroniser.locked or held >= self._most or self._others >= _OTHERS
 
     def host(self, byte: int, now: int) -> None:
         """Buffer the host's next byte, which came at `now` (ns)."""
@@ -74,6 +77,9 @@ class Resync:
         if isinstance(event, Chunk):
             self._anchor_once()
         self._events.append(event)
+        self._others += len(event.data) if isinstance(event, Chunk) else 1
+        if self._others >= _OTHERS:
+            self.give_up()
 
     def silence(self) -> None:
         """End resynchronisation at `deadline`: no frame can be open, a boundary is here."""

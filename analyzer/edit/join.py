@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
-from math import ceil
+from math import ceil, nan
 from typing import Literal, NamedTuple, TypeAlias
 
 from msgspec.structs import replace
@@ -45,6 +45,7 @@ from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 SECOND = 1_000_000_000  # ns
+_OF_ONE = {topics.START_KEY, topics.HISTORY, topics.CUT_START, topics.CUT_END, topics.PART}
 Tap: TypeAlias = "Direction | Literal['']"
 
 
@@ -106,7 +107,7 @@ class Joined:
         abouts = [source.capture.metadata for source in self.sources]
         about: dict[str, str] = {}
         for key in dict.fromkeys(key for one in abouts for key in one):
-            if key in (topics.START_KEY, topics.HISTORY, topics.CUT_START, topics.CUT_END):
+            if key in _OF_ONE:
                 continue
             if len({one[key] for one in abouts if key in one}) == 1:
                 about[key] = next(one[key] for one in abouts if key in one)
@@ -180,12 +181,17 @@ def _begin(capture: Capture) -> int:
 
 
 def _continues(before: _Source, after: _Source) -> bool:
-    """Whether a part was cut off right where the one before it ends."""
+    """Whether a part was cut off, or begun, right where the one before it ends."""
     one, other = before.capture, after.capture
     cut = one.metadata.get(topics.CUT_END)
-    return (
-        cut is not None and cut == other.metadata.get(topics.CUT_START) and one.start == other.start
-    )
+    cut_off = cut is not None and cut == other.metadata.get(topics.CUT_START)
+    return one.start == other.start and (cut_off or _part(one) + 1 == _part(other))
+
+
+def _part(capture: Capture) -> float:
+    """The number of a part of a recording; what is none comes before and after nothing."""
+    number = capture.metadata.get(topics.PART, "")
+    return int(number) if number.isascii() and number.isdigit() and len(number) < 20 else nan
 
 
 def _moved(value: Recorded, by: int, protocol: Protocol | None, tap: Tap) -> Recorded:

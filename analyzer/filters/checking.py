@@ -45,6 +45,8 @@ class _Checker:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
+        # What was found out about each part with &: it is asked for several times.
+        self._known: dict[int, tuple[tree.Operand, Field]] = {}
 
     # Conditions
 
@@ -255,9 +257,11 @@ class _Checker:
                 byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
                 return tree.Item(whole.key, place), byte
             case parts.Bits(left=left, right=right):
-                if self._field(left) is None:
-                    left, right = right, left
-                return self._bits(left, right, shown(part))
+                if id(part) not in self._known:
+                    if self._field(left) is None:
+                        left, right = right, left
+                    self._known[id(part)] = self._bits(left, right, shown(part))
+                return self._known[id(part)]
         field = self._field(part)
         assert field is not None
         return tree.Name(field.key), field
@@ -282,7 +286,7 @@ class _Checker:
             both = tree.Bits(operand, self._operand(right)[0])
             return both, Field(name, Kind.NUMBER, "bits")
         mask = value(self._protocol, right, field)
-        if not isinstance(mask, int) or mask < 0:
+        if not isinstance(mask, int) or mask < 0 or mask.bit_length() > 63:
             refuse_part(right, "is no mask; & takes a whole number like 4 or 0x80")
         reach = mask
         if field.low is not None and field.high is not None and field.low >= 0:

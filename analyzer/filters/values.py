@@ -170,7 +170,7 @@ def refuse_kind(protocol: Protocol, part: Part, field: Field) -> NoReturn:
         refuse_unknown(protocol, part)
     if isinstance(part, parts.Range | parts.Listed):
         refuse(part, "a set or a range stands behind in, like id in {1, 2} or t in 1s..2s")
-    what = _WHAT[type(part)]
+    what = _WHAT.get(type(part), "a condition")
     refuse_part(part, f"is {what}, and {field.name} is {kind_of(field)}: write {example(field)}")
 
 

@@ -4,8 +4,9 @@ The JSON of `--json` is one object. Moments are ISO 8601 in UTC, to the microsec
 since 1970, where a file claims one outside the calendar):
 
 - `path`; `size` in bytes; `library`, the program that has written the file.
-- `start`, `end`: when the recording began and when its last message came. Of what `cut` or `join`
-  has made, when the first message and the last one came.
+- `parts`: the files, by name, of a recording that is kept in parts; of one file none.
+- `start`, `end`: when the recording began and when its last message came. Of a part, and of what
+  `cut` or `join` has made, when the first message and the last one came.
 - `zero`: the moment from which `t` counts in the file's records. A part keeps that of the whole.
 - `duration`: from `start` to `end`, in seconds.
 - `host`: the name of the machine on which it was recorded, null if the file does not say.
@@ -41,6 +42,7 @@ class Summary:
 
     path: str
     size: int
+    parts: tuple[str, ...]
     library: str
     start: str
     end: str
@@ -59,13 +61,14 @@ class Summary:
 def summarized(capture: Capture, protocol: Protocol) -> Summary:
     """Summarize an opened capture; text from the file is not escaped here."""
     contents = capture.contents
-    edited = HISTORY in capture.metadata and contents.first
-    start = contents.first if edited else capture.start
+    begun_later = {HISTORY, CUT_START} & capture.metadata.keys() and contents.first
+    start = contents.first if begun_later else capture.start
     end = max(start, contents.last)
     hashes = [value for key, value in capture.metadata.items() if key.endswith("sha256")]
     return Summary(
         path=str(capture.path),
         size=contents.size,
+        parts=tuple(part.path.name for part in capture.volumes) if capture.in_parts else (),
         library=capture.library,
         start=_moment(start),
         end=_moment(end),
@@ -117,6 +120,9 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
 
 def _about(summary: Summary) -> Iterator[tuple[str, str]]:
     yield "size", quantity(summary.size, "byte")
+    if summary.parts:
+        named = printable(" to ".join(dict.fromkeys((summary.parts[0], summary.parts[-1]))))
+        yield "kept in", f"{quantity(len(summary.parts), 'part')}, {named}"
     yield "written by", printable(summary.library) or "unknown"
     yield "start", summary.start
     yield "end", summary.end

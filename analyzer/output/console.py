@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+from bilprov.captures.text import escape_controls, escape_json
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.text import Text
@@ -49,8 +51,8 @@ def show_json(value: Any) -> None:
     """Print one value as indented JSON."""
     import msgspec
 
-    text = msgspec.json.format(msgspec.json.encode(value), indent=2).decode()
-    sys.stdout.write(text + "\n")
+    text = escape_json(msgspec.json.format(msgspec.json.encode(value), indent=2))
+    sys.stdout.write(text.decode() + "\n")
 
 
 def show_as(
@@ -65,9 +67,14 @@ def show_as(
 
 def heading(text: str) -> Text:
     """A bold title for a table or a block."""
+    return _safe(text, "bold")
+
+
+def _safe(text: str, style: str = "") -> Text:
+    """Text that may be foreign, made safe to show."""
     from rich.text import Text
 
-    return Text(text, style="bold")
+    return Text(escape_controls(text), style=style)
 
 
 def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> RenderableType:
@@ -81,7 +88,7 @@ def facts(rows: Iterable[tuple[str, str | Text]], indent: int = 2) -> Renderable
     grid.add_column()
     for label, said in rows:
         if said:
-            grid.add_row(Text(label), said if isinstance(said, Text) else Text(said))
+            grid.add_row(_safe(label), said if isinstance(said, Text) else _safe(said))
     return Padding(grid, (0, 0, 0, indent), expand=False)
 
 
@@ -89,12 +96,11 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]], right: str = ""
     """A table with a header line. The columns named in `right` are aligned to the right."""
     from rich.padding import Padding
     from rich.table import Table
-    from rich.text import Text
 
     drawn = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in columns:
         side: Literal["left", "right"] = "right" if name in right.split() else "left"
-        drawn.add_column(Text(name), justify=side, no_wrap=name != columns[-1])
+        drawn.add_column(_safe(name), justify=side, no_wrap=name != columns[-1])
     for row in rows:
-        drawn.add_row(*(Text(cell) for cell in row))
+        drawn.add_row(*(_safe(cell) for cell in row))
     return Padding(drawn, (0, 0, 0, 2), expand=False)

@@ -110,7 +110,7 @@ def neutral(text: str) -> str:
 
 
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "'")
-_ESCAPED = re.compile(r"\\(\\|[tnr]|x[0-9a-f]{2}|u[0-9a-f]{4})")
+_ESCAPED = re.compile(r"\\(\\|[tnr]|x[0-9a-f]{2}|u[0-9a-f]{4}|U[0-9a-f]{8})")
 _NAMED = {"\\": "\\", "t": "\t", "n": "\n", "r": "\r"}
 _HARMLESS = re.compile(r"[\w .()]*", re.ASCII)
 

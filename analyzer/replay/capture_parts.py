@@ -13,7 +13,7 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 
-TEXT_BATCH = 1 << 16
+TEXT_BATCH = 1 << 15
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
 WHOLE = Window()

@@ -11,7 +11,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Direction
 from bilprov.captures.text import printable
-from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.captures.topics import CUT_START, DEVICE_RAW, HOST_RAW
 from bilprov.spec.protocol import Protocol
 
 _LONGEST = 60_000.0  # ms that a file may ask for
@@ -70,6 +70,10 @@ def said_about(capture: Capture, protocol: Protocol, start: int | None = None) -
     So is a `start` (ns since the capture's) from which on it is shown, and which is behind its end.
     """
     name = printable(capture.path)
+    gone = capture.metadata.get(CUT_START, "") if capture.in_parts else ""
+    if gone.isascii() and gone.isdigit() and len(gone) < 20:
+        first = printable(capture.volumes[0].path.name)
+        yield f"{name} begins at {int(gone) / 1e9:.3f} s with {first}: older parts are not there"
     if capture.unfinished:
         yield f"{name} was never finished: all that is whole is shown"
     if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Final
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, Severity
+from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.replay.throttle import Throttle
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.closing import Closing
+from bilprov.captures.parts import part_path, require_new
 from bilprov.captures.schemas import (
     MS,
     Checkpoint,
@@ -115,10 +117,17 @@ class Checkpoints:
         if fresh < CHECKPOINT_BYTES and not (fresh and t - self._t >= CHECKPOINT_AFTER):
             return None
         state = save()
-        if state is None:
-            return None
+        return None if state is None else self._of(t, total, state)
+
+    def begun(self, t: int, total: int, save: Callable[[], str | None]) -> Checkpoint | None:
+        """The checkpoint with which a part begins, from which decoding it goes on; see `made`."""
+        state = save()
+        return None if state is None else self._of(t, total, state, resumes=True)
+
+    def _of(self, t: int, total: int, state: str, resumes: bool | None = None) -> Checkpoint | None:
         self._bytes, self._t = total, t
-        return Checkpoint.of(t, self._grammar, state) if len(state) <= CHECKPOINT_STATE else None
+        fits = len(state) <= CHECKPOINT_STATE
+        return Checkpoint.of(t, self._grammar, state, resumes) if fits else None
 
 
 class Recorder(Closing):
@@ -129,18 +138,35 @@ class Recorder(Closing):
     and every second with traffic. `bytes` is how many raw bytes were handed over. Times are ns
     since the session's start; the grammar's hash is the one in `metadata`.
 
+    With a `rotation` the session is kept in parts (`captures.parts` has their names), of which each
+    is a capture by itself. `paths` are those that are there, and `oldest` is the time from which on
+    they hold everything.
+
     A context manager that finishes the file. Only making the file raises CaptureError: one that can
     no longer be written stops nothing else. `failure` then says what happened and what is kept, and
     nothing more is recorded; it is "" before, and is final once the file is finished.
     """
 
-    def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        rotation: Rotation | None = None,
+    ) -> None:
         self.bytes = 0
         self._start = start_wall
+        self._name = Path(path)
+        self._metadata = dict(metadata)
+        self._rotation = rotation
+        self._part = 1
+        self._part_since: int | None = None  # the time of the first event in the part
+        if rotation:
+            require_new(self._name)
+            path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
         self._writer = BackgroundWriter(
             path, start_wall=start_wall, metadata=metadata, version=kit_version()
         )
-        self.path = self._writer.path
         self._throttle = Throttle()
         self._state: State | None = None
         self._checkpoints = Checkpoints(metadata["grammar_sha256"])
@@ -155,12 +181,40 @@ class Recorder(Closing):
         """How long the reader has waited in all for a file that was too slow."""
         return self._writer.waited_ns
 
+    @property
+    def path(self) -> Path:
+        """The file that is written."""
+        return self._writer.path
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files that hold the recording, the newest last."""
+        return self._writer.paths
+
+    @property
+    def oldest(self) -> int:
+        """The time (ns) from which on everything is there."""
+        return self._writer.oldest
+
+    def part_due(self, now: int) -> bool:
+        """Whether the part is full at `now` (ns), so that `checkpoint` begins the next one.
+
+        A part without any event is never full.
+        """
+        if self._rotation is None or self._part_since is None or self.failure:
+            return False
+        size, age, _ = self._rotation
+        full = size is not None and self._writer.size >= size
+        return full or (age is not None and now - self._part_since >= age)
+
     def events(self, events: Iterable[Chunk | Line]) -> None:
         """Write raw events, before they are decoded."""
         writer = self._writer
         if writer.failure:
             return
         for event in events:
+            if self._part_since is None:
+                self._part_since = event.t
             if isinstance(event, Chunk):
                 writer.chunk(event)
                 self.bytes += len(event.data)
@@ -180,10 +234,17 @@ class Recorder(Closing):
     def checkpoint(self, t: int, save: Callable[[], str | None]) -> None:
         """Write a checkpoint at `t` if one is due; call it when all events so far are decoded.
 
-        `save` gives the decoder's state as JSON text, and is called only if it is due. Where it
-        gives None, the next call tries again.
+        Where the part is full, the next one begins, with a checkpoint. `save` gives the decoder's
+        state as JSON text, and is called only if it is due. Where it gives None, the next call
+        tries again; a part then begins without.
         """
-        made = None if self.failure else self._checkpoints.made(t, self.bytes, save)
+        if self.failure:
+            return
+        if self.part_due(t):
+            self._begin_part(t)
+            made = self._checkpoints.begun(t, self.bytes, save)
+        else:
+            made = self._checkpoints.made(t, self.bytes, save)
         if made:
             self._writer.write(made, t)
 
@@ -198,6 +259,19 @@ class Recorder(Closing):
     def close(self) -> None:
         """Finish the file; further calls do nothing."""
         self.finish()
+
+    def _begin_part(self, t: int) -> None:
+        assert self._rotation is not None
+        self._part += 1
+        self._part_since = None
+        self._state = None  # so that the state is written into each part
+        about = {
+            **self._metadata,
+            topics.PART: str(self._part),
+            topics.CUT_START: str(t),
+            "attached": "yes",  # for decoders that cannot use the checkpoint
+        }
+        self._writer.go_on_in(part_path(self._name, self._part), about, t, self._rotation.keep)
 
     def _count(self, frames: int, now: int) -> None:
         change = self._throttle.count(frames, now)

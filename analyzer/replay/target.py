@@ -16,7 +16,7 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
-from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -27,8 +27,10 @@ class Target(Closing):
     Before Ctrl-Z suspends the process it is stopped, which is also a request to `stopper`.
 
     `timeout` (ns) is the longest pause inside a frame as it is sent here. `heard` is called with
-    each record. `state` is what the instructions so far predict. `answered_stops` tells whether the
-    device answered the last homing: one that did not may still be moving.
+    each record. A device that has driven `max_drive` s without a new instruction is stopped, which
+    `driven_out` tells until the next one is sent; 0 is no limit. `state` is what the instructions
+    so far predict. `answered_stops` tells whether the device answered the last homing: one that did
+    not may still be moving.
     """
 
     def __init__(
@@ -38,9 +40,13 @@ class Target(Closing):
         timeout: int,
         stopper: Stopper,
         heard: Callable[[Record], object],
+        max_drive: float = 0.0,
     ) -> None:
         self.state = written_state(protocol.power_on)
         self.answered_stops = False
+        self.driven_out = False
+        self._max_drive = max_drive
+        self._instructed = 0.0  # when the last instruction was sent (s)
         self._heard = heard
         self._protocol = protocol
         self._port = port
@@ -53,26 +59,29 @@ class Target(Closing):
 
     def begin(self) -> None:
         """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
-        self.answered_stops = home(self._protocol, self._wire, lambda: self._stopper.stopped)
-        if not self.answered_stops and not self._stopper.stopped:
-            raise LinkError(
-                f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
-            )
+        self.answered_stops = self._home()
+        self._require_answer()
         self._start = time.monotonic_ns()
 
     def send(self, data: bytes) -> None:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
         self._show(self._session.feed(Chunk(self._now(), "host", data)))
+        self.driven_out = False
         self._port.write(data)
+        self._instructed = time.monotonic()
 
     def pump(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
         """Read what the device sends, waiting at most `seconds` for that.
 
         A stop ends the waiting, and so does one of the descriptors `also`; those of them that are
-        readable are returned. Raises LinkError.
+        readable are returned. A device that has driven too long is stopped. Raises LinkError.
         """
         now = self._now()
+        limited = self._max_drive > 0 and self.state.motion != Motion.STOPPED
+        until = self._instructed + self._max_drive
+        if limited:
+            seconds = min(seconds, until - time.monotonic())
         waited = [self._stopper.fileno(), *also]
         _, ready = wait_readable([self._port], max(0.0, seconds), waited)
         data = self._port.read()
@@ -80,17 +89,23 @@ class Target(Closing):
             data = b""
         records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
         self._show([*records, *self._session.advance(now)])
+        if limited and time.monotonic() >= until:
+            self.home()
+            self.driven_out = True
         return [descriptor for descriptor in also if descriptor in ready]
 
     def wait(self, seconds: float) -> None:
-        """Let time pass (s), reading meanwhile; Ctrl-C ends it. Raises LinkError."""
+        """Let time pass (s), reading meanwhile; Ctrl-C ends it, and so does the limit of driving.
+
+        Raises LinkError.
+        """
         until = time.monotonic() + seconds
-        while not self._stopper.stopped and (left := until - time.monotonic()) > 0:
+        while not self._ended and (left := until - time.monotonic()) > 0:
             self.pump(left)
 
     def settle(self) -> None:
         """Read until each instruction is answered or counts as unanswered. Raises LinkError."""
-        while (due := self._session.deadline) is not None and not self._stopper.stopped:
+        while (due := self._session.deadline) is not None and not self._ended:
             self.pump(min(0.1, (due - self._now()) / 1e9))
 
     def finish(self) -> None:
@@ -102,10 +117,13 @@ class Target(Closing):
         self.wait(self._protocol.timing.answer_deadline / 1000)  # for answers too many
         self._show(self._session.finish())
 
-    def home(self) -> None:
-        """Stop the device in mid-run; what follows is decoded as after a stop. Raises LinkError."""
+    def home(self, *, patient: bool = False) -> None:
+        """Stop the device in mid-run; what follows is decoded as after a stop. Raises LinkError.
+
+        A `patient` homing waits for a device that may still boot.
+        """
         self._show(self._session.finish())
-        self.answered_stops = home_once(self._protocol, self._wire)
+        self.answered_stops = self._home() if patient else home_once(self._protocol, self._wire)
         self._halted = False
         was = self.state
         before = State(Motion(was.motion), was.speed, was.steering, was.led)
@@ -116,12 +134,52 @@ class Target(Closing):
                 msgspec.structs.replace(saved, time=self._now(), state=self.state, waiting=())
             )
 
+    def resume(self, port: Port, gap: str) -> None:
+        """Go on at a port that was lost and is there again; first the device is homed.
+
+        `gap` says in words what was. Raises LinkError if the device does not answer.
+        """
+        self._port.close()
+        self._port, self._wire = port, PortWire(port)
+        self._show(self._session.feed(Line(self._now(), "reconnected", "device", gap)))
+        self.home(patient=True)
+        self._require_answer()
+
+    @property
+    def driven_out_words(self) -> str:
+        """Why the device was stopped in mid-run, in words; "" if it was not."""
+        if not self.driven_out:
+            return ""
+        why = f"it has driven for {self._max_drive:g} s without a new instruction"
+        return self.stopped_words(why)
+
+    def stopped_words(self, why: str) -> str:
+        """Why the device was homed, in words, and whether it answered that."""
+        return (
+            f"{'stopped' if self.answered_stops else 'the robot does not answer the stops'}: {why}"
+        )
+
     def close(self) -> None:
         """Home the device and close its port; further calls do nothing."""
+        answered = False
         with contextlib.suppress(LinkError):  # the port is lost: nothing can be sent to it
             # A second Ctrl-C changes nothing here: the device is brought to a stop first.
-            self.answered_stops = home_once(self._protocol, self._wire)
+            answered = home_once(self._protocol, self._wire)
+        self.answered_stops = answered
         self._port.close()
+
+    @property
+    def _ended(self) -> bool:
+        return self.driven_out or self._stopper.stopped
+
+    def _home(self) -> bool:
+        return home(self._protocol, self._wire, lambda: self._stopper.stopped)
+
+    def _require_answer(self) -> None:
+        if not self.answered_stops and not self._stopper.stopped:
+            raise LinkError(
+                f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
+            )
 
     def _halt(self) -> None:
         self._halted = True

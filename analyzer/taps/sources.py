@@ -17,7 +17,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
 from bilprov.analyzer.transport.pty import open_pty
-from bilprov.analyzer.transport.replug import Place
+from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
 
@@ -28,7 +28,7 @@ SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
 _LINGER = 0.0003  # s that a bridge waits for an answer before what was said is decoded
 _MOST_LINGER = 5_000_000  # ns for which it goes on to do so
-LOOK_AGAIN = 0.2  # s between looks whether a port is there again
+_MOST_AT_ONCE = 1 << 14  # bytes after which it does not: so many are decoded before more is read
 _RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
 
 
@@ -238,7 +238,7 @@ class Bridge(Source):
         self._hand_on_all(events, timeout_s, also)
         if events:
             give_up = self.now() + _MOST_LINGER
-            while self._ports and self.now() < give_up:
+            while self._ports and self.now() < give_up and _size(events) < _MOST_AT_ONCE:
                 known = len(events)
                 self._hand_on_all(events, _LINGER, also)
                 if len(events) == known:
@@ -275,6 +275,11 @@ class Bridge(Source):
         dropped = forward.push(data, self.now())
         if dropped:
             events.append(Line(self.now(), "gap", tap, dropped))
+
+
+def _size(events: Events) -> int:
+    """How many bytes have come."""
+    return sum(len(event.data) for event in events if isinstance(event, Chunk))
 
 
 class Tap(NamedTuple):

@@ -155,6 +155,12 @@ class Port(Closing):
             raise LinkError(f"{self.name} does not accept {baud} baud") from error
         self.settings = replace(self.settings, baud=baud)
 
+    def renew(self, other: Port) -> None:
+        """Go on as another open port, which was opened in place of this one; this one is closed."""
+        self.close()
+        self.name, self.settings = other.name, other.settings
+        self._handle, self._fd, self._direct = other._handle, other._fd, other._direct
+
     def close(self) -> None:
         """Close the port. Never raises; further calls do nothing."""
         sock = getattr(self._handle, "_socket", None)

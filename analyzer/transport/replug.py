@@ -1,8 +1,21 @@
-"""Finds a port again that was unplugged: its USB adapter where it has one, else its path."""
+"""Waits for a port, and finds an unplugged one: its USB adapter where it has one, else its path."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.signals import Stopper
+
+T = TypeVar("T")
+
+LOOK_AGAIN = 0.2
+"""Seconds between looks whether a port is there again."""
 
 
 class Place:
@@ -44,3 +57,41 @@ class Place:
         except OSError:
             return None
         return status.st_ino, status.st_ctime_ns
+
+
+def opened_when_there(
+    opened: Callable[[], T], stopper: Stopper, tell: Callable[[str], object]
+) -> T | None:
+    """What `opened` gives once it raises no LinkError; None if a stop was asked for before.
+
+    `tell` is told why it is waited for, each reason once.
+    """
+    said = ""
+    while not stopper.stopped:
+        try:
+            return opened()
+        except LinkError as error:
+            if str(error) != said:
+                said = str(error)
+                tell(f"{said}; waiting")
+        wait_readable([], LOOK_AGAIN, [stopper.fileno()])
+    return None
+
+
+def opened_again(
+    place: Place, settings: LineSettings, stopper: Stopper, lost: LinkError
+) -> Port | None:
+    """The port that was lost, once it is there again; None if a stop was asked for before.
+
+    Raises `lost` for a port that cannot be found again.
+    """
+    if not place.lasts:
+        raise lost
+
+    def opened() -> Port:
+        path = place.found()
+        if not path:
+            raise lost
+        return open_port(path, settings)
+
+    return opened_when_there(opened, stopper, lambda sentence: None)

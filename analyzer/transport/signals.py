@@ -117,14 +117,23 @@ def undisturbed(*, again: bool) -> Iterator[None]:
 
 
 @contextmanager
-def ending_in_order() -> Iterator[None]:
+def ending_in_order(halt: Callable[[], object]) -> Iterator[None]:
     """Turn SIGTERM and SIGHUP, where they have no handler, into SystemExit inside the block.
 
-    So the block's cleanup runs, as it does after Ctrl-C. Without effect outside the main thread.
+    So the block's cleanup runs, as it does after Ctrl-C. `halt` is called first, also by Ctrl-C
+    where the program does not handle it: a second signal may end the cleanup before it has begun.
+    Without effect outside the main thread.
     """
-    numbers = (signal.SIGTERM, signal.SIGHUP)
-    unhandled = (number for number in numbers if signal.getsignal(number) is signal.SIG_DFL)
-    with _handled(unhandled, _exit):
+
+    def end(number: int, frame: FrameType | None) -> None:
+        halt()
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    with _handled([number for number in numbers if signal.getsignal(number) in usual], end):
         yield
 
 
@@ -183,7 +192,3 @@ def _heeded() -> Iterator[signal.Signals]:
         # None is a handler that was not set from Python and cannot be put back from here.
         if handler is not None and not nohup:
             yield number
-
-
-def _exit(number: int, frame: FrameType | None) -> None:
-    sys.exit(128 + number)

@@ -17,13 +17,12 @@ from typing import Final
 from bilprov.captures import topics
 from bilprov.captures.storage import records
 from bilprov.captures.storage.messages import Contents
-from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged
+from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged, Statistics
 from bilprov.captures.storage.recovery import RecordFile
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
 _CHUNK_INDEX: Final = 0x08
-_STATISTICS: Final = 0x0B
 _PASSED: Final = {records.SCHEMA, 0x0A, 0x0D, 0x0E}  # indexes of attachments and metadata, offsets
 
 _DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)
@@ -31,8 +30,6 @@ _FOOTER = Struct("<BQQQI")  # opcode, length; summary start, summary offset star
 _END = _FOOTER.size + len(MAGIC)
 _ENTRY = Struct("<BQQQQQI")  # opcode, length; times, offset and length of the chunk; map's length
 _MAP_ITEM = Struct("<H8x")  # a channel that the chunk has messages of, and where their index is
-_COUNTS = Struct("<QHIIIIQQI")
-_COUNT = Struct("<HQ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +83,7 @@ def read_index(file: BufferedReader, size: int) -> Index | None:
 def _read_index(file: BufferedReader, size: int) -> Index:
     library, metadata, data_start = _front(file, size)
     summary_start, summary = _end(file, size)
-    counted: tuple[int, ...] = ()
-    counts: dict[int, int] = {}
+    stated: Statistics | None = None
     channels: list[records.ChannelRecord] = []
     entries: list[int] = []
     firsts: list[int] = []
@@ -97,34 +93,37 @@ def _read_index(file: BufferedReader, size: int) -> Index:
     entry = _ENTRY.unpack_from
     while at < end:
         # The footer behind the records makes this front complete for the shortest record too.
-        opcode, length, first, last, offset, chunk, _ = entry(summary, at)
+        opcode, length, begin, last, offset, chunk, _ = entry(summary, at)
         if opcode == _CHUNK_INDEX:
-            if offset < reached or last < first or length < 64:
+            if offset < reached or last < begin or length < 64:
                 raise Damaged("a chunk's entry does not fit")
             reached = offset + chunk
             entries.append(at)
-            firsts.append(first)
+            firsts.append(begin)
             if last > latest:
                 latest = last
         elif opcode == records.CHANNEL:
             if len(channels) >= records.CHANNELS or length > records.RECORD_BYTES:
                 raise Damaged("there are too many channels")
             channels.append(records.channel_record(summary[at + 9 : at + 9 + length], own=True))
-        elif opcode == _STATISTICS:
-            counted, counts = _statistics(summary[at + 9 : at + 9 + min(length, 4096)])
+        elif opcode == records.STATISTICS:
+            content = summary[at + 9 : at + 9 + min(length, 4096)]
+            stated = records.statistics_record(content, own=True)
         elif opcode not in _PASSED:
             raise Damaged("what stands there is no record of a summary")
         at += 9 + length
-    told = (sum(counts.values()), len(channels), len(entries), min(firsts, default=0), latest)
+    counts = stated.counts if stated else {}
+    first = min(firsts, default=0)
+    told = Statistics(sum(counts.values()), len(channels), len(entries), first, latest, counts)
     known = {topic.channel: (topic.name, topic.encoding) for topic in topics.TOPICS}
     table = {channel.id: (channel.topic, channel.encoding) for channel in channels}
     start = metadata.get(topics.START_KEY)
     if (
         at != end
         or reached > data_end
-        or told != counted
+        or told != stated
         # Each message has 16 bytes in an index of messages.
-        or 16 * told[0] > data_end - data_start
+        or 16 * told.messages > data_end - data_start
         or not counts.keys() <= table.keys()
         or not table.items() <= known.items()
         or {channel.metadata.get(topics.CHANNEL_START_KEY) for channel in channels} != {start}
@@ -139,7 +138,7 @@ def _read_index(file: BufferedReader, size: int) -> Index:
         metadata=metadata,
         starts=() if start is None else (start,),
         channels=table,
-        first=told[3],
+        first=first,
         last=latest,
         counts={topic: counts.get(channel, 0) for channel, (topic, _) in table.items()},
         sizes={},
@@ -182,12 +181,3 @@ def _end(file: BufferedReader, size: int) -> tuple[int, bytes]:
     if zlib.crc32(covered) != crc:
         raise Damaged("the summary's checksum is wrong")
     return start, content[len(_DATA_END) :]
-
-
-def _statistics(content: bytes) -> tuple[tuple[int, ...], dict[int, int]]:
-    """What a statistics record tells: messages, channels, chunks, times; messages by channel id."""
-    messages, _, channels, _, _, chunks, first, last, length = _COUNTS.unpack_from(content)
-    if length % _COUNT.size or len(content) != _COUNTS.size + length:
-        raise Damaged("the statistics are not as long as they should be")
-    counts = dict(_COUNT.iter_unpack(content[_COUNTS.size :]))
-    return (messages, channels, chunks, first, last), counts

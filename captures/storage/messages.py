@@ -102,12 +102,24 @@ class Stored(NamedTuple):
     lost: str
 
 
-def stored_messages(file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+@dataclass(slots=True)
+class Order:
+    """Where reading stands among the sequence numbers, which go on from one file to the next.
+
+    `expected` is the number of the next message, None where any may come. `missing` names the files
+    right before the next one that are not there, "" for none.
+    """
+
+    expected: int | None = 0
+    missing: str = ""
+
+
+def stored_messages(file: BufferedReader, contents: Contents, order: Order) -> Iterator[Stored]:
     """Yield the messages of an open file: of our own files in file order, of others by time.
 
     Raises Damaged if the file has changed since the survey.
     """
-    in_file_order = _in_file_order(_spans(file, contents), contents.counted)
+    in_file_order = _in_file_order(_spans(file, contents), contents.counted, order)
     if contents.own:
         yield from in_file_order
         return
@@ -126,27 +138,35 @@ class Place(NamedTuple):
 
 
 def messages_after(
-    file: BufferedReader, contents: Contents, place: Place | None
+    file: BufferedReader, contents: Contents, order: Order, place: Place | None
 ) -> Iterator[Stored]:
     """Yield the messages of an own file that was not surveyed, in file order, after that `place`.
 
     None stands for the start. A damaged part of the file is left out, as a survey would do.
     """
-    expected = 0 if place is None else place.sequence + 1
-    return _in_file_order(_spans_after(file, contents, place), counted=True, expected=expected)
+    if place is not None:
+        order.expected = place.sequence + 1
+    return _in_file_order(_spans_after(file, contents, place), counted=True, order=order)
 
 
 _Spans: TypeAlias = tuple[bytes, list[tuple[int, int]], str]
 """A chunk's bytes, where the content of each message starts and ends, and what is lost before."""
 
 
-def _in_file_order(chunks: Iterator[_Spans], counted: bool, expected: int = 0) -> Iterator[Stored]:
+def _in_file_order(chunks: Iterator[_Spans], counted: bool, order: Order) -> Iterator[Stored]:
     unpack = records.MESSAGE_HEAD.unpack_from
     head = records.MESSAGE_HEAD.size
-    lost = ""
+    lost = order.missing
+    begun = False
+    expected = 0
     for content, spans, where in chunks:
         if where:
-            lost = where
+            lost = lost or where
+        if spans and not begun:
+            begun = True
+            sequence = unpack(content, spans[0][0])[1]
+            # A part that was written anew, by an edit, counts from 0 again.
+            expected = sequence if order.expected is None or sequence == 0 else order.expected
         for start, end in spans:
             data = content[start + head : end]
             if len(data) > MESSAGE_BYTES:
@@ -158,9 +178,16 @@ def _in_file_order(chunks: Iterator[_Spans], counted: bool, expected: int = 0) -
                 if missing >> 31:
                     continue  # it came before: a chunk that stands in the file a second time
                 expected = (sequence + 1) & 0xFFFF_FFFF
-                lost = f"{missing} messages are lost here, the file is damaged" if missing else ""
+                if missing:
+                    why = order.missing or "the file is damaged"
+                    lost = f"{missing} messages are lost here, {why}"
+                else:
+                    lost = order.missing
             yield Stored(log_time, sequence, channel, data, lost)
-            lost = ""
+            if lost:
+                lost = order.missing = ""
+    if begun:
+        order.expected = expected if counted else None
 
 
 def _spans_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[_Spans]:

@@ -20,6 +20,7 @@ MESSAGE: Final = 0x05
 CHUNK: Final = 0x06
 MESSAGE_INDEX: Final = 0x07
 ATTACHMENT: Final = 0x09
+STATISTICS: Final = 0x0B
 METADATA: Final = 0x0C
 DATA_END: Final = 0x0F
 LAST_KNOWN: Final = 0x0F
@@ -36,8 +37,11 @@ STRING_BYTES: Final = 64 * 1024  # of one string of a header, a channel or a met
 RECORD_BYTES: Final = 16 * 1024 * 1024  # of any other record whose content is read
 ATTACHMENT_BYTES: Final = 64 * 1024 * 1024  # of one attachment whose content is read
 CHANNELS: Final = 64  # in one file
+PAIRS: Final = 4096  # of one map of strings
 DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas and channels
 
+_COUNTS = struct.Struct("<QHIIIIQQI")
+_COUNT = struct.Struct("<HQ")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
@@ -109,6 +113,8 @@ class Cursor:
         while self.at < end:
             name = self.text()
             pairs[name] = self.text()
+            if len(pairs) > PAIRS:
+                raise Damaged(f"a map has more than the {PAIRS} strings allowed")
         if self.at != end:
             raise Damaged("a map of strings does not end where it says")
         return pairs
@@ -176,6 +182,30 @@ def check_message_index(content: bytes, own: bool) -> None:
         raise Damaged("a message index has half an entry")
     cursor.block(length)
     _ends(cursor, own)
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a file says of itself at its end: how many there are of each, the times, by channel."""
+
+    messages: int
+    channels: int
+    chunks: int
+    first: int
+    last: int
+    counts: dict[int, int]
+
+
+def statistics_record(content: bytes, own: bool = False) -> Statistics:
+    """Parse a statistics record."""
+    if len(content) < _COUNTS.size:
+        raise Damaged("a record is shorter than its fields")
+    messages, _, channels, _, _, chunks, first, last, length = _COUNTS.unpack_from(content)
+    end = _COUNTS.size + length
+    if length % _COUNT.size or len(content) < end or (own and len(content) > end):
+        raise Damaged("the statistics are not as long as they should be")
+    counts = dict(_COUNT.iter_unpack(content[_COUNTS.size : end]))
+    return Statistics(messages, channels, chunks, first, last, counts)
 
 
 def chunk_fields(content: bytes) -> tuple[int, int, str, int]:

@@ -42,13 +42,14 @@ CHUNK_FRONT = re.compile(
 ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 """Largest size in bytes of an attachment record, its names included."""
 
-INDEX_RECORDS = {0x08, 0x0A, 0x0B, 0x0D, 0x0E, records.FOOTER}
+INDEX_RECORDS = {0x08, 0x0A, records.STATISTICS, 0x0D, 0x0E, records.FOOTER}
 
 CHECKS: dict[int, Callable[[bytes, bool], object]] = {
     records.HEADER: records.header_library,
     records.CHANNEL: records.channel_record,
     records.METADATA: records.metadata_record,
     records.ATTACHMENT: records.attachment_record,
+    records.STATISTICS: records.statistics_record,
     records.SCHEMA: records.check_schema,
     records.MESSAGE_INDEX: records.check_message_index,
 }
@@ -185,14 +186,6 @@ class RecordFile:
             self._loose -= 1
             if self._loose < 0:
                 raise self._ended(f"more than {LOOSE_RECORDS} records stand outside of the chunks")
-        # Foreign attachments are skipped, since none of their content is used.
-        if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
-            most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES
-            if length > most:
-                raise Damaged(f"a record is larger than the {most} bytes allowed")
-            content = self._content(length)
-            CHECKS[opcode](content, self.own)
-            return Found(opcode, end, content)
         if opcode == records.FOOTER and end + len(records.MAGIC) > self.size:
             raise CutOff("the file ends before its last 8 bytes")
         if opcode == records.FOOTER and (
@@ -201,6 +194,14 @@ class RecordFile:
             raise Damaged("a footer stands before the end")
         if opcode in INDEX_RECORDS and not self.past_data:
             raise Damaged("a record of the index stands before the end of the data")
+        # Foreign attachments are skipped, since none of their content is used.
+        if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
+            most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES
+            if length > most:
+                raise Damaged(f"a record is larger than the {most} bytes allowed")
+            content = self._content(length)
+            CHECKS[opcode](content, self.own)
+            return Found(opcode, end, content)
         if opcode == records.DATA_END and length != records.DATA_END_BYTES:
             raise Damaged("the end of the data is not as long as it should be")
         if opcode == 0 or (self.own and opcode > records.LAST_KNOWN):

@@ -84,6 +84,8 @@ class _Survey:
         self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
+        self._left_out = False  # whether a note tells of records that are not read
+        self._stated: int | None = None  # messages that the file's statistics count
         self._expected: int | None = None  # the sequence of the next message of our own files
 
     def walk(self) -> None:
@@ -121,6 +123,10 @@ class _Survey:
             self._note(
                 f"{self._order.late} messages stand too far out of time order to be put right"
             )
+        held = self._tally.counts.total() + self._tally.too_long
+        if not self._left_out and self._stated not in (None, held):
+            # Whole records went or came, of which the rest of the file tells nothing.
+            self._note(f"{held} messages are there, the file's statistics count {self._stated}")
         if self._more_notes:
             self._notes.append(f"{self._more_notes} further places are damaged")
         own = self._records.own
@@ -177,7 +183,10 @@ class _Survey:
                 self._metadata, self._seen_metadata = pairs, True
         elif found.opcode == records.DATA_END:
             self._records.past_data = True
+        elif found.opcode == records.STATISTICS:
+            self._stated = records.statistics_record(found.content).messages
         elif found.opcode == SKIPPED:
+            self._left_out = True
             self._note(found.note)
 
     def _take_chunk(self, found: Found) -> None:
@@ -252,6 +261,7 @@ class _Survey:
                 self._records.own = True
 
     def _resumed(self, offset: int, damage: Damaged) -> int:
+        self._left_out = True
         at = self._records.next_chunk(offset + 1)
         if at is not None:
             self._note(f"bytes {offset} to {at} are damaged and left out ({damage})")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import Fact, facts
@@ -19,8 +20,32 @@ from bilprov.conformance.oracle.timers import Timers
 from bilprov.spec.protocol import Protocol
 
 _LOOKS = 3  # at each setting of a sweep
-_ANSWERS_BEFORE = 190  # that are waited for before the first case
+_LOOKS_ONCE, _LOOKS_AT_STOP, _LOOKS_AT_RECOVERY = 2, 5, 3  # in a case of a single frame
+_ANSWERS_BEFORE, _LOOKS_BEFORE = 190, 60  # that are waited for before the first case
+_WATCHED_BEFORE = 1.8  # s for which a probe watches the robot before the first case
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line
+_LOCAL_LOOK = 0.001  # s that a look takes at most there
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How fast a line, a device and a probe are, for an estimate; times in s.
+
+    `timeout` is the pause that ends a truncated frame, `byte_time` that of a byte on the wire,
+    `answer` how long the line or the device holds an answer back, `look` how long a look takes.
+    With `few_looks` at most the thorough cases are looked at.
+    """
+
+    timeout: float
+    byte_time: float = 0.0
+    answer: float = 0.0
+    look: float = 0.0
+    few_looks: bool = False
+
+    @property
+    def slow_look(self) -> float:
+        """By how much a look takes longer than one on a local line."""
+        return max(0.0, self.look - _LOCAL_LOOK)
 
 
 def within(
@@ -67,15 +92,10 @@ def group(ident: str) -> str:
     return "/".join(ident.split("/")[:parts])
 
 
-def seconds(
-    protocol: Protocol, case: AnyCase, byte_time: float, timeout: float, answer: float = 0.0
-) -> float:
-    """About how long (s) a case takes.
-
-    `byte_time`, `timeout` (the pause that ends a truncated frame) and `answer` (how long the line
-    or the device holds an answer back) are in s.
-    """
-    return _undelayed(protocol, case, byte_time, timeout) + answers_in(case) * answer
+def seconds(protocol: Protocol, case: AnyCase, pace: Pace) -> float:
+    """About how long (s) a case takes."""
+    waits = answers_in(case) * pace.answer + looks_in(case, few=pace.few_looks) * pace.slow_look
+    return _undelayed(protocol, case, pace.byte_time, pace.timeout) + waits
 
 
 def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float) -> float:
@@ -112,6 +132,23 @@ def answers_in(case: AnyCase) -> int:
     return 9
 
 
-def before_the_cases(timeout: float, answer: float = 0.0) -> float:
-    """About how long (s) the opening cases and the probes of a run take; arguments in s."""
-    return 2.5 + 8 * timeout + _ANSWERS_BEFORE * answer
+def looks_in(case: AnyCase, *, few: bool = False) -> int:
+    """How many times a case waits for a look; with `few` only a thorough one does.
+
+    Looks within a silence do not count: it lasts as long without them.
+    """
+    if isinstance(case, SequenceCase):
+        return 0 if few else 1 + sum(burst.looks for burst in case.bursts)
+    if isinstance(case, WheelSweep):
+        return 0 if few else _LOOKS * case.frames
+    if few:
+        return _LOOKS_ONCE * case.thorough
+    if case.then:
+        return _LOOKS_AT_RECOVERY
+    return _LOOKS_AT_STOP if case.stop else _LOOKS_ONCE
+
+
+def before_the_cases(pace: Pace) -> float:
+    """About how long (s) the opening cases and the probes of a run take."""
+    watched = 0.0 if pace.few_looks else _WATCHED_BEFORE + _LOOKS_BEFORE * pace.slow_look
+    return 0.7 + 8 * pace.timeout + _ANSWERS_BEFORE * pace.answer + watched

@@ -27,6 +27,10 @@ _WILD = re.compile(r"[*?[]")
 _SHARD = re.compile(r"([1-9][0-9]{0,5})/([1-9][0-9]{0,5})")
 
 
+LONGEST_GLOB = 1000
+"""Characters of a glob; no id is as long, and the work of a glob grows with its square."""
+
+
 def matching(globs: Iterable[str]) -> Callable[[str], bool]:
     """A predicate: whether an id matches one of the globs, in which * crosses /.
 

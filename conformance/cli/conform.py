@@ -27,18 +27,20 @@ from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import (
     Options,
-    estimated_seconds,
+    estimated,
     opening_and_reading_cases,
     planned,
     run_suite,
     select_cases,
 )
-from bilprov.conformance.cases.budget import before_the_cases, group
+from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
+from bilprov.conformance.cases.run_movement import run_movement
 from bilprov.conformance.cases.selection import matching, shard_named
 from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import (
@@ -70,7 +72,9 @@ from bilprov.conformance.dut.target import (
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile import profile_text
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.executor import is_slow
 from bilprov.conformance.runner.listeners.listener import RunListener
+from bilprov.spec.movement import movement_words
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -89,6 +93,7 @@ class RobotOptions:
     parity: str | None
     stopbits: str | None
     yes: bool
+    reconnect: float | None = None
 
     def settings(self, protocol: Protocol, name: TargetName) -> LineSettings:
         """The line's settings; the simulator and boards have the grammar's. Raises ValueError."""
@@ -112,6 +117,8 @@ class RobotOptions:
             raise click.UsageError(
                 f"{option} is for the target sim; start `bilprov simulate {option}`"
             )
+        if self.reconnect is not None and name.kind != PORT:
+            raise click.UsageError(f"--reconnect is for ports; {name.text} is no port")
         if power is not None and (name.kind != PORT or not power.startswith("exec:")):
             raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
         return replace(self, probe=probe, power=power)
@@ -209,6 +216,17 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 )
 @line_options
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
+@click.option(
+    "--reconnect",
+    metavar="S",
+    type=click.FloatRange(0, 86_400, min_open=True),
+    help="Wait so long for a port that is unplugged, then go on: the case is inconclusive.",
+)
+@click.option(
+    "--patient",
+    is_flag=True,
+    help="Go on where the run takes more than three times what was announced; else it ends (3).",
+)
 @click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
 @click.pass_obj
 @gathered("robot", RobotOptions)
@@ -224,6 +242,7 @@ def conform(
     expect_failures: str | None,
     update_expected: bool,
     record: str | None,
+    patient: bool,
     verbose: bool,
 ) -> int:
     """Test a device against the document: its answers, its safety stop, its state.
@@ -268,8 +287,9 @@ def conform(
         probe=robot.probe,
         power=by_command(robot.power.removeprefix("exec:")) if robot.power else None,
         fault=named_device(protocol, robot.fault, robot.variant),
+        reconnect=robot.reconnect or 0.0,
     )
-    report, broken = _tested(opened, options, cases, record, robot)
+    report, broken = _tested(opened, options, cases, record, robot, patient=patient)
     onto_stdout = onto_standard_output(outputs)
     if fresh is not None and not report.unusable:
         outputs.append(Output("--profile", fresh, _profile))
@@ -294,21 +314,14 @@ def conform(
     return report.exit
 
 
-def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
-    """About how long (s) the cases take at a target."""
-    timeout = options.truncation_timeout or target.protocol.timing.truncation_timeout
-    before = before_the_cases(timeout / 1000, target.latency / 1e9)
-    return before + estimated_seconds(
-        target.protocol, cases, options, byte_time=target.byte_time, answer=target.latency / 1e9
-    )
-
-
 def _tested(
     opened: Callable[[Stopper], AbstractContextManager[Target]],
     options: Options,
     cases: Sequence[AnyCase],
     record: str | None,
     robot: RobotOptions,
+    *,
+    patient: bool,
 ) -> tuple[Report, Exception | None]:
     """Open the target, ask whether a robot may move, and run the cases.
 
@@ -329,11 +342,22 @@ def _tested(
         if target.moves:
             note_hindrances(robot.target)
             seconds = estimated(target, options, cases)
-            what = f"the robot at {robot.target} will drive and turn for about {_time(seconds)}"
-            confirm_motion(what, yes=robot.yes)
-            note(
-                f"{quantity(count, 'case')}, about {_time(seconds)}; what goes wrong may add a few"
+            looks = target.environment.observability
+            movement = run_movement(
+                target.protocol, cases, looks=looks.available and not looks.costly
             )
+            words = movement_words(target.protocol, movement)
+            what = f"the robot at {robot.target} will move for about {_time(seconds)}: {words}"
+            confirm_motion(what, yes=robot.yes)
+            look = target.look_time
+            slow = f"a look takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
+            note(
+                f"{quantity(count, 'case')}, about {_time(seconds)}; {slow}"
+                "what goes wrong may add a few"
+            )
+            if not patient and not asks_person(robot.probe):
+                environment = msgspec.structs.replace(target.environment, announced=seconds)
+                target = replace(target, environment=environment)
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
         if target.moves:

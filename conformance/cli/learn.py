@@ -35,6 +35,7 @@ from bilprov.conformance.learning.drawing import (
 )
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
+from bilprov.spec.movement import all_movement, movement_words
 
 if TYPE_CHECKING:
     from bilprov.conformance.learning.comparison import Difference
@@ -173,7 +174,8 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
         observable=target.environment.observability.available,
         seed=seed,
     )
-    what = f"the robot at {robot.target} will drive and turn for about {seconds:.0f} s"
+    words = movement_words(target.protocol, all_movement(target.protocol))
+    what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
     confirm_motion(what, yes=robot.yes)
     note(f"about {seconds:.0f} s; what is not expected is sent again and adds to it")
 

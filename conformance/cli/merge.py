@@ -52,7 +52,7 @@ def merge_reports(
     """
     from rich.console import Console
 
-    from bilprov.conformance.report.summary import show, visible_report
+    from bilprov.conformance.report.summary import show
 
     promise_verdict()
     require_writable(outputs, inputs=files)
@@ -72,7 +72,7 @@ def merge_reports(
         text = merged.as_json(report).decode()
         write_each((output.path, text) for output in outputs)
     finally:
-        show(visible_report(report), console, everything=verbose)
+        show(report, console, everything=verbose)
     return report.exit
 
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import click
 
 from bilprov.analyzer.cli import output_files
-from bilprov.analyzer.files import write_whole
 from bilprov.analyzer.transport.signals import undisturbed
 from bilprov.conformance.report.formats import FORMATS, Writer
 from bilprov.conformance.report.run_report import Report
+from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -75,10 +74,10 @@ def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Prot
 def write_each(texts: Iterable[tuple[str, str]]) -> None:
     """Write texts to their paths, the files first, even if one of them cannot be written.
 
-    Ctrl-C and the like take effect only when the files are written. Raises the first OSError. An
-    existing file that could not be written stays as it was.
+    Ctrl-C and the like take effect only when the files are written. Raises UserError, one sentence
+    that names each file that could not be written; one that existed stays as it was.
     """
-    failed: list[OSError] = []
+    failed: list[str] = []
     onto_stdout: list[bytes] = []
     with undisturbed(again=False):
         for path, text in texts:
@@ -87,10 +86,10 @@ def write_each(texts: Iterable[tuple[str, str]]) -> None:
                 onto_stdout.append(data)
                 continue
             try:
-                write_whole(Path(path), data)
-            except OSError as error:
-                failed.append(error)
+                output_files.write_output(path, data)
+            except UserError as error:
+                failed.append(str(error))
     for data in onto_stdout:
         click.echo(data, nl=False)  # in UTF-8, as in a file, whatever the locale is
     if failed:
-        raise failed[0]
+        raise UserError("; ".join(failed))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -47,14 +48,14 @@ def report(
     if not outputs:
         from rich.console import Console
 
-        from bilprov.conformance.report.summary import show, show_compared, visible_report
+        from bilprov.conformance.report.summary import show, show_compared
 
         console = Console(highlight=False, soft_wrap=True)
         if len(reports) == 1:
-            show(visible_report(reports[0]), console, everything=verbose)
+            show(reports[0], console, everything=verbose)
         else:
-            show_compared([visible_report(one) for one in reports], console, everything=verbose)
+            show_compared(reports, console, everything=verbose)
     for output in outputs:
         if output.path != STANDARD_OUTPUT:
-            click.echo(f"{output.path} written", err=True)
+            note(f"{output.path} written")
     return 0

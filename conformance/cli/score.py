@@ -97,8 +97,10 @@ def command(
         found = score(
             protocol, faults, at=at, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=told
         )
-    _show(found, console)
-    write_each((output.path, _as_json(found, output.path)) for output in outputs)
+    try:
+        write_each((output.path, _as_json(found, output.path)) for output in outputs)
+    finally:
+        _show(found, console)
     return 1 if found.failures else 0
 
 

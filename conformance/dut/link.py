@@ -38,6 +38,8 @@ class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"})
     what can be observed, `power` whether the robot can be switched off and on. `device` and `link`
     describe the device and the link in the report only. `lossless` declares that nothing on the
     line is lost, changed or doubled: what is unexplained there is the device's, even if met once.
+    `announced` is how long (s) the run was said to take, where it is to end if it takes three times
+    as long; None for no limit.
     """
 
     virtual: bool
@@ -46,6 +48,7 @@ class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"})
     device: str
     link: dict[str, Any]
     lossless: bool = False
+    announced: float | None = None
 
 
 class Device(Protocol):

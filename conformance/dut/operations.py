@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 from bilprov.captures.schemas import Look
 
@@ -97,17 +97,65 @@ def observe() -> Procedure[Observation]:
     return seen
 
 
+EndedBy = Literal["error", "user", "time"]
+"""What can end a run early."""
+
+
 class Ended(Exception):
     """The run cannot go on: raised by a link, and thrown into the procedure, with one sentence.
 
-    `error` is true when the kit, the port or the probe failed, false when the user interrupted;
-    `line_works` tells whether the robot can still be homed.
+    `by` is `error` when the kit, the port or the probe failed, `user` when the user interrupted,
+    `time` when the run took too long; `error` alone chooses between the first two. `line_works`
+    tells whether the robot can still be homed.
     """
 
-    def __init__(self, sentence: str, *, error: bool, line_works: bool) -> None:
+    def __init__(
+        self, sentence: str, *, error: bool, line_works: bool, by: EndedBy | None = None
+    ) -> None:
         super().__init__(sentence)
         self.error = error
         self.line_works = line_works
+        self.by: EndedBy = by or ("error" if error else "user")
+
+
+class Follower(Protocol):
+    """Takes note of the operations of a procedure."""
+
+    def did(self, operation: Operation, reply: Reply) -> None:
+        """Take note of an operation that was done."""
+
+
+def followed(procedure: Procedure[T], *followers: Follower) -> Procedure[T]:
+    """The procedure, every operation of which the followers take note of."""
+    reply: Reply | None = None
+    error: Ended | None = None
+    while True:
+        try:
+            operation = procedure.throw(error) if error else procedure.send(reply)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]  # what the generator's type says
+        error = None
+        try:
+            reply = yield operation
+        except Ended as ended:
+            error = ended
+        else:
+            assert reply is not None
+            for follower in followers:
+                follower.did(operation, reply)
+
+
+class Reconnected(Ended):
+    """The port was lost and is there again: the case under way is over, and the run can go on.
+
+    The port was missed at `lost` and there again at `now` (ns). Where nothing can go on, before the
+    first case, it ends the run as a port that is lost does.
+    """
+
+    def __init__(self, sentence: str, lost: int, now: int) -> None:
+        super().__init__(sentence, error=False, line_works=True, by="error")
+        self.lost = lost
+        self.now = now
 
 
 OperationName = Literal["send", "listen", "look", "power", "interrupt"]

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.conformance.dut.link import HELD_ANSWERS, LinkListener
 from bilprov.conformance.dut.operations import (
     Ended,
@@ -18,6 +19,7 @@ from bilprov.conformance.dut.operations import (
     Operation,
     PowerCycle,
     Received,
+    Reconnected,
     Reply,
     Send,
 )
@@ -50,7 +52,8 @@ class PortLink:
     """Does operations on a port and, where there is one, a probe, in real time.
 
     `stop` is a file descriptor that is readable once the user wants to stop. `power` switches the
-    robot off and on. `clock` gives the time in ns.
+    robot off and on. A port that is lost is waited for `reconnect` s (`transport.replug`), and the
+    operation then ends with Reconnected. `clock` gives the time in ns.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class PortLink:
         stop: int,
         tap: LinkListener | None = None,
         power: Power | None = None,
+        reconnect: float = 0.0,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._port = port
@@ -68,6 +72,8 @@ class PortLink:
         self._stopping = False
         self._tap = tap
         self._power = power
+        self._reconnect = reconnect
+        self._place = Place(port.name)
         self._clock = clock
         self._start = clock()
         self._heard: list[tuple[int, int]] = []
@@ -79,7 +85,10 @@ class PortLink:
         return self._clock() - self._start
 
     def do(self, operation: Operation) -> Reply:
-        """Do one operation. Raises Ended when the port, the probe or the power switch fails."""
+        """Do one operation. Raises Ended when the port, the probe or the power switch fails.
+
+        It is Reconnected where the port was lost and is there again.
+        """
         try:
             match operation:
                 case PowerCycle():
@@ -91,9 +100,37 @@ class PortLink:
                 case Observe():
                     return self._see()
         except LinkError as error:
-            raise Ended(str(error), error=True, line_works=False) from error
+            raise self._lost(error) from error
         except ProbeError as error:
             raise Ended(str(error), error=True, line_works=True) from error
+
+    def _lost(self, error: LinkError) -> Ended:
+        """Wait for a lost port where that was asked for; returns how that ended."""
+        lost = self.now()
+        if not self._reconnect or not self._place.lasts:
+            return Ended(str(error), error=True, line_works=False)
+        self._port.close()
+        self._heard.clear()
+        stop = [] if self._stopping else [self._stop]
+        while self.now() - lost < self._reconnect * 1e9:
+            path = self._place.found()
+            try:
+                again = open_port(path, self._port.settings) if path else None
+            except LinkError:  # it has just come and is not ours yet
+                again = None
+            if again is not None:
+                self._port.renew(again)
+                self._place = Place(path)
+                now = self.now()
+                after = f"it was there again after {(now - lost) / 1e9:.1f} s"
+                return Reconnected(f"{error}; {after}", lost, now)
+            if wait_readable([], LOOK_AGAIN, stop)[1]:
+                return Ended("interrupted", error=False, line_works=False)
+        return Ended(
+            f"{error}, and it was not there again in {self._reconnect:g} s (--reconnect)",
+            error=True,
+            line_works=False,
+        )
 
     def _power_cycle(self) -> int:
         assert self._power is not None

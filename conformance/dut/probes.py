@@ -6,9 +6,11 @@ A probe has a file descriptor to wait for with select, so that the port is read 
 from __future__ import annotations
 
 import os
+import select
 import socket
 import subprocess
 import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +23,8 @@ from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
+
+_LOOKS = 5  # to measure how long one takes
 
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
 
@@ -309,6 +313,32 @@ def open_probe(name: str, port: Port) -> Probe | None:
     raise ProbeError(
         f"--probe is {name!r}; it can be {', '.join(forms)} or {last} (and sim, for the target sim)"
     )
+
+
+def look_time(probe: Probe) -> int:
+    """How long (ns) a look takes: the shortest of a few, one of a command, 0 for a person.
+
+    The first of several is not counted: a probe that looks at fixed times is met between two. It is
+    0 too where a look fails, which the run then meets. Raises ProbeError where none comes in time:
+    a reply that came later would be taken for that to another question.
+    """
+    times = [0] if isinstance(probe, AskProbe) else []
+    while len(times) < (1 if probe.costly else _LOOKS):
+        begun = time.monotonic_ns()
+        try:
+            probe.ask()
+            while (fd := probe.fileno()) is not None:
+                left = probe.patience - (time.monotonic_ns() - begun) / 1e9
+                if not select.select([fd], [], [], max(0.0, left))[0]:
+                    break
+                if probe.take(begun) is not None:
+                    break
+        except ProbeError:
+            return 0
+        times.append(time.monotonic_ns() - begun)
+        if times[-1] > probe.patience * 1e9:
+            raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
+    return min(times[1:] or times)
 
 
 def asks_person(name: str | None) -> bool:

@@ -25,6 +25,7 @@ from bilprov.conformance.dut.operations import (
     Operation,
     PowerCycle,
     Received,
+    Reconnected,
     Reply,
     Send,
 )
@@ -90,6 +91,9 @@ class RecordedLink:
             raise Ended(CUT, error=False, line_works=False)
         self._check(operation, step)
         asked = self._take(step).asked
+        if asked.ended is not None and asked.lost is not None:
+            self._heard.clear()
+            raise Reconnected(asked.ended, asked.lost, asked.t)
         if asked.ended is not None:
             works = bool(asked.line_works)
             raise Ended(asked.ended, error=bool(asked.error), line_works=works)

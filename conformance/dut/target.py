@@ -16,13 +16,14 @@ from bilprov.analyzer.transport.line_settings import LineSettings, line_named, l
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.checked_device import CheckedDevice
 from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
 from bilprov.conformance.dut.port_link import PortLink, Power
-from bilprov.conformance.dut.probes import PROBES, Probe, open_probe
+from bilprov.conformance.dut.probes import PROBES, Probe, look_time, open_probe
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.protocol import Protocol
@@ -106,6 +107,11 @@ class Target:
         """For how long (ns) its adapter holds bytes back, as far as the system tells."""
         return int(self.environment.link.get("latency_ns", 0))
 
+    @property
+    def look_time(self) -> int:
+        """How long (ns) a look of its probe took before the run, 0 where that was not measured."""
+        return int(self.environment.link.get("look_ns", 0))
+
 
 @contextmanager
 def open_target(
@@ -117,12 +123,15 @@ def open_target(
     probe: str | None = None,
     power: Power | None = None,
     fault: Fault | None = None,
+    reconnect: float = 0.0,
 ) -> Iterator[Target]:
     """Open the target of that name; nothing is sent to it. `stopper` ends its runs.
 
     `settings` are those of a port's line (the grammar's own if None), `probe` names what sees its
     robot, `power` switches it off and on; `fault` is the simulator's. The simulator and a board
-    have all these themselves. Raises LinkError, ProbeError and EmulatorError, in one sentence.
+    have all these themselves. A port that is lost is waited for `reconnect` s.
+
+    Raises LinkError, ProbeError and EmulatorError, in one sentence.
     """
     with ExitStack() as stack:
         if name.kind == SIM:
@@ -150,7 +159,12 @@ def open_target(
             eye = open_probe(probe, port)
             if eye:
                 stack.callback(eye.close)
-            target = _port_target(protocol, port, eye, probe, stopper, power, port.name)
+            if reconnect and not Place(port.name).lasts:
+                raise LinkError(
+                    f"{port.name} could not be found again once it is lost: --reconnect is for "
+                    "paths of adapters and for links to them"
+                )
+            target = _port_target(protocol, port, eye, probe, stopper, power, port.name, reconnect)
         moves = name.kind == PORT
         yield replace(target, interrupted=lambda: stopper.stopped, moves=moves)
 
@@ -193,6 +207,7 @@ def _port_target(
     stopper: Stopper,
     power: Power | None,
     name: str,
+    reconnect: float = 0.0,
 ) -> Target:
     """An open port as a target in real time."""
     observability = Observability(available=False)
@@ -206,6 +221,7 @@ def _port_target(
         "baud": line.baud,
         "byte_ns": port.byte_time,
         "latency_ns": (Machine().latency_timer(port.name) or 0) * MS,
+        "look_ns": 0 if probe is None else look_time(probe),
         "probe": probe_name,
     }
 
@@ -216,6 +232,8 @@ def _port_target(
     return Target(
         protocol,
         Environment(False, observability, power is not None, name, about),
-        connect=lambda listener: PortLink(port, probe, stopper.fileno(), listener, power),
+        connect=lambda listener: PortLink(
+            port, probe, stopper.fileno(), listener, power, reconnect
+        ),
         halt=halt,
     )

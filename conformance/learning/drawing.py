@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
-from bilprov.captures.text import quantity
+from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.learning.machine import Machine
 from bilprov.conformance.learning.output import Output
 from bilprov.conformance.oracle.wording import answer_words
@@ -151,8 +151,9 @@ def _seen(machine: Machine, words: Callable[[Output], str]) -> list[set[str]]:
 
 
 def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-    return f'"{escaped}"'
+    """Text as a label of its own lines; Graphviz takes & for the beginning of an entity."""
+    lines = (escape_controls(line).replace("\\", "\\\\") for line in text.split("\n"))
+    return '"' + "\\n".join(lines).replace('"', '\\"').replace("&", "&amp;") + '"'
 
 
 def has_graphviz() -> bool:

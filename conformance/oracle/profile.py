@@ -43,7 +43,8 @@ class Profile:
     time to the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
     `slowest` is the longest time to an answer, `delays` the three longest.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
-    probe told each time, `wheels` the curves of its wheels' speeds.
+    probe told each time, `wheels` the curves of its wheels' speeds, `preamble_speed` the speed at
+    which most faults are tried.
     `round_trip` and `jitter` are the line's and the device's together, `pace` is how long an
     instruction that was sent ahead takes. `choices` are those that the
     device has shown where the document is silent.
@@ -67,6 +68,7 @@ class Profile:
     moves: set[Motion] | None = None
     facets: frozenset[str] = frozenset()
     wheels: tuple[WheelCurve, ...] = ()
+    preamble_speed: int | None = None
     choices: Choices = field(default_factory=Choices)
 
     def tells_time_out(self, timeout: int) -> bool:

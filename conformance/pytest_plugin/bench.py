@@ -17,6 +17,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
 from bilprov.conformance.api import (
     Options,
+    estimated,
     estimated_seconds,
     opening_and_reading_cases,
     run_suite,
@@ -88,13 +89,9 @@ class SuiteThread(RunListener):
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""
         chosen = [case for case in self._cases if case.id in ids]
-        return estimated_seconds(
-            self.protocol,
-            chosen,
-            self.options,
-            self._settings,
-            byte_time=self._port.byte_time if self._port else None,
-        )
+        if self._port is None:
+            return estimated_seconds(self.protocol, chosen, self.options, self._settings)
+        return estimated(self._port, self.options, chosen)
 
     def open(self, confirm: Callable[[], None]) -> None:
         """Open port and probe, once; then call `confirm`, which raises if the robot may not move.
@@ -154,11 +151,15 @@ class SuiteThread(RunListener):
         while not self._over:
             self._take()
 
+    def interrupt(self) -> None:
+        """Let a run that is still going end soon; does not wait for that."""
+        if not self._over:
+            self._stopper.stop()
+
     def stop(self) -> None:
         """End a run that is still going; homes the robot, and ignores a second Ctrl-C meanwhile."""
         with undisturbed(again=False):
-            if not self._over:
-                self._stopper.stop()
+            self.interrupt()
             self.finish()
 
     def _take(self) -> None:

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Collection, Generator, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -26,9 +27,11 @@ from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
+from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import GrammarError, Protocol
 
-_GONE = (signal.SIGTERM, signal.SIGHUP)
+_GONE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_UNHANDLED = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class RobotSession:
@@ -117,7 +120,8 @@ class RobotSession:
         what = f"the robot at {self.bench.target} will do what the tests tell it"
         if ids:
             seconds = self.bench.seconds(frozenset(ids))
-            what = f"the robot at {self.bench.target} will drive and turn for about {seconds:.0f} s"
+            what = f"the robot at {self.bench.target} will move for about {seconds:.0f} s"
+        what += f": {movement_words(self.bench.protocol, all_movement(self.bench.protocol))}"
         capture = self._config.pluginmanager.getplugin("capturemanager")
         if capture is not None:
             capture.suspend_global_capture(in_=True)
@@ -152,11 +156,18 @@ class RobotSession:
                 yield extra
 
     def _heed_signals(self) -> None:
-        """Treat SIGTERM and SIGHUP as Ctrl-C, so that a cancelled job leaves no robot driving."""
+        """Treat SIGTERM and SIGHUP as Ctrl-C, so that a cancelled job leaves no robot driving.
+
+        The run is told at once: pytest itself may not hear of a second Ctrl-C in time to end it.
+        """
         if threading.current_thread() is threading.main_thread():
             for number in _GONE:
-                if signal.getsignal(number) is signal.SIG_DFL:
-                    self._old[number] = signal.signal(number, signal.default_int_handler)
+                if signal.getsignal(number) in _UNHANDLED:
+                    self._old[number] = signal.signal(number, self._end)
+
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        self.bench.interrupt()
+        signal.default_int_handler(number, frame)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:

@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from bilprov.captures.text import printable
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES, matching
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.errors import UserError
 
@@ -85,6 +85,11 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
                 f"{file}, line {number} is {printable(words)!r}; write GLOB : "
                 "MESSAGE, a glob of case "
                 "ids and how the failure begins, or # and a comment"
+            )
+        if len(glob) > LONGEST_GLOB:
+            raise ExpectedError(
+                f"{file}, line {number}: the glob {printable(glob)!r} has {len(glob)} characters, "
+                f"allowed are {LONGEST_GLOB}; see the ids with bilprov conform sim --list"
             )
         entries.append(Entry(glob, message, number))
         if len(entries) > _MOST:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from bilprov.analyzer.files import read_bounded
-from bilprov.captures.text import printable
+from bilprov.captures.text import escape_json, printable
 from bilprov.conformance.oracle.verdicts import (
     LABELS,
     AnswerByte,
@@ -42,7 +42,8 @@ def as_json(report: Report) -> bytes:
     """The report as JSON (see `schema`): one object in which every key is always present."""
     head = _unclosed(head_of(report))
     cases = b",\n".join(_case(report, result) for result in report.results)
-    return head + b',\n "cases": [' + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n"
+    text = head + b',\n "cases": [' + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n"
+    return escape_json(text)
 
 
 def _unclosed(part: msgspec.Struct) -> bytes:

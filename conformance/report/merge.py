@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
-from bilprov.captures.text import printable
+from bilprov.captures.text import escape_json, printable
 from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.dut.operations import EndedBy
 from bilprov.conformance.oracle.verdicts import LABELS, Axis, CaseResult, Verdict, worst
 from bilprov.conformance.report import schema
 from bilprov.conformance.report.expected import Comparison
@@ -24,7 +25,8 @@ from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
-# Keys that stay as the shards have them; those of the others that the schema has are made anew.
+# Keys that stay as the shards have them, if they agree; those of the others that the schema has are
+# made anew.
 _KEPT = ("kit", "grammar", "link", "seed", "timing", "dropped")
 # Keys of which the whole run's value says enough: they are not listed for each shard.
 _SUMMED = ("coverage", "counts", "cases", "profile", "options", "expected_failures")
@@ -173,13 +175,15 @@ class Merged:
         ]
         head = msgspec.to_builtins(head_of(report))
         document = {name: agreed.get(name) for name in names if name != "cases"}
-        document |= {name: value for name, value in head.items() if name not in _KEPT}
+        document |= {
+            name: value for name, value in head.items() if name not in _KEPT or name in apart
+        }
         cases = self.cases
         if report.comparison:
             known = report.comparison.expected
             cases = [case | {"expected_failure": case["id"] in known} for case in cases]
         document |= {"shards": shards, "cases": cases}
-        return msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+        return escape_json(msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 
 
 def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyCase]) -> Merged:
@@ -278,7 +282,7 @@ def _worst_of_each(
 
 
 def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
-    """Why the run is not whole, and what ended it (`error` or `user`); both "" if it is whole."""
+    """Why the run is not whole, and what ended it, the worst first; both "" if it is whole."""
     told = []
     causes = set()
     for part in parts:
@@ -296,7 +300,7 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
     elif unrun and not told:
         told.append(f"{unrun} cases are in none of the shards")
         causes.add("user")
-    return "; ".join(told), "error" if "error" in causes else "user" if causes else ""
+    return "; ".join(told), next((by for by in get_args(EndedBy) if by in causes), "")
 
 
 def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:

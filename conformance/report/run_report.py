@@ -91,7 +91,7 @@ def make_report(
 
     `facts` are further fields of the report: `device`, `link` and, if known, what the run spent.
     """
-    ended_by = "" if ended is None else "error" if ended.error else "user"
+    ended_by = "" if ended is None else ended.by
     measured = _measured(profile)
     return Report(
         grammar={
@@ -162,6 +162,7 @@ def _measured(profile: Profile) -> dict[str, Any]:
         "stop_latency_ms": ms(profile.stop_latency),
         "watchdog_ms": ms(profile.watchdog),
         "facets": sorted(profile.facets),
+        "preamble_speed": profile.preamble_speed,
         "all_but_two_answers_ms": ms(profile.all_but_two),
         "wheels": [asdict(curve) for curve in profile.wheels],
         "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},

@@ -106,7 +106,8 @@ class ExpectedFailures(msgspec.Struct):
 class Head(msgspec.Struct, kw_only=True):
     """A report without its cases.
 
-    `verdict` and `exit` sum up, `counts` has each verdict. `ended_by` is `error`, `user` or null.
+    `verdict` and `exit` sum up, `counts` has each verdict. `ended_by` is `error`, `user`, `time`
+    (it took three times what was announced) or null.
     `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
     measured (ms) and what the device chose where the document is silent. `proof` is what the level
     `complete` has proven, null at other levels. `options.shard` is [I, N]
@@ -191,9 +192,9 @@ class _Profile(msgspec.Struct):
     truncation_timeout_ms: Milliseconds | None = None
     latency_median_ms: Milliseconds | None = None
     latency_max_ms: Milliseconds | None = None
-    facets: list[str] = []
+    facets: list[str] | None = []  # these and the readings are null where merged shards differ
     wheels: Annotated[list[WheelCurve], msgspec.Meta(max_length=64)] = []
-    readings: dict[str, Any] = {}
+    readings: dict[str, Any] | None = {}
 
 
 class OpenParts(msgspec.Struct, kw_only=True):

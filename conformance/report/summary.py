@@ -34,13 +34,14 @@ _TIMED = {
 }
 
 
-def visible_report(report: Report) -> Report:
+def _visible(report: Report) -> Report:
     """The report with all control characters escaped, so that it cannot control the terminal."""
     return msgspec.convert(escape_all_controls(msgspec.to_builtins(report)), Report)
 
 
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
     """Print the summary; `everything` lists every case that did not pass."""
+    report = _visible(report)
     if report.results:
         console.print(_table(report))
     for verdict in _LISTED:
@@ -84,7 +85,8 @@ def _facts(report: Report) -> Iterator[str]:
     if latency is not None and report.link["kind"] == "port":
         slowest = profile.get("latency_max_ms")
         yield f"answers after {latency} ms (median), {slowest} ms (longest)"
-    chosen = {p: w for p, w in profile.get("readings", {}).items() if w != default_of(p)}
+    readings = profile.get("readings") or {}  # null where merged shards differ
+    chosen = {p: w for p, w in readings.items() if w != default_of(p)}
     if chosen:
         yield "reads the document otherwise: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if report.dropped:
@@ -157,10 +159,8 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
 
 
 def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:
-    """Print one column for each report; `everything` lists every case on which they differ.
-
-    Control characters in the reports must have been escaped before (`visible_report`).
-    """
+    """Print one column for each report; `everything` lists every case on which they differ."""
+    reports = [_visible(report) for report in reports]
     told = names(reports)
     cases = rows(reports)
     console.print(_compared(told, cases))

@@ -8,23 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bilprov.conformance.cases.budget import before_the_cases, seconds, within
+from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds, within
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.operations import Ended, Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected, followed
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
-from bilprov.conformance.runner.homing import home, leave, see_motions
+from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.retry import judge_case
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
-from bilprov.conformance.runner.tally import tallied
+from bilprov.conformance.runner.slow_preambles import find_speed
 from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 
-_SLOW = 0.005  # s for an answer
+_SLOW = 0.005  # s for an answer or a look
 SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
+
+
+def is_slow(takes: float) -> bool:
+    """Whether an answer or a look that takes so long (s) makes the run's budget count."""
+    return takes >= _SLOW
 
 
 class Runner:
@@ -57,7 +63,7 @@ class Runner:
 
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
-        yield from tallied(self._execute(), self.run.tally)
+        yield from followed(self._execute(), self.run.tally, self.run.limit)
 
     def _execute(self) -> Procedure[None]:
         run = self.run
@@ -89,6 +95,7 @@ class Runner:
             if run.profile.moves == set():
                 motion = yield from other_settings(run)
                 run.profile.moves = {motion} if motion else set()
+            yield from find_speed(run)
             if self._measure and run.profile.truncation_timeout is None:
                 yield from measure_timeout(run)
             if self._discover:
@@ -101,54 +108,95 @@ class Runner:
                     continue
                 run.begin(case.id)
                 run.waiting.require_budget()
-                judged = yield from judge_case(run, case)
+                run.limit.require()
+                judged = yield from self._judged(case)
                 self._left.pop(0)
                 run.publish(judged.result)
-                if judged.stopped:
+                if isinstance(judged.stopped, Reconnected):
+                    yield from self._resume(judged.stopped, case)
+                elif judged.stopped:
                     raise judged.stopped
         except GaveUp as gave_up:
             self._not_run(Verdict.INCONCLUSIVE, f"precondition lost: {gave_up}")
         self._not_run(Verdict.SKIPPED, "an earlier case failed (--fail-fast)")
 
+    def _judged(self, case: AnyCase) -> Procedure[Attempt]:
+        """Judge a case; one during which the port was lost and found again is inconclusive."""
+        try:
+            return (yield from judge_case(self.run, case))
+        except Reconnected as gap:
+            axis = Axis(Verdict.INCONCLUSIVE, "", "not judged", str(gap))
+            return Attempt(result_of(case, {"answer": axis}), stopped=gap)
+
+    def _resume(self, gap: Reconnected, case: AnyCase) -> Procedure[None]:
+        """Go on at a port that is there again: home the robot, however often the port is lost."""
+        run = self.run
+        while True:
+            run.note(f"{gap}; {case.id} is inconclusive, and the run goes on")
+            run.limit.leave_out(gap.now - gap.lost)
+            try:
+                yield from home_again(run)
+            except Reconnected as another:
+                gap = another
+            else:
+                return
+
     def _tell_slow(self) -> None:
-        """Tell how long a device takes whose answers are late, and what that makes of the run."""
+        """Tell how long slow answers and slow looks take, and what that makes of the run."""
         run = self.run
         takes = run.profile.round_trip or 0
-        on_time = takes <= run.timers.deadline
-        if on_time and (run.config.virtual or takes < _SLOW * 1e9):
+        on_time, pace = takes <= run.timers.deadline, self._pace()
+        slow_answers = not on_time or (is_slow(pace.answer) and not run.config.virtual)
+        if not slow_answers and not is_slow(pace.look):
             return
         whole, cases = run.timers.run_budget, sum(map(self._cost, self._left))
-        timeout = run.waiting.timeout / 1e9
-        probes = before_the_cases(timeout, takes / 1e9) if self._discover else 0.0
-        about = f"the run takes about {probes + cases:.0f} s more"
+        more = self._probes() + cases
+        about = f"the run takes about {more:.0f} s more"
         if whole is not None and cases > whole / 1e9:
+            more = self._probes() + whole / 1e9
             about = (
                 f"the cases would take {cases:.0f} s and get {whole / 1e9:.0f} s: --budget S "
                 "gives them more"
             )
-        if on_time:
-            run.note(f"an answer takes {takes / 1e6:.0f} ms: {about}")
+        run.limit.announce(more)
+        if not on_time:
+            run.note(
+                f"an answer takes {takes / 1e6:.0f} ms and is due after "
+                f"{run.timers.deadline / 1e6:.0f} ms: slow, non-strict (R-answer-deadline); {about}"
+            )
             return
-        run.note(
-            f"an answer takes {takes / 1e6:.0f} ms and is due after {run.timers.deadline / 1e6:.0f}"
-            f" ms: slow, non-strict (R-answer-deadline); {about}"
-        )
+        run.note(f"{self._slow_words(pace)}: {about}")
+
+    def _slow_words(self, pace: Pace) -> str:
+        """What is slow, and how long it takes."""
+        both = (("an answer", pace.answer), ("a look", pace.look))
+        slow = (f"{name} takes {takes * 1e3:.0f} ms" for name, takes in both if is_slow(takes))
+        return " and ".join(slow)
+
+    def _pace(self) -> Pace:
+        """How fast device and probe are, as far as it is known."""
+        config, profile = self.run.config, self.run.profile
+        look = config.look_time / 1e9 if config.observability.available else 0.0
+        answer, timeout = (profile.round_trip or 0) / 1e9, self.run.waiting.timeout / 1e9
+        return Pace(timeout, 0.0, answer, look, few_looks=not config.observable)
+
+    def _probes(self) -> float:
+        """About how long (s) the probes before the cases take with this device."""
+        return before_the_cases(self._pace()) if self._discover else 0.0
 
     def _cost(self, case: AnyCase) -> float:
         """About how long (s) a case takes with this device."""
-        run = self.run
-        slow, timeout = (run.profile.round_trip or 0) / 1e9, run.waiting.timeout / 1e9
-        return seconds(run.protocol, case, 0.0, timeout, slow)
+        return seconds(self.run.protocol, case, self._pace())
 
     def _fit(self) -> None:
-        """Skip the cases for which a slow device leaves no time in the run's budget."""
-        run = self.run
-        whole, slow = run.timers.run_budget, (run.profile.round_trip or 0) / 1e9
-        if whole is None or slow < _SLOW:
+        """Skip the cases for which a slow device or probe leaves no time in the run's budget."""
+        run, pace = self.run, self._pace()
+        whole = run.timers.run_budget
+        if whole is None or not is_slow(max(pace.answer, pace.look)):
             return
         kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, self._cost)}
         why = (
-            f"an answer takes {slow * 1000:.0f} ms: {whole / 1e9:.0f} s do not hold every case; "
+            f"{self._slow_words(pace)}: {whole / 1e9:.0f} s do not hold every case; "
             "--budget S gives them more"
         )
         for case in [case for case in self._left if case.id not in kept]:

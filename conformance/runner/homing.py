@@ -48,6 +48,26 @@ def home(run: Run) -> Procedure[None]:
         raise homed.stopped
 
 
+def home_again(run: Run) -> Procedure[None]:
+    """Home a device whose port was lost: it may have been switched off, and may still boot.
+
+    What it sends until it has answered a stop, such as a banner, is no answer to anything. Raises
+    GaveUp when it no longer answers.
+    """
+    run.tally.begin_anew()
+    run.waiting.answered()
+    for _ in range(-(-run.timers.boot // run.timers.longest)):
+        yield from send(pad(run)[:1])
+        heard = yield from listen(1, run.timers.longest)
+        if heard.answers:
+            break
+    for _ in range(_TRIES):
+        heard = yield from listen(None, run.waiting.usual)
+        if not heard.answers:
+            break
+    yield from home(run)
+
+
 def home_after(run: Run, trial: Trial | None) -> Procedure[Homed]:
     """Home the line after an attempt; returns what came late, and what stopped it.
 

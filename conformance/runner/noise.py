@@ -14,17 +14,21 @@ _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 
 
 def is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
-    """Whether so many of so many tries failed that noise on `size` bytes does not explain it.
+    """Whether so many of so many tries failed that noise on `size` bytes does not explain it."""
+    # A spoilt byte shows in an answer: a missed stop beside right answers is none.
+    return first.axis == "stop" or is_no_chance(run, size, failed, tries)
+
+
+def is_no_chance(run: Run, size: int, differed: int, tries: int) -> bool:
+    """Whether spoilt bytes among `size` do not explain that so many of so many tries differed.
 
     The share of bytes that are spoilt is what the run has met so far, at least the most that the
     suite bears; and each failure so far was tried again, which makes a coincidence likelier.
     """
-    if first.axis == "stop":
-        return True  # a spoilt byte shows in an answer: a missed stop beside right answers is none
     flaky = run.counters.flaky
     met = 2 * flaky / max(1, _FRAME * run.tally.frames)
     spoilt = 1 - (1 - min(max(_SPOILT, met), 1.0)) ** size
-    return at_least(failed, tries, spoilt) * (1 + flaky) < _UNLIKELY
+    return at_least(differed, tries, spoilt) * (1 + flaky) < _UNLIKELY
 
 
 def case_bytes(case: Case | SequenceCase) -> int:

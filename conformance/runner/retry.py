@@ -18,7 +18,7 @@ from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import complete_frame
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
-from bilprov.conformance.dut.operations import Ended, Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
@@ -27,6 +27,8 @@ from bilprov.conformance.runner.prediction import find_rhythm
 from bilprov.conformance.runner.rhythm import Rhythm
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.slow_preambles import was_too_slow
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.conformance.runner.wheel_sweep import sweep_wheels
 from bilprov.spec.codec import spaced
 
@@ -62,9 +64,19 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first
+    if isinstance(case, Case):
+        try:
+            too_slow = yield from was_too_slow(run, case)
+        except Reconnected as gap:
+            return replace(first, result=_unconfirmed(first.result, str(gap)), stopped=gap)
+        except (Ended, GaveUp) as stopped:
+            return replace(first, stopped=stopped)
+        if too_slow:
+            return (yield from judge_case(run, case))
     if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
         return Attempt(_named(case, first))
     known = _named(case, first) if run.config.lossless else first.result
+    confirmed = False
     try:
         same_place, tries, more = yield from _again(run, case, first)
         if not same_place and run.config.lossless:
@@ -80,7 +92,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
                 return Attempt(_rhythmic(_named(case, first), rhythm))
             return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
-        known = _named(case, first)
+        known, confirmed = _named(case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
             shorter = yield from _shortened(run, case, first, first.mismatch)
             sent = tuple(spaced(data) for data in shorter.sent)
@@ -89,6 +101,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         # An interruption leaves the failure that is known; where the device made the rest
         # pointless, the last attempt shows why.
         last = stopped.last
+        if isinstance(last.stopped, Reconnected) and not confirmed:
+            known = _unconfirmed(known, str(last.stopped))
         return replace(last, result=known) if isinstance(last.stopped, Ended) else last
     return Attempt(known)
 
@@ -190,6 +204,13 @@ def _rhythmic(result: CaseResult, rhythm: Rhythm) -> CaseResult:
         for name, axis in result.axes.items()
     }
     return msgspec.structs.replace(result, axes=axes)
+
+
+def _unconfirmed(result: CaseResult, why: str) -> CaseResult:
+    """The result of a failure that could not be tried again: inconclusive."""
+    axes = {name: axis.unconfirmed(why) for name, axis in result.axes.items()}
+    verdict = worst(axis.verdict for axis in axes.values())
+    return msgspec.structs.replace(result, axes=axes, verdict=verdict)
 
 
 def _not_reproduced(run: Run, result: CaseResult, tries: int, again: int = 0) -> CaseResult:

@@ -21,6 +21,7 @@ from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Ve
 from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
+from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
@@ -36,7 +37,10 @@ class RunConfig:
     declares that the line loses nothing: what is not reproduced there is no noise. `experiments`
     are the ids of those that a recording holds, for a run over one; None for all. With
     `short_homing` few stops home a device that is in step, and few faults are waited after, which
-    recordings of older kits did not do.
+    recordings of older kits did not do. With `slow_preambles`, which those did not have either, the
+    lowest speed at which the robot is seen moving is found. `look_time` is how long (ns) a look
+    takes, as far as that is known, `announced` how long (s) the run was said to take
+    (`runner.time_limit`).
     """
 
     protocol: Protocol
@@ -47,6 +51,9 @@ class RunConfig:
     lossless: bool = False
     experiments: frozenset[str] | None = None
     short_homing: bool = True
+    slow_preambles: bool = True
+    look_time: int = 0
+    announced: float | None = None
 
     @property
     def observable(self) -> bool:
@@ -137,6 +144,8 @@ class Run:
 
     `note` is called with a sentence that the user should read while the run goes on.
 
+    `limit` ends the run where it takes too long.
+
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
     `results` every final result in order, `tally` every frame that was sent, `rhythms` those that
     mismatches were shown to have, `followed` the settings that the probe has shown to follow.
@@ -157,6 +166,7 @@ class Run:
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
+        self.limit = TimeLimit(config.announced)
         self.rhythms = Rhythms()
         self.followed: set[str] = set()
         self.results: list[CaseResult] = []

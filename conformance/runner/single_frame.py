@@ -25,8 +25,9 @@ from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
 from bilprov.conformance.runner.after_stop import recovery, restart_guard, stays_stopped
-from bilprov.conformance.runner.homing import SetUp, set_up, watch
+from bilprov.conformance.runner.homing import SetUp, home, set_up, watch
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.slow_preambles import preamble_of
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.fields import Outcome
 
@@ -80,11 +81,16 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
 
     Returns how far that came, and the answers that came without an instruction.
     """
-    ready = yield from set_up(run, case.setup)
+    setup = preamble_of(run, case)
+    ready = yield from set_up(run, setup)
     if not ready.missing and looks and case.setup.moving:
         moves = run.profile.moves is None or case.setup.motion in run.profile.moves
         patience = run.timers.deadline if moves else 0
         seen = yield from watch(run, moving=True, patience=patience)
+        if not seen.look.moving and setup != case.setup:
+            run.profile.preamble_speed = None
+            yield from home(run)
+            return (yield from _precondition(run, case, looks))
         if not seen.look.moving:
             missing = f"not seen moving ({case.setup.motion.value}) before the stimulus"
             ready = ready._replace(missing=missing)

@@ -7,24 +7,20 @@ runner sent them. A mismatch has its place in it, from which a rhythm is fitted 
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from bilprov.conformance.cases.coverage import kind_of
 from bilprov.conformance.cases.steps import FrameClass, complete_frame
 from bilprov.conformance.dut.operations import (
-    Ended,
     Observation,
     Operation,
     PowerCycle,
-    Procedure,
     Received,
     Reply,
     Send,
 )
 from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.protocol import Protocol
-
-T = TypeVar("T")
 
 
 class Place(NamedTuple):
@@ -86,10 +82,14 @@ class Tally:
             self._held += operation.data
             self._split()
         elif isinstance(operation, PowerCycle):
-            self.sent, self.places, self._held = [], [], b""
-            self.cycles += 1
+            self.begin_anew()
         elif isinstance(reply, Received | Observation):
             self._silent_until(reply.now)
+
+    def begin_anew(self) -> None:
+        """Count from here on: the device was switched on, or may have been."""
+        self.sent, self.places, self._held = [], [], b""
+        self.cycles += 1
 
     def _silent_until(self, now: int) -> None:
         """End a truncated frame where nothing was sent for the time-out until `now` (ns)."""
@@ -110,22 +110,3 @@ class Tally:
                 sent = self._known[frame] = Sent(kind_of(self._protocol, step), identity)
                 self.examples.setdefault(sent, frame)
             self.sent.append(sent)
-
-
-def tallied(procedure: Procedure[T], tally: Tally) -> Procedure[T]:
-    """The procedure, every operation of which the tally takes note of."""
-    reply: Reply | None = None
-    error: Ended | None = None
-    while True:
-        try:
-            operation = procedure.throw(error) if error else procedure.send(reply)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]  # what the generator's type says
-        error = None
-        try:
-            reply = yield operation
-        except Ended as ended:
-            error = ended
-        else:
-            assert reply is not None
-            tally.did(operation, reply)

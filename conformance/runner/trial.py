@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Ended, Received
+from bilprov.conformance.dut.operations import Ended, Received, Reconnected
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.oracle.wording import answer_words
@@ -104,8 +104,13 @@ class Trial:
         self.worsen("answer", Verdict.FAIL, words, late.reason)
 
     def _cut_short(self, ended: Ended) -> None:
-        """Judge what was seen in part: a failure stays, but what passed so far is no pass."""
+        """Judge what was seen in part: a failure stays, but what passed so far is no pass.
+
+        What failed before the port was missed may have failed because it was gone.
+        """
         verdict = Verdict.ERROR if ended.error else Verdict.INCONCLUSIVE
+        if isinstance(ended, Reconnected):
+            self.axes = {name: axis.unconfirmed(str(ended)) for name, axis in self.axes.items()}
         if not self.begun:
             actual = "not judged" if ended.error else "not run"
             self.axes = {"answer": Axis(verdict, "", actual, str(ended))}

@@ -19,8 +19,9 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen, obse
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words
-from bilprov.conformance.runner.homing import home, home_after, set_up, watch
+from bilprov.conformance.runner.homing import home, home_after, watch
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.motion import State
 
@@ -124,7 +125,7 @@ def _drive(run: Run) -> Procedure[None]:
     """Set the robot moving."""
     assert run.profile.moves
     _, fast = run.protocol.limits.get("speed", (0, 0))
-    yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+    yield from set_up_slowly(run, State(motion=min(run.profile.moves), speed=fast))
 
 
 def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:

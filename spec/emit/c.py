@@ -15,6 +15,9 @@ Line = tuple[str, str, str]
 def c_header(protocol: Protocol) -> str:
     """Return the header's text (C90 and C++): constants only, all with the protocol's prefix."""
     prefix = _word(protocol.name)
+    if not prefix[:1].isalpha():
+        prefix = f"P_{prefix}"
+    taken: set[str] = set()
     parts = [
         ("The frame", _frame(protocol)),
         *(
@@ -27,14 +30,18 @@ def c_header(protocol: Protocol) -> str:
     ]
     lines = [
         f"/* {_plain(protocol.document)}",
-        f" * {protocol.name} {protocol.version}, grammar sha256 {protocol.sha256}",
+        f" * {_plain(protocol.name)} {_plain(protocol.version)}, grammar sha256 {protocol.sha256}",
         " * Made out of the grammar by `bilprov spec emit c`: change that, not this. */",
         f"#ifndef {prefix}_PROTOCOL_H",
         f"#define {prefix}_PROTOCOL_H",
     ]
     for title, constants in parts:
         lines += ["", f"/* {_plain(title)} */"]
-        lines += [_define(prefix, *line) for line in constants]
+        for name, value, prose in constants:
+            while name in taken:  # names may differ in characters that C has not
+                name += "_"
+            taken.add(name)
+            lines.append(_define(prefix, name, value, prose))
     return "\n".join([*lines, "", "#endif", ""])
 
 

@@ -229,10 +229,10 @@ def front_door(ctx: click.Context, grammar: str | None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command with `arguments` (the process's own by default) and end the process."""
-    from bilprov.analyzer.cli.failures import report
+    from bilprov.analyzer.cli.failures import interrupts_kept, report
     from bilprov.analyzer.cli.streams import standard_streams
 
-    with standard_streams() as streams:
+    with interrupts_kept(), standard_streams() as streams:
         try:
             status = streams.settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
         except BaseException as error:

@@ -471,7 +471,7 @@ def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))
     try:
-        with ending_in_order():
+        with ending_in_order(lambda: None):
             signal.raise_signal(signal.SIGTERM)
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -481,7 +481,7 @@ def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
 
 def test_the_signals_are_given_back() -> None:
     before = [signal.getsignal(n) for n in ENDED]
-    with ending_in_order(), undisturbed(again=True):
+    with ending_in_order(lambda: None), undisturbed(again=True):
         assert [signal.getsignal(n) for n in ENDED] != before
 
     assert [signal.getsignal(n) for n in ENDED] == before

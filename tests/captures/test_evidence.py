@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from bilprov.captures import topics
 from bilprov.captures.chunked_file import SEAL_NAME
@@ -187,6 +188,25 @@ def test_an_attachment_with_a_wrong_checksum_is_damage_also_where_there_is_no_se
     assert "checksum (CRC) of an attachment" in str(open_capture(path).damage)
     with pytest.raises(CaptureError, match="checksum"):
         recheck(str(path))
+
+
+def test_an_attachment_of_another_program_without_a_checksum_is_no_evidence(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start("", "another program")
+        channel = writer.register_channel(topics.HOST_RAW, topics.RAW_ENCODING, 0)
+        writer.add_message(channel, WALL, b"\x20", WALL, 0)
+        writer.add_attachment(WALL, WALL, "run.json", "application/json", b"content")
+        writer.finish()
+    content = path.read_bytes()
+    path.write_bytes(content[: content.index(b"content") + 7] + bytes(4))  # never finished
+
+    assert open_capture(path).damage == ()
+    with pytest.raises(CaptureError, match=r"theirs\.mcap is damaged: the checksum \(CRC\)"):
+        open_evidence(path, ())
 
 
 def test_attachment_checksums_are_those_of_the_format(small: Path) -> None:

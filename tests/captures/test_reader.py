@@ -152,6 +152,50 @@ def test_a_lost_chunk_is_said_and_stands_as_a_gap(small: Path, tmp_path: Path, l
         assert gaps == [Line(after, "gap", "", "4 messages are lost here, the file is damaged")]
 
 
+def without_record(data: bytes, opcode: int, number: int) -> bytes:
+    """A capture without the record of this opcode that stands there at this place of all."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        kind, length = struct.unpack_from("<BQ", data, at)
+        if kind == opcode:
+            found.append((at, at + 9 + length))
+        at += 9 + length
+    first, end = found[number]
+    return data[:first] + data[end:]
+
+
+@pytest.mark.parametrize("lost", [0, 3, -1])
+def test_a_chunk_that_was_taken_out_is_missed_by_the_statistics(
+    small: Path, tmp_path: Path, lost: int
+) -> None:
+    data = without_record(small.read_bytes(), records.CHUNK, lost)
+    capture = open_capture(with_bytes(tmp_path / "out.mcap", data))
+    assert capture.damage == ("20 messages are there, the file's statistics count 24",)
+
+
+def test_a_message_taken_out_of_a_foreign_file_without_chunks_is_missed(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "f.mcap", two_taps, use_chunking=False)
+    before = open_capture(path)
+    held = sum(before.contents.counts.values())
+    path.write_bytes(without_record(path.read_bytes(), records.MESSAGE, 0))
+    told = f"{held - 1} messages are there, the file's statistics count {held}"
+    assert told in open_capture(path).damage
+    assert not any("statistics" in sentence for sentence in before.damage)
+
+
+STATISTICS = [struct.pack("<BQ", records.STATISTICS, 46 + 10 * n) for n in range(1, 9)]
+
+
+def test_statistics_that_are_cut_short_are_damage_and_no_more(tmp_path: Path) -> None:
+    path = foreign(tmp_path / "f.mcap", two_taps)
+    data, held = path.read_bytes(), all_of(path)
+    at = next(n for n in range(len(data)) if data[n : n + 9] in STATISTICS)
+    short = data[:at] + struct.pack("<BQ", records.STATISTICS, 4) + bytes(4)
+    capture = open_capture(with_bytes(path, short + data[at + 9 + data[at + 1] :]))
+    assert any("a record is shorter than its fields" in note for note in capture.damage)
+    assert list(capture.messages()) == held
+
+
 def test_the_channel_table_may_be_lost(small: Path, tmp_path: Path) -> None:
     whole = small.read_bytes()
     second = chunk_offsets(whole)[1]
@@ -393,6 +437,17 @@ def test_limits_of_a_foreign_file_hold(tmp_path: Path) -> None:
         assert len(capture.contents.channels) == records.CHANNELS
 
 
+def test_a_map_of_more_strings_than_allowed_is_left_out() -> None:
+    def text(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    pairs = b"".join(text(b"%d" % n) + text(b"") for n in range(records.PAIRS + 1))
+    with pytest.raises(records.Damaged, match="more than the 4096 strings allowed"):
+        records.metadata_record(text(b"m") + text(pairs))
+    fewer = pairs[: -len(text(b"%d" % records.PAIRS) + text(b""))]
+    assert len(records.metadata_record(text(b"m") + text(fewer))[1]) == records.PAIRS
+
+
 def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         host, _ = raw_topics(writer)
@@ -463,7 +518,7 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(small: Path) -
 
 def test_foreign_text_is_one_harmless_line_of_at_most_200_characters() -> None:
     assert printable("plain å") == "plain å"
-    assert printable("a\x1b[2J\x9b\u202e\n\ud800") == "a\\x1b[2J\\x9b\\x202e\\x0a\\xd800"
+    assert printable("a\x1b[2J\x9b\u202e\n\ud800") == "a\\x1b[2J\\x9b\\u202e\\n\\ud800"
     assert len(printable("\x00" * 5000)) == len(printable("a" * 5000)) == 200
 
 

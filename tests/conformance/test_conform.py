@@ -119,6 +119,7 @@ class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
     stop_latency_ms: float | None
     watchdog_ms: float | None
     facets: list[str]
+    preamble_speed: int | None
     all_but_two_answers_ms: float | None
     wheels: list[WheelCurve]
     readings: dict[str, str]
@@ -142,7 +143,7 @@ class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     exit: int
     unusable: str | None
     ended: str | None
-    ended_by: Literal["error", "user"] | None
+    ended_by: Literal["error", "user", "time"] | None
     counts: dict[VerdictName, int]
     coverage: dict[str, CountsForm]
     timing: dict[str, float]
@@ -429,7 +430,7 @@ def test_on_a_terminal_it_asks_once(
         os.write(terminal.master, typed)
         out, _ = process.communicate(timeout=PATIENCE)
 
-    assert b"will drive" in told
+    assert b"will move for about" in told
     assert (device.frames > 0) is frames
     if frames:
         assert judged_exit(process.returncode, json.loads(file.read_bytes())) == 0, out

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.taps.impairment import Noise
+from bilprov.captures.evidence import open_evidence
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, planned, select_cases
 from bilprov.conformance.dut.simulator import Simulator
@@ -19,7 +20,15 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import process
-from tests.support.robots import TIMED_PROBES, judged_exit, served_here, simulate, unwell
+from tests.support.robots import (
+    TIMED_PROBES,
+    ProbeServer,
+    judged_exit,
+    sentence,
+    served_here,
+    simulate,
+    unwell,
+)
 
 pytestmark = pytest.mark.waits
 
@@ -83,6 +92,36 @@ def test_a_line_that_holds_answers_back_is_told_with_what_that_takes(protocol: P
 
     told = rb"an answer takes (1[6-9]|2\d) ms: the run takes about \d+ s more"
     assert re.search(told, result.stderr), result.stderr
+
+
+def test_a_slow_probe_is_measured_and_counted_before_anybody_is_asked(protocol: Protocol) -> None:
+    with (
+        served_here(Simulator(protocol), pty=True) as (port, _),
+        ProbeServer(b'{"moving": false}\n', delay=0.1) as probe,
+    ):
+        result = process("conform", port, "--probe", probe.name, "--level", "smoke")
+
+    told = re.search(r"will move for about (\d+) s", sentence(result))
+    assert told, result.stderr
+    assert 80 < int(told[1]) < 400  # some thousand looks; a busy machine makes them longer
+
+
+@pytest.mark.parametrize("patient", [False, True])
+def test_a_recorded_run_tells_what_was_announced_unless_it_is_patient(
+    patient: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    with simulate() as robot:
+        result = process(
+            *("conform", robot.port, "--probe", robot.probe, "--yes", "--only", "valid/LED/1"),
+            *("--record", str(path), *(["--patient"] if patient else [])),
+        )
+
+    run = msgspec.json.decode(open_evidence(str(path), ("run.json",)).attachments["run.json"])
+    said = re.search(rb" cases, about (\d+) s; ", result.stderr)
+    assert said, result.stderr
+    announced = run["circumstances"]["announced"]
+    assert announced is None if patient else round(announced) == int(said[1])
 
 
 # One fault of each family (some have more to say), and cases that catch it.

@@ -446,7 +446,8 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
 
     assert refused.ret == pytest.ExitCode.USAGE_ERROR
     assert re.search(
-        r"ERROR: the robot at \S+ will drive and turn for about \d+ s: there is no terminal to ask "
+        r"ERROR: the robot at \S+ will move for about \d+ s: it drives and turns, at speeds up to "
+        r"255 of 255; its wheels should be off the ground: there is no terminal to ask "
         r"on, so say --robot-yes if it may move",
         text(refused),
     )

@@ -6,12 +6,12 @@ follow it and still agree with each other, so only a hand-typed vector can fail.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 
+from benchmarks.hostile_grammars import mutated
 from bilprov.spec.codec import bit_names, judge
 from bilprov.spec.protocol import Protocol, load
 from tests.vectors import (
@@ -134,15 +134,6 @@ MUTATIONS = {
     "a stop may take a second": {"stop_longest=100": "stop_longest=1000"},
     "the line is slow": {"baud=115200": "baud=9600"},
 }
-
-
-def mutated(text: str, changes: dict[str, str]) -> str:
-    """The text with every change made at once; each must have something to change."""
-    for old, new in changes.items():
-        assert old in text, f"the grammar does not say {old!r}"
-        assert old != new
-    pattern = "|".join(re.escape(old) for old in sorted(changes, key=len, reverse=True))
-    return re.sub(pattern, lambda found: changes[found[0]], text)
 
 
 def failing(protocol: Protocol, drive: Drive) -> Iterator[str]:

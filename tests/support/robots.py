@@ -8,8 +8,10 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -20,8 +22,8 @@ from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.link import Observability, drive
-from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received
+from bilprov.conformance.dut.link import LinkListener, Observability, drive
+from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received, Reply
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.timers import Timers
@@ -71,6 +73,23 @@ class CountingLink:
             assert isinstance(reply, Observation)
             self.looks.append(reply.look)
         return reply
+
+
+class SlowProbe(VirtualLink):
+    """A link in virtual time, each look over which takes `look` ns."""
+
+    def __init__(
+        self, device: Any, byte_time: int, tap: LinkListener | None = None, look: int = 0
+    ) -> None:
+        super().__init__(device, byte_time, tap)
+        self._look = look
+
+    def do(self, operation: Operation) -> Reply:
+        asked = self.now
+        if isinstance(operation, Observe):
+            self._pass(asked + self._look)
+        reply = super().do(operation)
+        return replace(reply, asked=asked) if isinstance(reply, Observation) else reply
 
 
 def cases_of(
@@ -267,11 +286,13 @@ def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
 class ProbeServer:
     """The other side of `--probe tcp:`; `answers` are given one a request, the last for ever.
 
-    None is no answer, b"" hangs up. `requests` are the lines that came.
+    None is no answer, b"" hangs up. `requests` are the lines that came; each is answered after
+    `delay` s.
     """
 
-    def __init__(self, *answers: bytes | None) -> None:
+    def __init__(self, *answers: bytes | None, delay: float = 0.0) -> None:
         self.requests: list[bytes] = []
+        self._delay = delay
         self._answers = list(answers)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.name = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
@@ -284,6 +305,7 @@ class ProbeServer:
                 for line in lines:
                     self.requests.append(line)
                     answer = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
+                    time.sleep(self._delay)
                     if answer == b"":
                         return
                     if answer is not None:

@@ -12,10 +12,10 @@ from queue import SimpleQueue
 import click
 
 from bilprov.analyzer.cli.options import (
-    Finite,
     asked_here,
     confirm_motion,
     line_options,
+    max_drive_option,
     note,
     note_hindrances,
     note_suspension,
@@ -27,6 +27,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.text import printable
 from bilprov.conformance.dut.probes import PROBES, open_probe
 from bilprov.conformance.dut.target import BOARD, SIM
+from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 
@@ -37,14 +38,7 @@ from bilprov.spec.protocol import Protocol
     help=f"What sees the robot: {', '.join(kind.form for kind in PROBES)} (a port's unless given) "
     "or sim (the target sim's own).",
 )
-@click.option(
-    "--max-drive",
-    metavar="S",
-    type=Finite(0),
-    default=30.0,
-    show_default=True,
-    help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
-)
+@max_drive_option
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
 @line_options
 @timeout_option
@@ -95,7 +89,8 @@ def shell(
             stack.callback(eye.close)
         if target != SIM:
             note_hindrances(port)
-            confirm_motion(f"the robot at {port} will do what is typed", yes=yes)
+            words = movement_words(protocol, all_movement(protocol))
+            confirm_motion(f"the robot at {port} will do what is typed: {words}", yes=yes)
         output = stream_output("lines")
         stopper = stack.enter_context(Stopper())
         driving = Driving(protocol, opened, timeout, stopper, output, eye, max_drive)

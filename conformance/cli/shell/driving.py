@@ -20,7 +20,6 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.probes import Probe, ProbeError
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 COMMENT = "#"
@@ -50,7 +49,7 @@ class Driving(Closing):
         probe: Probe | None,
         max_drive: float,
     ) -> None:
-        self.target = Target(protocol, port, timeout, stopper, self._heard)
+        self.target = Target(protocol, port, timeout, stopper, self._heard, max_drive)
         self.check = AnswerCheck()
         self.look: Look | None = None
         self.over = False
@@ -66,8 +65,6 @@ class Driving(Closing):
         self._stopper = stopper
         self._output = output
         self._probe = probe
-        self._max_drive = max_drive
-        self._instructed = 0.0  # when the last instruction was sent (s)
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line
 
@@ -101,16 +98,12 @@ class Driving(Closing):
         Returns those of the descriptors `also` that are readable. Stops a robot that has driven too
         long or that floods the line. Raises LinkError.
         """
-        limited = self._max_drive > 0 and self.target.state.motion != Motion.STOPPED
-        until = self._instructed + self._max_drive
-        if limited:
-            seconds = min(seconds, until - time.monotonic())
-        flooded = self._unasked >= FLOOD
+        flooded, driven_out = self._unasked >= FLOOD, self.target.driven_out
         ready = self.target.pump(seconds, also)
         if self._unasked >= FLOOD and not flooded:
             self.halt(FLOOD_WORDS)
-        elif limited and time.monotonic() >= until:
-            self.halt(f"it has driven for {self._max_drive:g} s without a new instruction")
+        elif self.target.driven_out and not driven_out:
+            self._tell_stopped(self.target.driven_out_words)
         return ready
 
     def halt(self, why: str) -> None:
@@ -118,11 +111,8 @@ class Driving(Closing):
 
         Raises LinkError and ProbeError.
         """
-        self._abandoned = True
         self._home()
-        answered = self.target.answered_stops
-        note(f"{'stopped' if answered else 'the robot does not answer the stops'}: {why}")
-        self._look_if_cheap()
+        self._tell_stopped(self.target.stopped_words(why))
 
     def close(self) -> None:
         """Stop the robot and close its port; further calls do nothing."""
@@ -160,7 +150,7 @@ class Driving(Closing):
 
     def _send(self, data: bytes) -> None:
         self.target.send(data)
-        self._instructed, self.look = time.monotonic(), None
+        self.look = None
         self.target.settle()
         self.attend()
 
@@ -168,6 +158,11 @@ class Driving(Closing):
         until = time.monotonic() + seconds
         while not self._broken_off and (left := until - time.monotonic()) > 0:
             self.attend(min(left, _STEP))
+
+    def _tell_stopped(self, words: str) -> None:
+        self._abandoned, self.look = True, None
+        note(words)
+        self._look_if_cheap()
 
     def _home(self) -> None:
         self.look = None

@@ -13,6 +13,7 @@ from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.spec.by_effect import setting
 from bilprov.spec.motion import Moment, State, moment_of
 from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, points_after
@@ -225,7 +226,7 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]
 
 def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     """Find out whether a driving robot stops, sends or starts again while the line is silent."""
-    lost = (yield from set_up(run, full_state(run.protocol, first))).missing
+    lost = (yield from set_up_slowly(run, full_state(run.protocol, first))).missing
     begun = yield from watch(run, moving=True, patience=run.timers.deadline)
     point, expected = "R-watchdog", "keeps driving, says nothing"
     if begun.look.moving is not True:

@@ -28,6 +28,7 @@ from bilprov.conformance.dut.operations import (
     Observation,
     Operation,
     Received,
+    Reconnected,
     Reply,
 )
 from bilprov.conformance.dut.target import Target
@@ -133,6 +134,7 @@ class RunRecorder(Closing, RunListener):
                 "options": options,
                 "circumstances": environment,
                 "short_homing": True,
+                "slow_preambles": True,
             }
         )
         self._attach(GRAMMAR, "text/x-python", protocol.source.encode())
@@ -142,6 +144,11 @@ class RunRecorder(Closing, RunListener):
         """An operation was done or failed: one message, after the bytes and looks it brought."""
         name = OPERATION_NAMES[type(operation)]
         match reply:
+            case Reconnected():
+                self._event(Line(reply.lost, "unplugged", "device", str(reply)))
+                self._event(Line(reply.now, "reconnected", "device", "the port is there again"))
+                told = str(reply), reply.error, reply.line_works, reply.lost
+                value = Asked(self._now, name, None, *told)
             case Ended():
                 value = Asked(self._now, name, None, str(reply), reply.error, reply.line_works)
             case Observation():

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 import pytest
 
+from benchmarks.adapter import Adapter
+from bilprov.analyzer.client.wire import stops
+from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import Done, command, process
-from tests.support.robots import sentence, served_here, simulate
+from tests.support.robots import PATIENCE, sentence, served_here, simulate
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
+
+BACK = "was lost and is there again, and the robot was stopped there first"
 
 
 def test_instructions_and_bytes_are_sent_and_their_answers_shown() -> None:
@@ -247,3 +257,135 @@ def test_expectations_that_cannot_be_are_wrong_use_and_nothing_is_sent(
     assert result.returncode == 2
     assert words in sentence(result)
     assert device.state.speed == 0
+
+
+# -- what is said, and how long it drives ---------------------------------------------------------
+
+
+def test_the_question_names_what_moves_and_how_fast_at_most() -> None:
+    with simulate() as served:
+        result = process("send", served.port, "Speed 80", "Forward", "Speed 7", "RotateLeft")
+
+    assert result.returncode == 2
+    assert sentence(result).startswith(
+        f"bilprov: the robot at {served.port} will do what is sent: it drives and turns, at speeds "
+        "up to 80 of 255; its wheels should be off the ground: there is no terminal"
+    )
+
+
+def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped() -> None:
+    with simulate() as served:
+        moves = ("Speed 80", "Forward", "pause=60000", "Speed 9")
+        result = process("send", served.port, *moves, "--yes", "--max-drive", "0.2")
+        state = served.state()
+
+    assert result.returncode == 1
+    told = result.stderr.decode()
+    assert "stopped: it has driven for 0.2 s without a new instruction" in told
+    assert "2 of 3 instructions were sent" in told
+    assert (state["moving"], state["speed"]) == (False, 80)
+
+
+def test_a_pause_at_rest_is_no_drive() -> None:
+    with simulate() as served:
+        result = process("send", served.port, "Speed 8", "pause=400", "--yes", "--max-drive", "0.1")
+
+    assert result.returncode == 0, result.stderr
+
+
+# -- a port that comes late, or again -------------------------------------------------------------
+
+
+def until(what: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + PATIENCE
+    while not what():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
+@contextmanager
+def plugged(link: Path, device: Simulator) -> Iterator[None]:
+    """The device under a path of its own."""
+    with served_here(device, pty=True) as (port, _):
+        link.unlink(missing_ok=True)
+        link.symlink_to(port)
+        yield
+
+
+def test_a_port_that_is_not_there_yet_is_waited_for(tmp_path: Path, protocol: Protocol) -> None:
+    link = tmp_path / "robot"
+    with running("send", str(link), "LED rgb=5", "--yes", "--wait") as sending:
+        assert b"; waiting" in sending.stderr.readline()
+        with plugged(link, device := Simulator(protocol)):
+            sending.process.wait(PATIENCE)
+
+    assert sending.process.returncode == 0
+    assert device.state.led == 5
+
+
+def test_a_port_that_comes_back_is_homed_and_the_rest_follows(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    link, items = tmp_path / "robot", ("Speed 80", "Forward", "pause=60000", "LED rgb=5")
+    first = Simulator(protocol)
+    with ExitStack() as stack:
+        unplugged = stack.enter_context(ExitStack())
+        unplugged.enter_context(plugged(link, first))
+        words = ("send", str(link), *items, "--yes", "--wait", "--format", "jsonl")
+        sending = stack.enter_context(running(*words))
+        until(lambda: first.state.moving)
+        unplugged.close()
+        assert b"; waiting" in sending.stderr.readline()
+        # As after a short break of the cable: it drives on.
+        moving: list[bool] = []
+
+        def note(device: object, event: Event, reaction: Reaction) -> Reaction:
+            instruction = event.judgement.instruction
+            if instruction and instruction.effect.sets("led"):
+                moving.append(event.before.moving)
+            return reaction
+
+        second = Simulator(protocol, Fault("driving", "test", "", power_on=first.state, react=note))
+        with plugged(link, second):
+            code, out, err = sending.result()
+            shown, told = [json.loads(line) for line in out.splitlines()], err.decode()
+
+    assert code == 1
+    assert BACK in told
+    assert "stopped" in {line["state"]["motion"] for line in shown}
+    assert [line["hex"] for line in shown if line["direction"] == "host"][-1] == "81 05"
+    assert "gap" in {line["kind"] for line in shown}
+    assert moving == [False]
+    assert (second.state.moving, second.state.led) == (False, 5)
+
+
+@pytest.mark.parametrize("wait", [False, True])
+def test_a_port_that_is_lost_in_the_last_homing_is_no_success(
+    tmp_path: Path, protocol: Protocol, wait: bool
+) -> None:
+    """It is unplugged at the first of the stops at the end; with --wait it is homed once more."""
+    device, port = Simulator(protocol), tmp_path / "robot"
+    begin = len(stops(protocol))
+    words = ("send", str(port), "Forward", "--yes", *(["--wait"] * wait))
+    with (
+        served_here(device, pty=True) as (line, _),
+        Adapter(port, line, [begin + 2], 0.3),
+    ):
+        result = process(*words)
+
+    assert result.returncode == 1, result.stderr
+    told = BACK if wait else UNANSWERED_STOPS
+    assert told in result.stderr.decode()
+
+
+def test_without_wait_a_port_that_is_lost_ends_it(tmp_path: Path, protocol: Protocol) -> None:
+    link, device = tmp_path / "robot", Simulator(protocol)
+    with ExitStack() as stack:
+        unplugged = stack.enter_context(ExitStack())
+        unplugged.enter_context(plugged(link, device))
+        sending = stack.enter_context(running("send", str(link), "LED 5", "pause=60000", "--yes"))
+        until(lambda: device.state.led == 5)
+        unplugged.close()
+        code, _, _ = sending.result()
+
+    assert code == 2

@@ -311,6 +311,21 @@ def test_a_value_that_its_option_does_not_take_is_one_sentence(place: Path) -> N
     assert "bilprov.toml [sniff]: baud = x: 'x' is no whole number" in refused("sniff", "/dev/x")
 
 
+@pytest.mark.parametrize("value", ["1e900", "nan", "true", "9600.5"])
+def test_a_number_of_another_kind_is_refused_as_if_it_were_typed(place: Path, value: str) -> None:
+    theirs(place, f"baud = {value}")
+
+    assert "is no whole number" in refused("sniff", "/dev/x")
+
+
+def test_a_flag_may_be_a_number_or_a_word(place: Path) -> None:
+    for value in ("0", "false", "'no'"):
+        mine(place, f"yes = {value}")
+        assert "no terminal to ask on" in refused("send", "/dev/ptmx", "00")
+    mine(place, "yes = 2")
+    assert "yes = 2: " in refused("send", "/dev/ptmx", "00")
+
+
 @pytest.mark.parametrize(
     ("text", "part"),
     [

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from bilprov.analyzer.columns import decoder as columns
+from bilprov.analyzer.columns import regular
 from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
+from bilprov.analyzer.decode import pairing
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_session
@@ -273,3 +275,18 @@ def test_captures_cut_flipped_and_with_lost_bytes(
         decoder = capture_decoder(capture, protocol)
         batches = [random.randrange(1, 300) for _ in range(5)]
         assert records_of(told(decoder, events, batches)) == expected
+
+
+@pytest.mark.parametrize("size", [1, 100])
+def test_columns_give_up_as_a_session_does_where_a_million_have_one_time(
+    protocol: Protocol, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pairing, "MOST", 500)
+    monkeypatch.setattr(regular, "MOST", 500)
+    flood = [Chunk(MS, "host", b"\x20" * size)] * (2000 // size)
+    answers = [Chunk(MS, "device", b"\x00" * size)] * (1500 // size)
+
+    parts = same(protocol, [*flood, *answers, *flood], (300,))
+    same(protocol, [*answers, *flood, *answers], (300,))
+
+    assert any(isinstance(part, Stretch) for part in parts)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from bilprov.analyzer.decode.pairing import MOST
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
@@ -187,3 +190,42 @@ def test_answers_around_lost_bytes_are_not_held_against_the_device(protocol: Pro
     records = decoded(Session(protocol), events)
 
     assert devices(records)[0].faults[0].severity is Severity.INFO
+
+
+@pytest.mark.slow
+def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(
+    protocol: Protocol,
+) -> None:
+    session = Session(protocol)
+    records = [r for _ in range(MOST // 64 + 1) for r in session.feed(host(b"\x20" * 64))]
+    given_up = [fault for record in records for fault in record.faults]
+    later = session.advance(5000 * MS)
+
+    assert [fault.kind for fault in given_up] == ["unanswered"] * 64
+    assert [fault.instruction for fault in given_up] == list(range(64))
+    assert given_up[0].reason.endswith(f"in 0 ms, and {MOST} others wait")
+    assert len(later) == MOST
+
+
+@pytest.mark.slow
+def test_of_a_flood_of_answers_at_one_time_the_oldest_are_given_up(protocol: Protocol) -> None:
+    session = Session(protocol)
+    session.feed(Chunk(0, "host", b"\x81"))  # an open frame, so that answers are held
+    records = [r for _ in range(MOST + 10) for r in session.feed(Chunk(0, "device", b"\x05"))]
+
+    assert len(devices(records)) == 10
+    assert len(devices(session.finish())) == MOST
+
+
+@pytest.mark.slow
+def test_a_flood_of_answers_ends_the_search_for_frames(protocol: Protocol) -> None:
+    session = Session(protocol, attached=True)
+    session.feed(host(b"\x20"))
+    records = [r for _ in range(1000) for r in session.feed(Chunk(0, "device", bytes(64)))]
+
+    assert len(devices(records)) > 10_000
+
+
+def host(data: bytes) -> Chunk:
+    """Bytes of the host at time 0."""
+    return Chunk(0, "host", data)

@@ -311,6 +311,25 @@ def test_while_a_tap_is_unplugged_nothing_is_paired_or_missed(
     assert not any(answer.agrees for answer in answers[:-1])
 
 
+@pytest.mark.parametrize("tap", ["host", "device", ""])
+@pytest.mark.parametrize("begun", [b"", b"\x11"])
+def test_answers_held_when_a_tap_is_unplugged_come_before_all_that_follows(
+    protocol: Protocol, tap: Literal["host", "device", ""], begun: bytes
+) -> None:
+    events: list[Event] = [
+        Chunk(0, "host", begun),
+        Chunk(MS, "device", b"\x00\x01"),
+        Line(2 * MS, "unplugged", tap),
+        Chunk(3 * MS, "device", b"\x02"),
+        Chunk(4 * MS, "host", b"\x20"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert [record.byte for record in devices(records)] == [0, 1, 2]
+    assert b"".join(record.data for record in hosts(records)) == begun + b"\x20"
+
+
 def test_an_event_from_the_past_counts_as_coming_with_the_last(protocol: Protocol) -> None:
     events = [Chunk(10 * MS, "host", b"\x11"), Chunk(5 * MS, "host", b"\x05")]
 

@@ -608,3 +608,27 @@ def test_sniff_send_and_conform_name_the_holder_of_a_port() -> None:
             assert result.returncode == 2
             assert f"or end it: kill {holder.process.pid}".encode() in result.stderr
         assert holder.end()[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nothing.mcap", "does not exist: name an MCAP file"),
+        ("folder", "is a folder: name an MCAP file"),
+        ("pipe", "is not a regular file: name an MCAP file"),
+        ("text", "): name an MCAP file"),
+        ("ttyUSB9", "there is no"),
+        ("/dev/null", "is not a serial port"),
+    ],
+)
+def test_a_character_device_or_nothing_is_a_port_and_all_else_a_file(
+    name: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "text").write_text("text")
+    os.mkfifo(tmp_path / "pipe")
+
+    result = command("doctor", str(tmp_path / name))
+
+    assert result.returncode == 2
+    assert said in result.stdout.decode()

@@ -106,4 +106,4 @@ def test_a_whole_capture_is_well_and_a_file_is_asked_nothing(whole: Path) -> Non
     for more in ([str(whole)], ["--ask"]):
         refused = command("doctor", str(whole), *more)
         assert (refused.returncode, refused.stdout) == (2, b"")
-        assert b"is a file: it is examined alone" in refused.stderr
+        assert b"is a capture: it is examined alone" in refused.stderr

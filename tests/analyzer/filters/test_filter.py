@@ -513,3 +513,18 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     assert line
 
     assert compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)(line)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "faults == (!'',)",
+        "faults == (''==0 in 0,)",
+        "faults == ('' contains 0 or 0,)",
+        "strength & 60000000000000000001",
+        "answers" + " & answers" * 40 + " & 0",
+    ],
+)
+def test_odd_filters_are_refused_in_a_sentence(protocol: Protocol, text: str) -> None:
+    with pytest.raises(FilterError, match="filter column"):
+        compile_filter(text, protocol)

@@ -181,7 +181,7 @@ def test_the_reasons_of_long_frames_are_theirs(wide: Protocol) -> None:
 def test_a_mask_makes_no_object_for_each_frame(protocol: Protocol, text: str) -> None:
     frame = bytes([protocol.pad_byte])
     ok = bytes([judge(protocol, frame).response.code])
-    rows = 50_000
+    rows = 30_000  # more do not wait at one time
     events: list[Event] = [Chunk(0, "host", frame * rows), Chunk(1, "device", ok * rows)]
     first, second = (stretches(protocol, events)[0] for _ in range(2))
     test = compile_filter(text, protocol).started(WALL)

@@ -128,7 +128,7 @@ def test_hostile_words_of_a_capture_are_one_row(protocol: Protocol) -> None:
 
     text = CsvText(columns, Times()).records(decoded(Session(protocol), [event]))
 
-    assert text == '"\'=HYPERLINK(""http://x"")\\\\x0d\\\\x0a,\\\\x1b[2J"\r\n'
+    assert text == '"\'=HYPERLINK(""http://x"")\\\\r\\\\n,\\\\x1b[2J"\r\n'
 
 
 def test_a_table_of_no_rows_has_its_header(protocol: Protocol) -> None:

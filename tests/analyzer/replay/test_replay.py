@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
 from bilprov.analyzer.replay.playback import played
 from bilprov.analyzer.transport.pty import open_pty
@@ -201,6 +203,19 @@ def test_a_device_that_answers_as_recorded_is_fine(
     assert run.returncode == 0, run.stderr
     homing = [bytes([protocol.pad_byte])] * protocol.longest_frame
     assert robot.frames == [*homing, *(said for said, _ in TALK), *homing]
+
+
+def test_a_device_that_is_lost_in_the_last_homing_is_no_success(
+    capture: Write, tmp_path: Path, protocol: Protocol
+) -> None:
+    path, port = capture(conversation(TALK)), tmp_path / "port"
+    before = protocol.longest_frame + sum(len(said) for said, _ in TALK)
+
+    with served(PtyRobot(protocol)) as line, Adapter(port, line, [before + 1], None):
+        run = commands.command("replay", str(path), "--rate", "0", "--to", str(port), "--yes")
+
+    assert run.returncode == 1, run.stderr
+    assert UNANSWERED_STOPS.encode() in run.stderr
 
 
 def test_each_answer_that_differs_is_reported(capture: Write, protocol: Protocol) -> None:

@@ -133,7 +133,6 @@ def test_a_part_that_cannot_be_written_is_told(
             with part.open("ab") as file:
                 file.write(b"from another program")
             spool.checkpoint(MS, lambda: None)
-            assert len(list(own_folder.rglob("*.mcap"))) == 2
         else:
             next(own_folder.rglob("*.mcap")).open("wb").close()  # another program empties it
             spool.events([Chunk(MS, "host", b"x")])

@@ -21,9 +21,11 @@ from bilprov.analyzer.screen.keys import BINDINGS, KEYS
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event
 from tests.support.screens import PATIENCE, browser, operated, text_of
+from tests.support.surfaces import HOSTILE
 from tests.support.traffic import told
 
 pytestmark = pytest.mark.slow  # the screen is drawn in each
@@ -611,3 +613,24 @@ def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol
 
     with pytest.raises(OSError, match="gone"):
         operated(screen, steps)
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_text_does_nothing_to_the_screen(protocol: Protocol, name: str) -> None:
+    evil = HOSTILE[name]
+    events = [Line(0, evil, "", evil), *drive(5), Line(60 * MS, "unplugged", "host", evil)]
+    screen = browser(protocol, decoded(protocol, events), expression=evil)
+    screen.feed.notice = screen.feed.said = screen.feed.captured = evil
+    shown: list[str] = []
+
+    async def looked(screen: Browser, pilot: Pilot[Any]) -> None:
+        for key in ("home", "down", "end", "question_mark"):
+            await pilot.press(key)
+            await pilot.pause()
+            shown.extend(text_of(screen))
+
+    operated(screen, looked, (160, 40))
+
+    assert all(line.isprintable() for line in shown)
+    assert any(printable(evil)[:8] in line for line in shown)

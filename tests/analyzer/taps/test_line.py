@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.taps.ends import ListeningEnd, OpenedEnd
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import join
@@ -496,6 +497,13 @@ def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
     assert (result.returncode, result.stdout) == (2, b"")
     assert len(result.stderr.splitlines()) == 1
     assert part in sentence(result)
+
+
+def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
+    with pytest.raises(ValueError, match=r"'9+…' is no such time") as raised:
+        nanoseconds("9" * 400_000 + "x")
+
+    assert len(str(raised.value)) < 400
 
 
 def test_the_help_is_enough_to_use_it() -> None:

@@ -318,6 +318,17 @@ def test_a_host_that_does_not_read_loses_bytes_but_the_recording_does_not(
     assert heard(poll_until(bridge, host=1), "host") == b"\x10"
 
 
+def test_a_device_that_floods_is_given_on_in_small_parts(
+    bridge: Bridge, device_line: PtyPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What comes at once is decoded at once, so it must not fill the memory."""
+    much = bytes(1 << 14)
+    monkeypatch.setattr(bridge, "_read", lambda tap, ready: Chunk(bridge.now(), tap, much))
+    device_line.write_some(b"\0")  # never read, so that there is always more
+
+    assert heard(bridge.poll(1), "device") == much
+
+
 def test_a_device_that_does_not_read_loses_bytes_but_the_recording_does_not(
     bridge: Bridge, host: Port
 ) -> None:

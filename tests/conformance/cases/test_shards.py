@@ -9,7 +9,7 @@ import pytest
 
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.conformance.api import Options, conform, estimated_seconds, run_suite, select_cases
-from bilprov.conformance.cases.budget import before_the_cases
+from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.opening import opening_cases
 from bilprov.conformance.cases.selection import matching, shard_named, share
 from bilprov.conformance.dut.link import Environment
@@ -117,9 +117,9 @@ def test_the_line_that_is_given_is_announced_and_its_cases_are_listed(protocol: 
     listed = command("conform", "/dev/nowhere", *given, "--stopbits", "2", "--list")
 
     # The line's settings choose the cases; on a pty no byte takes time.
-    seconds = estimated_seconds(protocol, cases, options, byte_time=0)
-    seconds += before_the_cases(protocol.timing.truncation_timeout / 1000)
-    assert f"for about {seconds:.0f} s" in sentence(refused)
+    pace = Pace(protocol.timing.truncation_timeout / 1000, few_looks=True)
+    said = before_the_cases(pace) + sum(seconds(protocol, case, pace) for case in cases)
+    assert f"for about {said:.0f} s" in sentence(refused)
     ids = [row.split()[0] for row in listed.stdout.decode().splitlines()]
     assert [ident for ident in ids if not ident.startswith(OPENING)] == [c.id for c in cases]
 

@@ -144,7 +144,10 @@ def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: 
     # A pty has no byte time.
     timers = timers_of(Environment(False, ALL_SEEING, False, "", {}), protocol)
     seconds = estimated_seconds(protocol, timers, byte_time=0, observable=True)
-    assert f"will drive and turn for about {seconds:.0f} s" in sentence(unasked)
+    assert (
+        f"will move for about {seconds:.0f} s: it drives and turns, at speeds up to 255"
+        in sentence(unasked)
+    )
     assert "learning looks after each frame" in sentence(costly)
     assert robot.frames == 0
 

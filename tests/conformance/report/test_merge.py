@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+from rich.console import Console
 
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.report.json_report import as_json
+from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.json_report import as_json, read_report
 from bilprov.conformance.report.merge import (
     MergeError,
     ShardReport,
@@ -20,6 +23,7 @@ from bilprov.conformance.report.merge import (
     require_together,
     shard_from,
 )
+from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.robots import sentence, simulate, unwell
@@ -216,6 +220,33 @@ def test_several_devices_of_one_kind_may_share_a_run(protocol: Protocol) -> None
     data = [changed(part, port(n)) for n, part in enumerate(shards(protocol, count=2))]
 
     assert merged(protocol, *data)["device"] == "/dev/ttyUSB0, /dev/ttyUSB1"
+
+
+def test_what_differs_between_shards_leaves_a_report_that_can_be_read(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    def other(document: dict[str, Any]) -> None:
+        document["link"]["probe"] = "sim:2"
+        document["grammar"]["file"] = "copy.py"
+        document["timing"] = {"cases_s": 7.5}
+        document["dropped"] = {"tours": 3}
+        document["profile"]["readings"] |= {"R-drain-known": "another", "R-new": "chosen"}
+        document["profile"]["facets"] = ["motion", "led"]
+
+    first, second = shards(protocol, count=2)
+    whole = merged(protocol, first, changed(second, other))
+    file = tmp_path / "all.json"
+    file.write_bytes(msgspec.json.encode(whole))
+
+    report = read_report(str(file))
+
+    assert report.link["probe"] == msgspec.json.decode(first)["link"]["probe"]
+    assert report.grammar["file"] == protocol.origin
+    assert (report.timing, report.dropped) == ({}, {})
+    assert report.profile["readings"] is report.profile["facets"] is None
+    show(report, Console(file=StringIO()))
+    as_html([report], protocol)
+    assert [shard["grammar"]["file"] for shard in whole["shards"]] == [protocol.origin, "copy.py"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, send
+from bilprov.conformance.dut.operations import Procedure, followed, listen, power_cycle, send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,
@@ -27,7 +27,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
 from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, Tally, tallied
+from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, Tally
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, Hidden, Timers
 
@@ -146,7 +146,7 @@ def test_frames_are_counted_however_they_are_sent(protocol: Protocol) -> None:
         yield from listen(None, 200 * MS)
         yield from send(b"\x81\x08")
 
-    drive(tallied(script(), run.tally), CountingLink(Simulator(protocol)), lambda: False)
+    drive(followed(script(), run.tally), CountingLink(Simulator(protocol)), lambda: False)
 
     names = [protocol.by_id[identity].name for identity in (1, 2, 2)]
     assert run.tally.sent == [
@@ -167,7 +167,7 @@ def test_a_power_cycle_begins_anew(protocol: Protocol) -> None:
         yield from power_cycle()
         yield from send(b"\x20")
 
-    drive(tallied(script(), tally), CountingLink(Simulator(protocol)), lambda: False)
+    drive(followed(script(), tally), CountingLink(Simulator(protocol)), lambda: False)
 
     assert (tally.frames, tally.cycles) == (1, 1)
 

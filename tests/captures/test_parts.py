@@ -1,0 +1,404 @@
+"""A recording in several files: read as one, and what is missing or foreign among them is told."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from bilprov.captures import topics
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.evidence import open_evidence
+from bilprov.captures.indexed import open_indexed
+from bilprov.captures.parts import part_path, part_paths, require_new, said_of_parts
+from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
+from bilprov.captures.storage.survey import surveyed
+from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
+from tests.support.commands import PATIENCE
+
+START = 1_790_000_000_000_000_000
+SECOND = 1_000_000_000
+EVENTS = 40  # in a part
+
+
+def state(t: int) -> Checkpoint:
+    return Checkpoint.of(t, "g", f'{{"at":{t}}}', resumes=True)
+
+
+def parts(folder: Path, count: int, *, start: int = START, name: str = "drive") -> Path:
+    """A recording in so many parts of 40 chunks, one a second; the name under which it is read."""
+    path = folder / f"{name}.mcap"
+    about = {topics.PART: "1", "heard": "host"}
+    writer = CaptureWriter(part_path(path, 1), start_wall=start, metadata=about, version="0")
+    for t in range(count * EVENTS):
+        if t and t % EVENTS == 0:
+            number = t // EVENTS + 1
+            about = about | {topics.PART: str(number), topics.CUT_START: str(t * SECOND)}
+            writer = writer.following(part_path(path, number), about)
+            writer.write(state(t * SECOND), t * SECOND)
+        writer.chunk(Chunk(t * SECOND, "host", b"%d" % t))
+    writer.close()
+    return path
+
+
+def chunks(of: Sequence[int]) -> list[Chunk | Line]:
+    """The chunks of the parts with these numbers."""
+    ranges = (range((n - 1) * EVENTS, n * EVENTS) for n in of)
+    return [Chunk(t * SECOND, "host", b"%d" % t) for one in ranges for t in one]
+
+
+def both_ways(path: Path) -> list[Capture]:
+    """The recording as surveyed and as indexed, where it has an index."""
+    indexed = open_indexed(path)
+    return [open_capture(path), *([indexed] if indexed else [])]
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "others"),
+    [
+        ("drive.mcap", "drive.00001.mcap", ["drive.1.mcap", "drive.000001.mcap", "drive.mcap.1"]),
+        ("drive", "drive.00001", ["drive.00001.mcap", "drive00001", "drive.00001~"]),
+        ("a.b.mcap", "a.b.00001.mcap", ["a.00001.mcap", "b.00001.mcap", "aXb.00001.mcap"]),
+        ("[a]*.mcap", "[a]*.00001.mcap", ["a.00001.mcap", "[a]b.00001.mcap"]),
+    ],
+)
+def test_parts_have_numbers_in_their_names_that_sort(
+    tmp_path: Path, name: str, first: str, others: list[str]
+) -> None:
+    path = tmp_path / name
+    assert part_path(path, 1).name == first
+    wanted = [part_path(path, number) for number in (1, 2, 10, 99_999, 100_000)]
+    for file in [*reversed(wanted), *(tmp_path / other for other in others)]:
+        file.touch()
+    assert list(part_paths(path).values()) == wanted
+    assert [file.name for file in wanted[:-1]] == sorted(file.name for file in wanted[:-1])
+    assert said_of_parts(wanted[:1]) == str(wanted[0])
+    assert said_of_parts(wanted[:2]) == f"{wanted[0]} to {wanted[1]}"
+
+
+def test_a_name_that_cannot_be_looked_for_has_no_parts() -> None:
+    for name in ("", "..", "/", "no/such/folder/drive.mcap", "a\0b.mcap", "x" * 5_000):
+        assert part_paths(Path(name)) == {}
+
+
+def test_parts_are_read_as_one_capture_and_each_as_one_by_itself(tmp_path: Path) -> None:
+    path = parts(tmp_path, 3)
+    indexed = open_indexed(path)
+    assert indexed
+    for capture in (open_capture(path), indexed):
+        assert list(capture) == chunks([1, 2, 3])
+        assert (capture.damage, capture.unfinished, capture.in_parts) == ((), False, True)
+        assert (capture.start, capture.path) == (START, path)
+        assert capture.contents.counts["/host/raw"] == 3 * EVENTS
+        assert capture.contents.last == START + (3 * EVENTS - 1) * SECOND
+        assert topics.PART not in capture.metadata
+        # Checkpoints at the seams are for those who read a part alone.
+        assert [message.sequence for message in capture.messages()] == [
+            *range(40),
+            *range(41, 81),
+            *range(82, 122),
+        ]
+        assert list(capture.losses()) == []
+    assert open_capture(path).left_out == 0
+    found = indexed.checkpoint_before(60 * SECOND)
+    assert found
+    assert (found.value, found.volume) == (state(40 * SECOND), 1)
+    assert list(indexed.events(found)) == chunks([2, 3])
+    assert indexed.checkpoint_before(40 * SECOND) is None
+    for number in (1, 2, 3):
+        for capture in both_ways(part_path(path, number)):
+            resumed, *_ = capture.events()
+            assert isinstance(resumed, Resumption) == (number > 1)
+            assert list(capture)[number > 1 :] == chunks([number])
+            assert (capture.in_parts, capture.metadata[topics.PART]) == (False, str(number))
+
+
+def test_a_file_of_the_name_comes_before_parts_of_the_name(tmp_path: Path) -> None:
+    path = parts(tmp_path, 2)
+    part_path(path, 2).rename(path)
+    assert list(open_capture(path))[1:] == chunks([2])
+    assert [list(capture)[1:] for capture in both_ways(path)] == [chunks([2])] * 2
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [
+        ([2], "part 2 (drive.00002.mcap) is missing"),
+        ([2, 3], "parts 2 to 3 of drive.mcap are missing"),
+    ],
+)
+def test_a_part_that_is_missing_in_between_is_a_gap_behind_which_decoding_is_in_step(
+    tmp_path: Path, missing: list[int], words: str
+) -> None:
+    path = parts(tmp_path, 4)
+    for number in missing:
+        part_path(path, number).unlink()
+    after = missing[-1] + 1
+    for capture in both_ways(path):
+        assert capture.damage == (words,)
+        events = list(capture)
+        gap = events.pop(EVENTS)
+        assert isinstance(gap, Resumption)
+        assert (gap.event, gap.silent, gap.checkpoint) == ("gap", False, state(gap.t))
+        assert gap.t == (after - 1) * EVENTS * SECOND
+        lost = (EVENTS + 1) * len(missing)
+        assert gap.detail == f"{lost} messages are lost here, {words}"
+        assert events == chunks([n for n in range(1, 5) if n not in missing])
+
+
+def test_older_parts_may_be_gone(tmp_path: Path) -> None:
+    path = parts(tmp_path, 4)
+    for number in (1, 2):
+        part_path(path, number).unlink()
+    for capture in both_ways(path):
+        resumed, *rest = capture
+        assert isinstance(resumed, Resumption)
+        assert (resumed.silent, resumed.t) == (True, 80 * SECOND)
+        assert rest == chunks([3, 4])
+        assert capture.damage == ()
+        assert capture.metadata[topics.CUT_START] == str(80 * SECOND)
+
+
+def test_what_a_part_lost_at_its_end_is_a_gap_at_the_seam(tmp_path: Path) -> None:
+    path = parts(tmp_path, 3)
+    middle = part_path(path, 2)
+    data = middle.read_bytes()
+    with middle.open("rb") as file:
+        assert surveyed(file, len(data)).counts["/host/raw"] == EVENTS
+    middle.write_bytes(data[: data.index(b"bilprov.seal") - 1_000])  # in its last chunk
+    capture = open_capture(path)
+    assert open_indexed(path) is None
+    assert capture.unfinished
+    events = list(capture)
+    (gap,) = (event for event in events if isinstance(event, Line))
+    held = [event for event in events if isinstance(event, Chunk)]
+    assert isinstance(gap, Resumption)
+    assert gap.t == 80 * SECOND
+    lost = 3 * EVENTS - len(held)
+    assert gap.detail == f"{lost} messages are lost here, the file is damaged"
+    assert 0 < lost <= EVENTS
+    assert set(chunks([1, 3])) < set(held)
+
+
+@pytest.mark.parametrize("left", [0, 8, 60, 300])
+def test_a_newest_part_that_was_hardly_begun_says_only_that_it_was_killed(
+    tmp_path: Path, left: int
+) -> None:
+    path = parts(tmp_path, 3)
+    os.truncate(part_path(path, 3), left)
+    capture = open_capture(path)
+    assert list(capture) == chunks([1, 2])
+    assert (capture.unfinished, capture.damage) == (True, ())
+
+
+def test_an_empty_part_in_between_is_refused_by_its_name(tmp_path: Path) -> None:
+    path = parts(tmp_path, 3)
+    os.truncate(part_path(path, 2), 0)
+    with pytest.raises(CaptureError, match=r"drive\.00002\.mcap is empty"):
+        open_capture(path)
+    assert open_indexed(path) is None
+
+
+def test_parts_of_different_recordings_are_refused(tmp_path: Path) -> None:
+    path = parts(tmp_path, 2)
+    parts(tmp_path, 3, start=START + 1, name="other")
+    (tmp_path / "other.00003.mcap").rename(tmp_path / "drive.00003.mcap")
+    words = r"drive\.00001\.mcap and .*drive\.00003\.mcap are parts of different recordings: "
+    with pytest.raises(CaptureError, match=words):
+        open_capture(path)
+    assert open_indexed(path) is None
+
+
+def test_parts_that_were_written_anew_lose_nothing(tmp_path: Path) -> None:
+    path = parts(tmp_path, 3)
+    for number in (2, 3):  # their sequence numbers count from 0 again
+        part = part_path(path, number)
+        capture = open_capture(part)
+        part.unlink()
+        with CaptureWriter(
+            part, start_wall=START, metadata=capture.metadata, version="0"
+        ) as writer:
+            for event in chunks([number]):
+                assert isinstance(event, Chunk)
+                writer.chunk(event)
+    for capture in both_ways(path):
+        assert list(capture) == chunks([1, 2, 3])
+
+
+def test_evidence_is_one_file(tmp_path: Path) -> None:
+    path = parts(tmp_path, 2)
+    with pytest.raises(CaptureError, match=r"is kept in parts, .* like .*drive\.00001\.mcap"):
+        open_evidence(path, ())
+    assert open_evidence(part_path(path, 2), ()).sealed
+
+
+def test_a_name_is_new_if_neither_a_file_nor_a_part_has_it(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    require_new(path)
+    part_path(path, 7).touch()
+    with pytest.raises(CaptureError, match=r"drive\.00007\.mcap exists and captures are never"):
+        require_new(path)
+    part_path(path, 7).unlink()
+    path.symlink_to("nowhere")
+    with pytest.raises(CaptureError, match=r"drive\.mcap exists and captures are never"):
+        require_new(path)
+
+
+def until_there(capture: BackgroundWriter, number: int) -> None:
+    """Wait until the part is written; files are made by the thread behind."""
+    give_up = time.monotonic() + PATIENCE
+    while not capture.failure and capture.path != part_path(capture.path.with_name("a"), number):
+        assert time.monotonic() < give_up
+        time.sleep(0.002)
+
+
+def rotating(folder: Path) -> BackgroundWriter:
+    path = part_path(folder / "a", 1)
+    return BackgroundWriter(path, start_wall=START, metadata={}, version="0")
+
+
+def turn(capture: BackgroundWriter, number: int, keep: int | None = None) -> None:
+    """Write a chunk, and go on in the part of that number."""
+    capture.chunk(Chunk(number * SECOND, "host", b"%d" % number))
+    capture.go_on_in(part_path(capture.path.with_name("a"), number), {}, number * SECOND, keep)
+    assert capture.size == 0 or capture.path.name.endswith(f"{number}")
+    until_there(capture, number)
+
+
+@pytest.mark.waits
+def test_the_newest_parts_are_kept_and_only_own_files_deleted(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    with rotating(tmp_path) as capture:
+        turn(capture, 2, keep=3)
+        turn(capture, 3, keep=3)
+        assert (capture.oldest, len(capture.paths)) == (0, 3)
+        # Another program moves the oldest away, and puts something else there.
+        part_path(path, 1).rename(tmp_path / "mine")
+        part_path(path, 1).write_bytes(b"precious")
+        part_path(path, 2).unlink()  # and deletes the next one
+        turn(capture, 4, keep=3)
+        turn(capture, 5, keep=3)
+        turn(capture, 6, keep=3)
+    assert capture.failure == ""
+    assert capture.paths == tuple(part_path(path, number) for number in (4, 5, 6))
+    assert capture.oldest == 4 * SECOND
+    assert part_path(path, 1).read_bytes() == b"precious"
+    assert not part_path(path, 2).exists()
+    assert not part_path(path, 3).exists()
+    assert list(open_capture(tmp_path / "mine")) == [Chunk(2 * SECOND, "host", b"2")]
+
+
+@pytest.mark.waits
+def test_a_part_whose_name_is_taken_ends_the_recording_and_is_not_touched(tmp_path: Path) -> None:
+    taken = part_path(tmp_path / "a", 3)
+    with rotating(tmp_path) as capture:
+        turn(capture, 2)
+        taken.write_bytes(b"precious")
+        turn(capture, 3)
+        capture.chunk(Chunk(4 * SECOND, "host", b"dropped"))
+    name = part_path(tmp_path / "a", 2)
+    assert capture.failure == (
+        f"{taken} exists and captures are never overwritten: choose another name; what was "
+        f"captured until 3.0 s is kept in {name}"
+    )
+    assert taken.read_bytes() == b"precious"
+    assert capture.paths == (part_path(tmp_path / "a", 1), name)
+    taken.unlink()
+    assert list(open_capture(tmp_path / "a")) == [
+        Chunk(2 * SECOND, "host", b"2"),
+        Chunk(3 * SECOND, "host", b"3"),
+    ]
+    assert not open_capture(tmp_path / "a").unfinished
+
+
+FULL_AT_THE_SEAM = """
+import resource, signal, sys
+from pathlib import Path
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.schemas import Chunk
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
+class Filled(dict):
+    # The second part is begun when the disk is full.
+    def items(self):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
+        return super().items()
+folder = Path(sys.argv[1])
+capture = BackgroundWriter(folder / "a.00001", start_wall=10**18, metadata={}, version="0")
+capture.chunk(Chunk(10**9, "host", b"x"))
+capture.go_on_in(folder / "a.00002", Filled(), 10**9)
+capture.chunk(Chunk(10**9, "host", b"dropped"))
+capture.close()
+print(capture.failure)
+"""
+
+
+@pytest.mark.waits
+def test_a_disk_that_is_full_at_the_seam_leaves_the_finished_part_and_no_other(
+    tmp_path: Path,
+) -> None:
+    child = subprocess.run(
+        [sys.executable, "-c", FULL_AT_THE_SEAM, str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+        timeout=PATIENCE,
+        text=True,
+    )
+    first, second = part_path(tmp_path / "a", 1), part_path(tmp_path / "a", 2)
+    assert child.stdout == (
+        f"disk full: {second} cannot be begun; what was captured until 1.0 s is kept in {first}\n"
+    )
+    assert list(tmp_path.iterdir()) == [first]
+    assert list(open_capture(tmp_path / "a")) == [Chunk(SECOND, "host", b"x")]
+    assert not open_capture(tmp_path / "a").unfinished
+
+
+CHOPPED = """
+import sys, time
+from pathlib import Path
+from bilprov.captures.background import BackgroundWriter
+from bilprov.captures.schemas import Chunk
+base, number = Path(sys.argv[1]), 1
+with BackgroundWriter(f"{base}.00001", start_wall=10**18, metadata={}, version="0") as capture:
+    for t in range(10**9):
+        capture.chunk(Chunk(t, "host", b"x"))
+        if capture.size:  # the part before is begun
+            number += 1
+            capture.go_on_in(Path(f"{base}.{number:05d}"), {}, t)
+        time.sleep(0.0005)
+"""
+
+
+@pytest.mark.waits
+@pytest.mark.sample(3)
+@pytest.mark.parametrize("seed", range(6))
+def test_kill_9_at_a_seam_leaves_whole_parts_without_a_gap(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "a"
+    last = part_path(path, 3 + seed)
+    give_up = time.monotonic() + PATIENCE
+    with subprocess.Popen([sys.executable, "-c", CHOPPED, str(path)], cwd=ROOT) as child:
+        while not last.exists():
+            assert child.poll() is None
+            assert time.monotonic() < give_up
+            time.sleep(0.0002)
+        time.sleep(Random(seed).choice([0, 0, 0.0001, 0.001, 0.07]))
+        child.kill()
+        child.wait(PATIENCE)
+    files = list(part_paths(path).values())
+    capture = open_capture(path)
+    kept = [event.t for event in capture if isinstance(event, Chunk)]
+    assert kept == list(range(len(kept)))
+    assert len(list(capture)) == len(kept)  # no gap
+    assert (capture.damage, capture.unfinished) == ((), True)
+    assert len(files) >= 3 + seed
+    assert [open_capture(file).unfinished for file in files[:-1]] == [False] * (len(files) - 1)

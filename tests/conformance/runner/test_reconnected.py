@@ -1,0 +1,106 @@
+"""What a port that was lost and is there again does to the case under way, and to the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.link import drive
+from bilprov.conformance.dut.operations import Operation, Reconnected, Reply, Send
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, cases_of
+
+GAP = 1000_000 * MS
+UNKNOWN = "unused-id/10/[01]"  # ID 9 is sent in the opening too
+
+
+class Unplugged(VirtualLink):
+    """A link in virtual time whose port is away for 1,000 s, once, when `loses` says so."""
+
+    def __init__(self, device: Simulator, loses: Callable[[Operation], bool]) -> None:
+        super().__init__(device, BYTE_TIME)
+        self.sent: list[bytes] = []
+        self.lost_after: int | None = None
+        self._loses = loses
+
+    def do(self, operation: Operation) -> Reply:
+        if self.lost_after is None and self._loses(operation):
+            self.lost_after, lost = len(self.sent), self.now
+            self._pass(lost + GAP)
+            raise Reconnected("the port was lost; it was there again", lost, self.now)
+        if isinstance(operation, Send):
+            self.sent.append(operation.data)
+        return super().do(operation)
+
+
+def judged(
+    protocol: Protocol, loses: Callable[[Operation], bool], fault: Fault | None = None
+) -> tuple[dict[str, CaseResult], Unplugged, Runner]:
+    """The results of two cases over a port that is lost, the link and the runner."""
+    link = Unplugged(Simulator(protocol, fault), loses)
+    run = Run(RunConfig(protocol, Timers(), ALL_SEEING, announced=5.0))
+    runner = Runner(run, cases_of(protocol, UNKNOWN), discover=False)
+    drive(runner.execute(), link, lambda: False)
+    return {result.id: result for result in run.results}, link, runner
+
+
+def nth(protocol: Protocol, number: int) -> Callable[[Operation], bool]:
+    """Whether an operation sends the first case's stimulus for that time."""
+    frame = cases_of(protocol, UNKNOWN)[0].frame
+    times = iter(range(1, 1000))
+    return lambda operation: operation == Send(frame) and next(times) == number
+
+
+def test_the_robot_is_homed_before_the_next_case_and_counted_anew(protocol: Protocol) -> None:
+    results, link, runner = judged(protocol, nth(protocol, 1))
+
+    assert link.lost_after is not None
+    after = b"".join(link.sent[link.lost_after :])
+    home = bytes([protocol.pad_byte]) * (1 + protocol.longest_frame)
+    assert after.startswith(home)
+    assert results["unused-id/10/0"].verdict is Verdict.INCONCLUSIVE
+    assert results["unused-id/10/1"].verdict is Verdict.PASS
+    assert runner.run.tally.cycles == 1
+
+
+def test_the_gap_does_not_count_as_time_of_the_run(protocol: Protocol) -> None:
+    _, link, runner = judged(protocol, nth(protocol, 1))
+
+    assert link.now > GAP
+    assert runner.ended is None
+
+
+def test_a_failure_that_cannot_be_tried_again_is_inconclusive(protocol: Protocol) -> None:
+    fault = fault_bank(protocol)["ok-to-unknown-id"]
+
+    results, _, _ = judged(protocol, nth(protocol, 2), fault)
+
+    first = results["unused-id/10/0"]
+    assert first.verdict is Verdict.INCONCLUSIVE
+    assert "not tried again: the port was lost" in first.axes["answer"].reason
+    assert results["unused-id/10/1"].verdict is Verdict.FAIL
+
+
+def test_a_failure_that_was_reproduced_stays(protocol: Protocol) -> None:
+    """The port is lost while the sequence that failed is shortened."""
+    runs: list[Run] = []
+    link = Unplugged(
+        Simulator(protocol, fault_bank(protocol)["ok-to-unknown-id"]),
+        lambda operation: isinstance(operation, Send) and runs[0].counters.reproduced > 0,
+    )
+    runs.append(Run(RunConfig(protocol, Timers(), ALL_SEEING)))
+    case = next(c for c in level_cases(protocol, "smoke", 1) if c.id.startswith("sequence/tour/"))
+
+    drive(Runner(runs[0], [case], discover=False).execute(), link, lambda: False)
+
+    (result,) = (result for result in runs[0].results if result.id == case.id)
+    assert result.verdict is Verdict.FAIL
+    assert link.lost_after is not None

@@ -1,0 +1,186 @@
+"""A run that takes much longer than was announced ends in order, and says where the time went."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.link import Environment, Link, LinkListener
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Operation,
+    PowerCycle,
+    Received,
+    Reply,
+    Send,
+)
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.recheck import recheck
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.listeners.recorder import open_recorder
+from bilprov.conformance.runner.time_limit import TimeLimit
+from bilprov.spec.protocol import Protocol
+from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, SlowProbe
+
+SECOND = 1000 * MS
+SMOKE = Options(level="smoke")
+
+
+class Robot:
+    """A simulated robot at a line as slow as it is told to be, announced as a run of 5 s."""
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        *,
+        look: int = 0,
+        announced: float | None = 5.0,
+        fault: Fault | None = None,
+    ) -> None:
+        self.simulator = Simulator(protocol, fault)
+
+        def connect(listener: LinkListener | None) -> Link:
+            self.link = SlowProbe(self.simulator, BYTE_TIME, listener, look)
+            return self.link
+
+        about = {"kind": "port", "byte_ns": BYTE_TIME}
+        environment = Environment(False, ALL_SEEING, False, "a line", about, announced=announced)
+        self.target = Target(protocol, environment, connect)
+
+    def judged(self) -> Report:
+        return run_suite(self.target, SMOKE)
+
+
+@pytest.mark.slow
+def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -> None:
+    robot = Robot(protocol, look=200 * MS)
+
+    report = robot.judged()
+
+    assert (report.exit, report.ended_by) == (3, "time")
+    told = re.fullmatch(
+        r"about 5 s were announced and (\d+) s are over \(\d+ s waiting for answers, (\d+) s looks "
+        r"\(200 ms each\), \d+ s silences, 0 s delays of this computer\); --patient goes on "
+        "however long it takes",
+        report.ended,
+    )
+    assert told, report.ended
+    assert 65 < int(told[1]) < 75  # a case longer, at most
+    assert int(told[2]) > 0.8 * int(told[1])
+    assert report.counts["inconclusive"] > 10
+    assert report.counts["fail"] == 0
+    assert robot.simulator.look(robot.link.now).moving is False
+
+
+@pytest.mark.slow
+def test_without_an_announcement_a_run_goes_to_its_end(protocol: Protocol) -> None:
+    report = Robot(protocol, look=200 * MS, announced=None).judged()
+
+    assert (report.exit, report.ended) == (0, "")
+
+
+@pytest.mark.slow
+def test_a_robot_that_failed_before_the_time_was_over_does_not_conform(protocol: Protocol) -> None:
+    fault = fault_bank(protocol)["ok-to-unknown-id"]
+
+    report = Robot(protocol, look=200 * MS, fault=fault).judged()
+
+    assert (report.exit, report.ended_by) == (1, "time")
+
+
+@pytest.mark.slow
+def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol) -> None:
+    """They are measured before the cases: the run was said to take 100 s then."""
+    robot = Robot(protocol, fault=variants(protocol)["R-answer-deadline=150-ms"].fault)
+
+    report = robot.judged()
+
+    assert robot.link.now > 65 * SECOND
+    assert (report.exit, report.ended) == (0, "")
+
+
+@pytest.mark.slow
+def test_a_run_that_took_too_long_is_judged_again_as_it_was(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = str(tmp_path / "run.mcap")
+    target = Robot(protocol, look=200 * MS).target
+    with open_recorder(path, target) as recorder:
+        report = run_suite(target, SMOKE, [recorder])
+
+    again = recheck(path)
+
+    assert again.differences == ()
+    assert again.report is not None
+    assert (again.report.ended, again.report.exit) == (report.ended, 3)
+
+
+def followed(limit: TimeLimit, *done: tuple[Operation, Reply]) -> str:
+    """What the limit says after these operations, "" if it lets the run go on."""
+    for operation, reply in done:
+        limit.did(operation, reply)
+    try:
+        limit.require()
+    except Ended as ended:
+        return f"{ended.by}: {ended}"
+    return ""
+
+
+def seen(asked: int, now: int) -> Observation:
+    return Observation(asked * SECOND, now * SECOND, Look(now * SECOND, moving=False))
+
+
+def heard(now: int) -> Received:
+    return Received((), now * SECOND)
+
+
+def test_the_parts_of_the_time_are_told_apart() -> None:
+    told = followed(
+        TimeLimit(30.0),
+        (Send(b""), 1000 * SECOND),
+        (Listen(1, SECOND), heard(1040)),
+        (Listen(None, 10 * SECOND), heard(1060)),  # 10 s late
+        (Observe(), seen(1065, 1070)),  # 5 s late
+        (Observe(), seen(1070, 1073)),
+        (Listen(None, 30 * SECOND), heard(1101)),
+    )
+
+    assert told == (
+        "time: about 30 s were announced and 101 s are over (40 s waiting for answers, 8 s "
+        "looks (4000 ms each), 38 s silences, 15 s delays of this computer); "
+        "--patient goes on however long it takes"
+    )
+
+
+@pytest.mark.parametrize(
+    ("announced", "taken", "ends"),
+    [(10.0, 70, False), (10.0, 71, True), (100.0, 300, False), (100.0, 301, True)],
+)
+def test_the_limit_is_three_times_what_was_said_and_a_minute_more_at_least(
+    announced: float, taken: int, *, ends: bool
+) -> None:
+    done = ((Send(b""), 0), (Listen(1, SECOND), heard(taken)))
+
+    assert bool(followed(TimeLimit(announced), *done)) is ends
+    assert followed(TimeLimit(None), *done) == ""
+
+
+def test_switching_the_power_is_not_counted_and_a_later_announcement_holds() -> None:
+    limit = TimeLimit(10.0)
+
+    assert followed(limit, (Send(b""), 0), (PowerCycle(), 90 * SECOND)) == ""
+    assert followed(limit, (Listen(1, SECOND), heard(150))) == ""
+    limit.announce(100.0)
+    assert followed(limit, (Listen(1, SECOND), heard(500))) == ""
+    assert "about 160 s were announced" in followed(limit, (Listen(1, SECOND), heard(580)))

@@ -1,0 +1,543 @@
+"""Hostile texts from every source on every surface: each is shown as text, and does nothing.
+
+The tables pair the sources of foreign text (captures, reports, names of files, arguments, settings,
+probes, grammars) with the surfaces that show them; there is one check for each kind of surface.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import Writer
+from msgspec.structs import replace
+
+from bilprov.analyzer.export.foxglove_layout import foxglove_layout
+from bilprov.captures.schemas import Chunk, Line, Log, Time
+from bilprov.captures.text import escape_controls, escape_json, printable
+from bilprov.captures.writer import CaptureWriter
+from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
+from bilprov.conformance.learning.machine import Machine, Transition
+from bilprov.conformance.learning.output import Output
+from bilprov.conformance.report.expected import ExpectedError
+from bilprov.conformance.report.expected_file import ExpectedFile
+from bilprov.conformance.report.json_report import as_json
+from bilprov.spec.emit.c import c_header
+from bilprov.spec.emit.python_stub import python_stub
+from bilprov.spec.emit.wireshark import lua_dissector
+from bilprov.spec.protocol import Protocol, load
+from tests.support.commands import Done, command
+from tests.support.reports import a_run, hostile
+from tests.support.robots import ProbeServer, sentence, simulate
+from tests.support.surfaces import (
+    BROKEN,
+    HOSTILE,
+    LONG,
+    NUL,
+    TAME,
+    c_lines,
+    csv_cells,
+    html_elements,
+    json_values,
+    lua_tokens,
+    seen,
+    xml_elements,
+)
+from tests.test_grammar_texts import PLACES, with_texts
+
+SECOND = 1_000_000_000
+MOST = 100_000  # bytes of what is shown for people, however long a text is
+
+Check = Callable[[bytes, bytes], object]
+"""What must hold of an output with a hostile text; the other one is that with a tame text."""
+
+
+def parquet(out: bytes, _: bytes) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    for row in pq.read_table(BytesIO(out)).to_pylist():
+        assert all(value.isprintable() for value in row.values() if isinstance(value, str))
+
+
+def pcapng(packets: bytes, _: bytes) -> None:
+    for text in (HOSTILE["terminal"][:4], HOSTILE["direction"][:2], "\x9b"):
+        assert text.encode() not in packets
+
+
+def terminal(out: bytes, _: bytes) -> None:
+    seen(out)
+
+
+def html(out: bytes, tame: bytes) -> None:
+    assert html_elements(out) == html_elements(tame)
+
+
+def xml(out: bytes, tame: bytes) -> None:
+    assert xml_elements(out) == xml_elements(tame)
+
+
+def table(out: bytes, _: bytes) -> None:
+    csv_cells(out)
+
+
+def values(out: bytes, _: bytes) -> None:
+    json_values(out)
+
+
+def held(check: Check, result: Done, tame: Done) -> None:
+    assert result.returncode == tame.returncode, result.stderr
+    assert b"Traceback" not in result.stderr
+    seen(result.stderr)
+    check(result.stdout, tame.stdout)
+
+
+EVERY = HOSTILE | {"nul": NUL, "broken": BROKEN, "long": LONG[:60_000]}
+
+
+# -- the function ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_foreign_text_becomes_one_line_that_prints(name: str) -> None:
+    assert escape_controls(EVERY[name]).isprintable()
+    assert printable(EVERY[name]).isprintable()
+    assert len(printable(EVERY[name])) <= 200
+
+
+def test_json_that_prints_has_the_same_value() -> None:
+    value = [text for name, text in EVERY.items() if name != "broken"]
+    text = json.dumps(value, ensure_ascii=False, indent=1).encode()
+
+    assert json.loads(escape_json(text)) == value
+    seen(escape_json(text))
+
+
+def test_of_ten_megabytes_as_much_is_shown_as_of_any_long_text() -> None:
+    assert printable(LONG) == printable(LONG[:300])
+    refused = command("decode", "--filter", f"name == {LONG}", "00")
+
+    assert refused.returncode == 2
+    assert len(seen(refused.stderr)) < 5000
+
+
+# -- captures --------------------------------------------------------------------------------------
+
+KEYS = (
+    *("grammar_name", "grammar_version", "kit", "machine", "version", "line", "history", "host"),
+    *("port_host", "truncation_timeout_ms"),
+)
+CAPTURE_SURFACES: dict[str, tuple[str, Check]] = {
+    "info": ("info {file}", terminal),
+    "info, json": ("info --json {file}", values),
+    "stats": ("stats {file}", terminal),
+    "stats, json": ("stats {file} --json -", values),
+    "stats, csv": ("stats {file} --csv -", table),
+    "replay, lines": ("replay {file} --rate 0", terminal),
+    "replay, jsonl": ("replay {file} --rate 0 --format jsonl", values),
+    "replay, csv": ("replay {file} --rate 0 --format csv", table),
+    "replay, judged": ("replay {file} --rate 0 --judge", terminal),
+    "export, csv": ("export {file} --format csv -o -", table),
+    "export, jsonl": ("export {file} --format jsonl -o -", values),
+    "export, parquet": ("export {file} --format parquet -o -", parquet),
+    "export, pcapng": ("export {file} --format pcapng -o -", pcapng),
+    "plot": ("plot {file} --html -", html),
+    "compare": ("compare {file} {file}", terminal),
+    "compare, json": ("compare {file} {file} --json -", values),
+    "cut": ("cut {file} {new} --start 0", terminal),
+    "join": ("join {file} {other} -o {new}", terminal),
+    "convert": ("convert --decoded {file} {new}", terminal),
+    "recover": ("recover {file} {new}", terminal),
+    "doctor": ("doctor {file}", terminal),
+    "doctor, json": ("doctor {file} --format json", values),
+    "recheck": ("recheck {file}", terminal),
+}
+
+
+def a_capture(path: Path, text: str, start: int = 1_700_000_000 * SECOND) -> Path:
+    """A capture of a drive in which every text is this one."""
+    about = dict.fromkeys([*KEYS, text[:60]], text)
+    with CaptureWriter(path, start_wall=start, metadata=about, version="1") as out:
+        for at in range(5):
+            out.chunk(Chunk(at * SECOND, "host", b"\x11\x05"))
+            out.chunk(Chunk(at * SECOND + 1000, "device", b"\x00\x77"))
+        short = text.encode(errors="replace").decode()[:1000]  # as JSON is, which these become
+        out.write(Line(5 * SECOND, short, "", short), 5 * SECOND)
+        out.write(Line(5 * SECOND, "unplugged", "host", short), 5 * SECOND)
+        out.write(Log(Time(0, 0), 4, short, short), 5 * SECOND)
+        out.attach(short, short, b"x", 6 * SECOND)
+    return path
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[str, Path]]:
+    """Two captures with a hostile text, by its name, or with a tame one."""
+    folder = tmp_path_factory.mktemp("captures")
+
+    @cache
+    def made(name: str) -> dict[str, Path]:
+        text = EVERY.get(name, TAME)
+        return {
+            "file": a_capture(folder / f"{name}.mcap", text),
+            "other": a_capture(folder / f"{name}-2.mcap", text, 1_700_000_100 * SECOND),
+        }
+
+    return made
+
+
+@pytest.mark.sample(16)
+@pytest.mark.parametrize("surface", CAPTURE_SURFACES)
+@pytest.mark.parametrize("name", EVERY)
+def test_a_captures_texts_do_nothing(
+    name: str, surface: str, captures: Callable[[str], dict[str, Path]], tmp_path: Path
+) -> None:
+    words, check = CAPTURE_SURFACES[surface]
+    result, tame = (
+        command(*words.format(**captures(which), new=tmp_path / f"{which}.mcap").split())
+        for which in (name, TAME)
+    )
+
+    held(check, result, tame)
+    if check is terminal:
+        assert len(result.stdout + result.stderr) < MOST
+
+
+@pytest.mark.sample(10)
+@pytest.mark.parametrize("surface", ["info", "recover", "doctor", "cut", "replay, lines"])
+@pytest.mark.parametrize("name", list(HOSTILE))
+def test_names_of_other_topics_do_nothing(name: str, surface: str, tmp_path: Path) -> None:
+    path, text = tmp_path / "foreign.mcap", HOSTILE[name]
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start(text, text)
+        schema = writer.register_schema(text, text, b"{}")
+        other = writer.register_channel(f"/{text}", text, schema)
+        host = writer.register_channel("/host/raw", "", 0)
+        writer.add_metadata(text, {text: text})
+        for t in (1, 2):
+            writer.add_message(other, t, b"{}", 0)
+            writer.add_message(host, t, b"\x00", 0)
+        writer.finish()
+
+    words = CAPTURE_SURFACES[surface][0].format(file=path, new=tmp_path / "new.mcap")
+    result = command(*words.split())
+
+    assert result.returncode in (0, 2)
+    assert b"Traceback" not in result.stderr
+    seen(result.stdout + result.stderr)
+
+
+# -- reports ---------------------------------------------------------------------------------------
+
+# That Markdown stays text is tested in conformance/report/test_markdown.py, by what makes markup.
+REPORT_SURFACES: dict[str, tuple[str, Check]] = {
+    "report": ("report {file} --verbose", terminal),
+    "two reports": ("report {file} {file} --verbose", terminal),
+    "html": ("report {file} --html -", html),
+    "junit": ("report {file} --junit -", xml),
+    "merge": ("merge {file} --json -", terminal),
+}
+
+
+@pytest.fixture(scope="module")
+def reports(protocol: Protocol, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A report in which every text is a hostile one, by its name, or a tame one."""
+    folder = tmp_path_factory.mktemp("reports")
+
+    @cache
+    def made(name: str) -> Path:
+        text = EVERY.get(name, TAME).encode(errors="replace").decode()
+        path = folder / f"{name}.json"
+        path.write_bytes(as_json(hostile(protocol, text)))
+        return path
+
+    return made
+
+
+@pytest.mark.sample(12)
+@pytest.mark.parametrize("surface", REPORT_SURFACES)
+@pytest.mark.parametrize("name", EVERY)
+def test_a_reports_texts_do_nothing(
+    name: str, surface: str, reports: Callable[[str], Path]
+) -> None:
+    words, check = REPORT_SURFACES[surface]
+
+    held(check, *(command(*words.format(file=reports(which)).split()) for which in (name, TAME)))
+
+
+def test_a_report_in_json_prints_and_keeps_its_values(protocol: Protocol) -> None:
+    text = HOSTILE["terminal"] + HOSTILE["direction"]
+    told = replace(a_run(protocol, "valid/LED/1"), device=text)
+
+    seen(as_json(told))
+    assert json.loads(as_json(told))["device"] == text
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_lines_of_expected_failures_do_nothing(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "known.txt"
+    file.write_bytes(f"{EVERY[name]} : {EVERY[name]}\n".encode(errors="surrogateescape"))
+
+    with pytest.raises(ExpectedError) as refused:
+        ExpectedFile(str(file), lambda: {"valid/LED/1"}, {"valid/LED/1"})
+
+    assert len(seen(str(refused.value).encode())) < 1000
+
+
+# -- names, arguments, settings --------------------------------------------------------------------
+
+WITH_FILE = {
+    "info": ("info", "{file}"),
+    "decode": ("decode", "{file}"),
+    "recheck": ("recheck", "{file}"),
+    "report": ("report", "{file}"),
+    "merge": ("merge", "{file}"),
+    "doctor": ("doctor", "{file}"),
+    "stats": ("stats", "{file}"),
+    "plot": ("plot", "{file}", "--html", "-"),
+    "export": ("export", "{file}", "--format", "csv", "-o", "-"),
+    "compare": ("compare", "{file}", "{file}"),
+    "replay": ("replay", "{file}", "--rate", "0"),
+    "browse": ("browse", "{file}"),
+    "--grammar": ("--grammar", "{file}", "spec", "show"),
+    "--profile": ("conform", "sim", "--only", "valid/LED/1", "--profile", "{file}"),
+    "--expect-failures": ("conform", "sim", "--only", "valid/LED/1", "--expect-failures", "{file}"),
+    "--json": ("conform", "sim", "--only", "valid/LED/1", "--json", "{file}"),
+    "--record": ("conform", "sim", "--only", "valid/LED/1", "--record", "{file}"),
+    "spec emit": ("spec", "emit", "c", "-o", "{file}"),
+    "a firmware": ("conform", "emulator:simavr:{file}"),
+    "a port": ("sniff", "{file}"),
+}
+
+
+@pytest.mark.sample(16)
+@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("words", WITH_FILE)
+@pytest.mark.parametrize("name", [*HOSTILE, "broken"])
+def test_the_name_of_a_file_does_nothing(
+    name: str, words: str, exists: bool, tmp_path: Path
+) -> None:
+    file = tmp_path / EVERY[name].replace("/", "_")
+    if exists:
+        file.write_bytes(b"content")
+
+    result = command(*(word.format(file=file) for word in WITH_FILE[words]))
+
+    assert b"Traceback" not in result.stderr
+    assert len(seen(result.stdout + result.stderr)) < MOST
+
+
+ARGUMENTS = {
+    "a command": ("{text}",),
+    "an option": ("decode", "--{text}"),
+    "hex": ("decode", "{text}"),
+    "an instruction": ("encode", "{text}"),
+    "a value": ("encode", "LED", "{text}={text}"),
+    "explained": ("explain", "{text}"),
+    "a filter": ("decode", "--filter", "{text}", "00"),
+    "columns": ("decode", "--format", "csv", "--columns", "{text}", "00"),
+    "a port": ("send", "{text}", "Stop", "--yes"),
+    "an item": ("send", "/dev/null", "{text}", "--yes"),
+    "a target": ("conform", "{text}", "--level", "smoke"),
+    "a probe": ("conform", "/dev/null", "--level", "smoke", "--probe", "{text}", "--yes"),
+    "a case": ("conform", "sim", "--only", "{text}"),
+    "a fault": ("conform", "sim", "--level", "smoke", "--fault", "{text}"),
+    "a level": ("conform", "sim", "--level", "{text}"),
+    "a choice": ("conform", "sim", "--allow", "{text}"),
+    "a reading": ("spec", "readings", "{text}"),
+    "a line": ("line", "{text}", "pty"),
+    "a served fault": ("simulate", "--fault", "{text}"),
+    "an address": ("simulate", "--listen", "{text}"),
+}
+
+
+@pytest.mark.sample(16)
+@pytest.mark.parametrize("words", ARGUMENTS)
+@pytest.mark.parametrize("name", [*HOSTILE, "long"])
+def test_an_argument_does_nothing(name: str, words: str) -> None:
+    result = command(*(word.format(text=EVERY[name]) for word in ARGUMENTS[words]))
+
+    assert result.returncode == 2
+    assert sentence(result).startswith("bilprov: ")
+    assert len(seen(result.stdout + result.stderr)) < 5000
+
+
+SETTINGS = {
+    "a key": "{text} = 1",
+    "a value": "baud = {text}",
+    "a table": "[{text}]\nbaud = 1",
+    "a device": "[device.{text}]\nport = {text}",
+    "a port": "[device.car]\nport = {text}",
+    "a command's": "[conform]\nlevel = {text}",
+    "no TOML": "{text} = = {text}",
+}
+
+
+@pytest.mark.sample(12)
+@pytest.mark.parametrize("what", SETTINGS)
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "broken"])
+def test_settings_do_nothing(name: str, what: str, tmp_path: Path) -> None:
+    quoted = json.dumps(EVERY[name]).replace("\x7f", "\\u007f")
+    (tmp_path / "bilprov.toml").write_text(SETTINGS[what].format(text=quoted), encoding="utf-8")
+
+    for words in (("config", "show"), ("conform", "car", "--list"), ("decode", "00")):
+        result = command(*words, cwd=tmp_path)
+        assert b"Traceback" not in result.stderr
+        seen(result.stdout + result.stderr)
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("name", list(HOSTILE))
+def test_the_environment_does_nothing(name: str, tmp_path: Path) -> None:
+    variables = {
+        "BILPROV_BAUD": HOSTILE[name],
+        f"BILPROV_SNIFF_{HOSTILE[name]}".replace("=", ""): "1",
+        "BILPROV_CONFORM_LEVEL": HOSTILE[name],
+    }
+    for words in (("config", "show"), ("sniff", "/dev/null"), ("conform", "sim", "--list")):
+        result = command(*words, cwd=tmp_path, **variables)
+        assert b"Traceback" not in result.stderr
+        seen(result.stdout + result.stderr)
+
+
+@pytest.mark.waits
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("name", [name for name in EVERY if name != "broken"])
+def test_what_a_probe_says_does_nothing(name: str, tmp_path: Path) -> None:
+    pages = {kind: tmp_path / kind for kind in ("html", "junit", "markdown", "json")}
+    said = [
+        {"moving": False, "motion": EVERY[name][:500]},
+        {"moving": False, EVERY[name]: EVERY[name]},
+    ]
+    answers = [json.dumps(value).encode() + b"\n" for value in said]
+    with simulate() as robot, ProbeServer(*answers) as probe:
+        options = [word for kind, page in pages.items() for word in (f"--{kind}", str(page))]
+        result = command(
+            *("conform", robot.port, "--yes", "--probe", probe.name, "--only", "valid/LED/1"),
+            *options,
+        )
+
+    seen(result.stdout + result.stderr)
+    assert not {"script", "img", "a"} & {
+        kind for kind, *_ in html_elements(pages["html"].read_bytes())
+    } - {"script", "a"}
+    xml_elements(pages["junit"].read_bytes())
+    seen(pages["markdown"].read_bytes())
+    seen(pages["json"].read_bytes())
+
+
+# -- grammars --------------------------------------------------------------------------------------
+
+# What does not print is refused in every text of a grammar: see test_grammar_texts.py.
+IN_GRAMMARS = {
+    name: escape_controls(text).replace("\\", "\\\\").replace('"', '\\"')
+    for name, text in HOSTILE.items()
+    if text.isprintable() or name == "markdown"
+}
+
+
+@cache
+def a_grammar(grammar_text: str, piece: str) -> str:
+    """The text of the grammar with a piece in each of its texts, as long as these may be."""
+    places = {old: new for pairs in PLACES.values() for old, new in pairs.items()}
+    places['bits="RGB"'] = 'bits="*/]"'
+    return with_texts(grammar_text, piece, places)
+
+
+@pytest.fixture(scope="module", params=list(IN_GRAMMARS))
+def grammars(request: pytest.FixtureRequest, grammar_text: str) -> tuple[Protocol, Protocol]:
+    """A grammar with a hostile text in each of its texts, and the same one with a tame text."""
+    piece = IN_GRAMMARS[request.param][:40].rstrip("\\")
+    return load(a_grammar(grammar_text, piece)), load(a_grammar(grammar_text, "x"))
+
+
+def test_a_grammars_texts_stay_in_the_comments_of_c(
+    grammars: tuple[Protocol, Protocol], tmp_path: Path
+) -> None:
+    evil, tame = (c_lines(c_header(one)) for one in grammars)
+
+    assert [line[:1] + line[2:] for line in evil] == [line[:1] + line[2:] for line in tame]
+    assert all(re.fullmatch(r"[A-Z0-9_]+", line[1]) for line in evil if line[1:])
+    if compiler := shutil.which("gcc"):
+        file = tmp_path / "a.c"
+        file.write_text(f"{c_header(grammars[0])}int a;\n", encoding="utf-8")
+        flags = ("-std=c90", "-pedantic-errors", "-Wall", "-Werror", "-Wno-trigraphs")
+        done = subprocess.run(
+            [compiler, *flags, "-fsyntax-only", str(file)], capture_output=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def test_a_grammars_texts_stay_in_the_strings_of_lua(grammars: tuple[Protocol, Protocol]) -> None:
+    evil, tame = (lua_tokens(lua_dissector(one, 16)) for one in grammars)
+
+    assert evil == tame
+
+
+def test_a_grammars_texts_stay_in_the_docstrings_of_a_stub(
+    grammars: tuple[Protocol, Protocol],
+) -> None:
+    kinds = [
+        [type(node).__name__ for node in ast.walk(ast.parse(python_stub(one)))] for one in grammars
+    ]
+
+    assert kinds[0] == kinds[1]
+
+
+def test_a_grammars_texts_stay_in_the_values_of_a_layout(
+    grammars: tuple[Protocol, Protocol],
+) -> None:
+    assert (
+        json.loads(foxglove_layout(grammars[0])).keys()
+        == json.loads(foxglove_layout(grammars[1])).keys()
+    )
+
+
+@pytest.mark.waits
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("quote", ["", "'", '"'])
+def test_what_a_shell_completes_runs_nothing(
+    grammars: tuple[Protocol, Protocol], quote: str, tmp_path: Path
+) -> None:
+    """What bash is offered is evaluated, as it is when somebody presses Enter."""
+    file = tmp_path / "hostile.py"
+    file.write_text(grammars[0].source, encoding="utf-8")
+    line = f"bilprov --grammar {file} encode {quote}Sp"
+
+    for shell, lines, last in (("zsh", 3, "4"), ("fish", 1, f"{quote}Sp")):  # which quote it
+        offered = command(_BILPROV_COMPLETE=f"{shell}_complete", COMP_WORDS=line, COMP_CWORD=last)
+        assert len(seen(offered.stdout.replace(b"\t", b" ")).splitlines()) == lines
+    offered = command(_BILPROV_COMPLETE="bash_complete", COMP_LINE=line, COMP_CURRENT="Sp")
+    values = [line.partition(",")[2] for line in seen(offered.stdout).splitlines()]
+    typed = "".join(f"printf '%s\\n' {quote}{value}{quote}\n" for value in values)
+    done = subprocess.run(
+        ["bash", "--norc"], input=typed.encode(), capture_output=True, cwd=tmp_path, check=False
+    )
+
+    assert done.stderr == b""
+    assert len(done.stdout.splitlines()) == len(values) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["hostile.py"]
+
+
+@pytest.mark.waits
+def test_names_and_devices_stay_in_the_labels_of_a_picture(protocol: Protocol) -> None:
+    rows = tuple(Transition(0, Output((at,))) for at in range(len(HOSTILE)))
+    machine = Machine((rows,))
+
+    def drawn(names: list[str], title: str) -> str:
+        return dot_text(protocol, machine, names, title, {(0, 0)})
+
+    evil = [escape_controls(text) for text in HOSTILE.values()]
+    pair = drawn(evil, "".join(evil)), drawn([TAME] * len(evil), TAME)
+
+    outside = [re.sub(r'"(\\.|[^"\\])*"', '""', text) for text in pair]
+    assert outside[0] == outside[1]
+    if has_graphviz():
+        assert xml_elements(svg_text(pair[0]).encode()) == xml_elements(svg_text(pair[1]).encode())

@@ -1,0 +1,202 @@
+"""Files that commands write: whole or not at all, named where they fail, never through a plant.
+
+A table has every option that asks for a file; what is held of all of them is tested for each.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import secrets
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.files import write_whole
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.reader import open_capture
+from tests.support.commands import Done, command, process
+from tests.support.robots import sentence
+
+FEW = "--only valid/LED/1"
+# {runs} has the captures and reports that are read.
+REPORTS = {
+    "conform --json": f"conform sim {FEW} --json",
+    "conform --html": f"conform sim {FEW} --html",
+    "conform --junit": f"conform sim {FEW} --junit",
+    "conform --markdown": f"conform sim {FEW} --markdown",
+    "conform --profile": f"conform sim {FEW} --profile",
+    "recheck --json": "recheck {runs}/run.mcap --json",
+    "merge --json": "merge {runs}/1.json {runs}/2.json --json",
+    "report --html": "report {runs}/1.json --html",
+    "score --json": "score --only always-1 --level smoke --jobs 1 --json",
+    "compare --json": "compare {runs}/run.mcap {runs}/run.mcap --json",
+    "stats --json": "stats {runs}/run.mcap --json",
+    "stats --csv": "stats {runs}/run.mcap --csv",
+    "plot --html": "plot {runs}/run.mcap --html",
+    "export csv": "export {runs}/run.mcap --format csv -o",
+    "export jsonl": "export {runs}/run.mcap --format jsonl -o",
+    "export parquet": "export {runs}/run.mcap --format parquet -o",
+    "export pcapng": "export {runs}/run.mcap --format pcapng -o",
+    "export layout": "export --foxglove-layout -o",
+    "spec emit c": "spec emit c -o",
+    "spec emit wireshark": "spec emit wireshark -o",
+}
+CAPTURES = {
+    "cut": "cut --start 0 {runs}/run.mcap",
+    "recover": "recover {runs}/run.mcap",
+}
+RECORDED = {"conform --record": f"conform sim {FEW} --record", "sniff -w": "sniff {port} -w"}
+PROFILE = "conform --profile"  # one that exists is read first: a device is none
+NOW_AND_THEN = pytest.mark.sample(4)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recorded run, and the reports of two shards."""
+    folder = tmp_path_factory.mktemp("runs")
+    for more in (
+        f"--record {folder}/run.mcap",
+        f"--shard 1/2 --json {folder}/1.json",
+        f"--shard 2/2 --json {folder}/2.json",
+    ):
+        assert command(*f"conform sim {FEW} {more}".split()).returncode == 0
+    return folder
+
+
+def words(name: str, runs: Path, file: Path | str) -> list[str]:
+    every = REPORTS | CAPTURES | RECORDED
+    return [*every[name].format(runs=runs, port="").split(), str(file)]
+
+
+def refused(result: Done, file: Path | str) -> None:
+    """The command ended with 2, and the last sentence names the file."""
+    assert result.returncode == 2, result
+    assert str(file) in sentence(result)
+
+
+@NOW_AND_THEN
+@pytest.mark.parametrize("name", sorted({*REPORTS} - {PROFILE}))
+def test_a_file_for_which_there_is_no_room_is_named(name: str, runs: Path) -> None:
+    refused(command(*words(name, runs, "/dev/full")), "/dev/full")
+
+
+@pytest.mark.waits
+@NOW_AND_THEN
+@pytest.mark.parametrize("name", [*REPORTS, *CAPTURES])
+def test_a_file_that_grows_too_large_is_named_and_nothing_is_left_of_it(
+    name: str, runs: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "asked"
+
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30, resource.RLIM_INFINITY))
+
+    refused(process(*words(name, runs, file), preexec_fn=little), file)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.waits
+def test_a_recording_that_could_not_be_finished_is_named_and_no_verdict(tmp_path: Path) -> None:
+    """It stays as far as it goes, since nobody can drive the same way again."""
+    file = tmp_path / "run.mcap"
+
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1024, resource.RLIM_INFINITY))
+
+    arguments = [*words("conform --record", tmp_path, file), "--fault", "always-1"]
+    refused(process(*arguments, preexec_fn=little), file)
+
+
+def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(
+    tmp_path: Path,
+) -> None:
+    result = command(
+        *("conform", "sim", *FEW.split(), "--json", "-", "--junit", "/dev/full"),
+        *("--html", str(tmp_path / "a.html"), "--profile", f"/proc/{os.getpid()}/new.toml"),
+    )
+
+    refused(result, "/dev/full cannot be written: No space left on device; /proc/")
+    assert json.loads(result.stdout)["verdict"] == "pass"
+    assert (tmp_path / "a.html").read_bytes().endswith(b"</html>\n")
+    assert b"conforms" in result.stderr
+
+
+# -- links -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def victim(tmp_path: Path) -> Path:
+    """A file that somebody wants to be overwritten."""
+    file = tmp_path / "victim"
+    file.write_bytes(b"mine")
+    return file
+
+
+@NOW_AND_THEN
+@pytest.mark.parametrize("name", [*REPORTS, *CAPTURES])
+def test_the_temporary_file_beside_is_a_new_one_whoever_planted_what(
+    name: str, runs: Path, victim: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here its name can be guessed, which it cannot else."""
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    asked = folder / "asked"
+    monkeypatch.setattr(secrets, "token_hex", lambda size: "0" * 2 * size)
+    for planted in (f".asked.{'0' * 16}.part", f".asked.{os.getpid()}.part", ".asked.part"):
+        (folder / planted).symlink_to(victim)
+
+    refused(command(*words(name, runs, asked)), asked)
+
+    assert victim.read_bytes() == b"mine"
+    assert not asked.exists()
+
+
+@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_capture_is_never_recorded_through_a_link(
+    name: str, exists: bool, victim: Path, tmp_path: Path
+) -> None:
+    if not exists:
+        victim.unlink()
+    asked = tmp_path / "run.mcap"
+    asked.symlink_to(victim)
+
+    with open_pty() as line:
+        arguments = RECORDED[name].format(port=line.name).split()
+        refused(command(*arguments, str(asked)), asked)
+
+    assert (victim.read_bytes() if exists else victim.exists()) == (b"mine" if exists else False)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link of another user")
+@NOW_AND_THEN
+@pytest.mark.parametrize("name", [*REPORTS, *CAPTURES])
+def test_a_link_of_another_user_in_a_shared_folder_is_not_followed(
+    name: str, runs: Path, victim: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    asked = folder / "asked"
+    asked.symlink_to(victim)
+    os.lchown(asked, 12345, 12345)
+    if name == PROFILE:
+        victim.unlink()
+
+    refused(command(*words(name, runs, asked), *(["--force"] if name in CAPTURES else [])), asked)
+
+    assert victim.exists() is not (name == PROFILE)
+    with pytest.raises(PermissionError, match="another user made this link"):
+        write_whole(asked, b"new")
+
+
+def test_ones_own_link_is_followed(victim: Path, runs: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(victim)
+
+    assert command(*words("cut", runs, link), "--force").returncode == 0
+
+    assert link.is_symlink()
+    assert not open_capture(victim).unfinished
