@@ -19,7 +19,7 @@ PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc
 # Another reader of captures, in JavaScript; npm brings it, where there is one.
 MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0
 
-.PHONY: help setup lock packages demo test quick whole slow pairs mutants check format lint types bench noise pictures clean
+.PHONY: help setup lock packages demo test quick whole slow pairs mutants check format lint types bench noise fuzz torture pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -88,6 +88,12 @@ types: setup
 noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs, and 100 of the firmware
 	$(BIN)/python -m benchmarks.noise
 	$(BIN)/python -m benchmarks.noise --board
+
+fuzz: setup ## no crash by 200,000 damaged files and texts, 2 minutes; FUZZ_ARGS="--inputs N --seed S --target T"
+	$(BIN)/python -m benchmarks.fuzz $(FUZZ_ARGS)
+
+torture: setup ## all the long harms, some hours; renews docs/RELIABILITY.md; TORTURE_ARGS="HARM --runs N"
+	$(BIN)/python -m benchmarks.torture --page $(TORTURE_ARGS)
 
 bench: setup ## how fast each work is beside construct, mcap and C, 6 minutes; renews the README's table
 	$(BIN)/python -m benchmarks.bench --publish $(BENCH_ARGS)

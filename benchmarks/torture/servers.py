@@ -1,13 +1,12 @@
 """How late a look at the simulator's probe is under 200 slow clients, and beside a flood.
 
-`python -m benchmarks.torture_server [--looks N]`: prints p50 and p99 in ms with nobody else there,
-with 200 clients that send their requests byte by byte, and with one that floods newlines. Ends with
-1 only if a look fails or takes 30 s, or if a slow client or the simulator is cut off.
+p50 and p99 in ms with nobody else there, with 200 clients that send their requests byte by byte,
+and with one that floods newlines. Wrong is only a look that fails or takes 30 s, or a client or a
+simulator that is cut off: how many ms a look takes is the machine's.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import socket
@@ -19,6 +18,7 @@ from itertools import cycle
 from statistics import quantiles
 from subprocess import PIPE, Popen
 
+from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.transport.streams import parse_address
 
 _PATIENCE = 30.0  # s; a look that takes longer has failed
@@ -91,29 +91,31 @@ def _looks(probe: socket.socket, count: int) -> list[float]:
     return took
 
 
-def main() -> int:
-    """Measure beside each harm; returns 1 if a look failed or somebody was cut off."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--looks", type=int, default=1000, metavar="N", help="looks each (1000)")
-    count = max(2, parser.parse_args().looks)
+def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+    """Look so often beside each harm; nothing is drawn here, so the seed does nothing."""
     words = [sys.executable, "-m", "bilprov", "simulate", "--probe-listen", "127.0.0.1:0"]
-    failed = 0
+    rows = []
     with Popen(words, stdout=PIPE, text=True) as served:
         lines = [served.stdout.readline().strip() for _ in range(2)] if served.stdout else []
         address = parse_address(lines[1].removeprefix("probe tcp:"))
+        count = max(2, runs // len(_HARMS))
         for name, work in _HARMS.items():
+            told, wrong = "", []
             try:
                 with _connected(address) as probe, _beside(work, address):
                     _looks(probe, 100)  # until the others are there
                     percent = quantiles(_looks(probe, count), n=100)
-                told = f"p50 {percent[49]:7.2f} ms, p99 {percent[98]:7.2f} ms"
+                told = f"p50 {percent[49]:.2f} ms, p99 {percent[98]:.2f} ms"
             except (OSError, ValueError) as error:
-                failed, told = 1, f"failed: {error}"
-            sys.stdout.write(f"{name:20} {told}\n")
-        failed |= served.poll() is not None
+                wrong = [f"a look failed: {error}"]
+            if served.poll() is not None:
+                wrong.append(f"the simulator ended with {served.returncode}")
+            rows.append(
+                Row(f"looks at the probe of `simulate` beside {name}", count, told, tuple(wrong))
+            )
+            progress(count)
         served.terminate()
-    return failed
+    return rows
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+HARM = Harm("servers", "looks at a probe beside slow and flooding clients", 3000, _measure)

@@ -1,0 +1,80 @@
+"""A USB adapter that is unplugged and plugged in again: a pty under a path that stays the same."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+
+
+class Adapter(AbstractContextManager["Adapter"]):
+    """A USB adapter at a robot's line, under the path `link`, that is unplugged now and then.
+
+    It is unplugged each time that so many more bytes of the host have passed as `after` says next,
+    and plugged in again `away` s later; None: never again. With `late` it is unplugged so much (s)
+    after these bytes, and what comes meanwhile passes.
+    """
+
+    def __init__(
+        self, link: Path, line: str, after: Sequence[int], away: float | None, late: float = 0.0
+    ) -> None:
+        self._link, self._line = link, open_port(line)
+        self._away, self._late = away, late
+        self.unplugged = threading.Event()
+        """Whether it has been unplugged."""
+        self.plugged_again = threading.Event()
+        """Whether it has been plugged in again."""
+        self.passed = 0
+        """Bytes of the host that it has handed on."""
+        self._after = list(after)
+        self._over = threading.Event()
+        self._pair: PtyPair | None = None
+        self._plug()
+        self._thread = threading.Thread(target=self._relay)
+        self._thread.start()
+
+    def _plug(self) -> None:
+        self._pair = open_pty()
+        self._link.symlink_to(self._pair.name)
+        self._left = self._after.pop(0) if self._after else None
+        self._due: float | None = None  # when it is unplugged, once its bytes have passed
+
+    def _unplug(self) -> None:
+        assert self._pair is not None
+        self._pair.close()
+        self._pair = None
+        self._link.unlink()
+        self.unplugged.set()
+
+    def _relay(self) -> None:
+        while not self._over.is_set():
+            assert self._pair is not None
+            ready = wait_readable([self._line], 0.01, [self._pair.master])
+            said = self._pair.read() if ready[1] else b""
+            handed = said if self._left is None or self._late else said[: self._left]
+            self._line.write(handed)
+            self.passed += len(handed)
+            self._pair.write_some(self._line.read())
+            if self._left is None:
+                continue
+            self._left -= len(said)
+            if self._left <= 0 and self._due is None:
+                self._due = time.monotonic() + self._late
+            if self._due is not None and time.monotonic() >= self._due:
+                self._unplug()
+                if self._over.wait(self._away) or self._away is None:
+                    return
+                self._plug()
+                self.plugged_again.set()
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        if self._pair:
+            self._unplug()
+        self._line.close()

@@ -1,0 +1,223 @@
+"""Damages capture files deep inside: chunks are unpacked, changed and packed again.
+
+Lengths, checksums, the index and the seal are put right afterwards, most of the time: what only
+breaks a checksum gets no further than the reader's first look.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from random import Random
+from struct import error as StructError
+from struct import pack, pack_into, unpack_from
+from typing import NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
+from benchmarks.fuzz.mutators import HOSTILE, damaged, json_mutator
+from bilprov.captures.chunked_file import SEAL_BYTES, SEAL_HASH, SEAL_NAME
+from bilprov.captures.storage import records
+from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
+from bilprov.captures.topics import CHANNEL_START_KEY, METADATA_NAME, START_KEY, TOPICS
+
+_CHUNK_INDEX = 0x08
+_TIMES = (0, 1, 1 << 31, (1 << 53) + 1, 1 << 62, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)
+_LARGEST = 1 << 17  # bytes of an unpacked chunk that is changed
+
+_WORDS = tuple(
+    text.encode("utf-8", "surrogatepass")
+    for text in (
+        *(topic.name for topic in TOPICS),
+        *(topic.encoding for topic in TOPICS),
+        *(
+            START_KEY,
+            CHANNEL_START_KEY,
+            METADATA_NAME,
+            SEAL_NAME,
+            "bilprov ",
+            "zstd",
+            "lz4",
+            "json",
+        ),
+        *HOSTILE,
+    )
+)
+
+_pack = zstandard.ZstdCompressor(level=1).compress
+_change_json = json_mutator(())
+
+
+class Record(NamedTuple):
+    """A record: its opcode, and its content without opcode and length."""
+
+    opcode: int
+    content: bytes
+
+
+def mutated_capture(random: Random, pool: Sequence[bytes]) -> bytes:
+    """A capture from the pool with some changes, most of them inside of its records."""
+    data = random.choice(pool)
+    if random.random() < 0.15:
+        return damaged(random, data, pool, _WORDS)
+    found, rest = _split(data[len(MAGIC) :])
+    for _ in range(random.choice((1, 1, 1, 2, 3, 6))):
+        _change(random, found, pool, inside=False)
+    data = _joined(found, right=random.random() < 0.8) + rest
+    kind = random.random()
+    if kind < 0.05:
+        data = data[: random.randrange(len(data) + 1)]
+    elif kind < 0.15:
+        data = damaged(random, data, pool, _WORDS)
+    return data
+
+
+def _split(data: bytes) -> tuple[list[Record], bytes]:
+    """The complete records in some bytes, and what is left over."""
+    found, at = [], 0
+    while at + RECORD_HEAD.size <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        start = at + RECORD_HEAD.size
+        if start + length > len(data):
+            break
+        found.append(Record(opcode, data[start : start + length]))
+        at = start + length
+    return found, data[at:]
+
+
+def _change(random: Random, found: list[Record], pool: Sequence[bytes], inside: bool) -> None:
+    """Change a list of records at a random place; those of a chunk if `inside`."""
+    at = random.randrange(len(found) + 1)
+    kind = random.randrange(10)
+    if kind == 0:
+        del found[at : at + 1]
+    elif kind == 1:
+        found[at:at] = found[at : at + random.choice((1, 1, 2, 4))]
+    elif kind == 2 and len(found) > 1:
+        other = random.randrange(len(found))
+        at = min(at, len(found) - 1)
+        found[at], found[other] = found[other], found[at]
+    elif kind == 3:
+        others, _ = _split(random.choice(pool)[len(MAGIC) :])
+        if inside and (chunks := [one for one in others if one.opcode == records.CHUNK]):
+            others, _ = _split(_unpacked(random.choice(chunks).content) or b"")
+        if others:
+            found.insert(at, random.choice(others))
+    elif at < len(found):
+        found[at] = _changed(random, found[at], pool)
+
+
+def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:
+    opcode, content = record
+    if random.random() < 0.03:
+        return Record(random.choice((*range(17), 0x80, 0xFF)), content)
+    if opcode == records.CHUNK and random.random() < 0.9:
+        inner = _unpacked(content)
+        if inner is not None:
+            parts, rest = _split(inner)
+            for _ in range(random.choice((1, 1, 2, 3, 8))):
+                _change(random, parts, pool, inside=True)
+            return Record(opcode, _packed(random, _bytes(parts) + rest, content))
+    if opcode == records.MESSAGE and len(content) >= MESSAGE_HEAD.size and random.random() < 0.8:
+        return Record(opcode, _changed_message(random, content, pool))
+    return Record(opcode, damaged(random, content, pool, _WORDS))
+
+
+def _changed_message(random: Random, content: bytes, pool: Sequence[bytes]) -> bytes:
+    channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
+    data = content[MESSAGE_HEAD.size :]
+    kind = random.randrange(5)
+    if kind == 0:
+        channel = random.choice((channel + 1, 0, 1, 2, 3, 77, 65535)) & 0xFFFF
+    elif kind == 1:
+        sequence = random.choice((sequence + 1, sequence + 9, sequence - 1, 0, (1 << 32) - 1))
+    elif kind == 2:
+        moved = log_time + random.choice((-1, 1, 10**9, -(10**9), 10**15))
+        log_time = random.choice((*_TIMES, moved, moved, moved))
+    elif data.startswith(b"{"):
+        data = _change_json(random, (data,))
+    else:
+        data = damaged(random, data, pool)
+    head = MESSAGE_HEAD.pack(
+        channel, sequence & (1 << 32) - 1, log_time & (1 << 64) - 1, publish_time
+    )
+    return head + data
+
+
+def _unpacked(content: bytes) -> bytes | None:
+    """The records in a chunk; None if it cannot be unpacked, or holds too much."""
+    try:
+        size, _, compression, start = records.chunk_fields(content)
+        packed = content[start:]
+        if size > _LARGEST:
+            return None
+        if compression == "zstd":
+            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=_LARGEST)
+        data: bytes = lz4.frame.decompress(packed) if compression == "lz4" else packed
+    except (records.Damaged, zstandard.ZstdError, RuntimeError, ValueError, MemoryError):
+        return None
+    return data if len(data) <= _LARGEST else None
+
+
+def _packed(random: Random, data: bytes, before: bytes) -> bytes:
+    """A chunk of these records, with the times of the one before."""
+    compression = random.choice((b"zstd", b"", b"", b"lz4"))
+    pack_by: dict[bytes, Callable[[bytes], bytes]] = {
+        b"zstd": _pack,
+        b"lz4": lz4.frame.compress,
+        b"": bytes,
+    }
+    packed = pack_by[compression](data)
+    size, crc = len(data), zlib.crc32(data)
+    kind = random.random()
+    if kind < 0.03:
+        size = random.choice((0, size + 1, 1 << 24, 1 << 33, (1 << 64) - 1))
+    elif kind < 0.06:
+        crc = random.choice((0, crc ^ 1))
+    front = before[:16] + pack("<QII", size, crc, len(compression)) + compression
+    return front + pack("<Q", len(packed)) + packed
+
+
+def _bytes(found: Iterable[Record]) -> bytes:
+    return b"".join(RECORD_HEAD.pack(one.opcode, len(one.content)) + one.content for one in found)
+
+
+def _joined(found: list[Record], right: bool) -> bytes:
+    """The file of these records; if `right`, with a seal, an index and checksums that fit."""
+    if not right:
+        return MAGIC + _bytes(found)
+    out = bytearray(MAGIC)
+    chunks: list[tuple[int, int]] = []
+    summary = entry = 0
+    for record in found:
+        opcode, content, at = record.opcode, bytearray(record.content), len(out)
+        try:
+            if opcode == records.CHUNK:
+                chunks.append((at, len(content) + RECORD_HEAD.size))
+            elif opcode == records.METADATA and SEAL_NAME.encode() in content:
+                content[:] = _seal(bytes(out))
+            elif opcode == records.ATTACHMENT:
+                pack_into("<I", content, len(content) - 4, zlib.crc32(content[:-4]))
+            elif opcode == records.DATA_END:
+                summary = at + RECORD_HEAD.size + len(content)
+            elif opcode == _CHUNK_INDEX and entry < len(chunks):
+                pack_into("<QQ", content, 16, *chunks[entry])
+                entry += 1
+            elif opcode == records.FOOTER and summary:
+                offset = unpack_from("<Q", content, 8)[0]
+                pack_into("<QQ", content, 0, summary, offset)
+                head = RECORD_HEAD.pack(opcode, len(content))
+                crc = zlib.crc32(bytes(out[summary:]) + head + bytes(content[:16]))
+                pack_into("<I", content, 16, crc)
+        except StructError:
+            pass  # it is too short for its fields, and stays so
+        out += RECORD_HEAD.pack(opcode, len(content)) + content
+    return bytes(out)
+
+
+def _seal(before: bytes) -> bytes:
+    texts = (SEAL_HASH, hashlib.sha256(before).hexdigest(), SEAL_BYTES, str(len(before)))
+    pairs = b"".join(pack("<I", len(text)) + text.encode() for text in texts)
+    return pack("<I", len(SEAL_NAME)) + SEAL_NAME.encode() + pack("<I", len(pairs)) + pairs

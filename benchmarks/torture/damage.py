@@ -1,0 +1,270 @@
+"""Damaged captures: what is read of them, whether the loss is told, what `recover` makes of them.
+
+Each run damages a small capture in one way and opens it by its survey and by its index, reads it in
+every way, examines it as `doctor` does and mends it as `recover` does. It may be refused with a
+sentence; else what is missing must be told, and nothing may be read that was not recorded.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from benchmarks.fuzz import engine
+from benchmarks.fuzz.captures import (
+    examined,
+    foreign_captures,
+    loose_capture,
+    mended,
+    own_captures,
+)
+from benchmarks.torture.harm import Harm, Progress, Row
+from bilprov.analyzer.doctor.capture_file import of_capture
+from bilprov.analyzer.doctor.finding import Grade
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import part_path
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.storage import records
+from bilprov.captures.storage.records import MAGIC, RECORD_HEAD
+from bilprov.captures.topics import PART
+from bilprov.captures.writer import CaptureWriter
+
+_START = 1_790_000_000_000_000_000  # ns since 1970
+
+Messages = list[tuple[int, str, str]]
+
+
+class Kind(NamedTuple):
+    """A kind of capture: its files; whether bilprov wrote it, and whether messages are in chunks.
+
+    What bilprov reads of its own files stands under a checksum. In those of others the table of
+    channels may not, and what is in no chunk has none at all.
+    """
+
+    name: str
+    files: tuple[bytes, ...]
+    own: bool = True
+    chunked: bool = True
+
+
+@cache
+def kinds() -> tuple[Kind, ...]:
+    """The captures that are damaged."""
+    own = own_captures()
+    names = ("line events", "attached at rest", "conform", "without decoded topics", "cut off")
+    return (
+        *map(Kind, names, ((one,) for one in own)),
+        Kind("without its index", (own[0][: _data_end(own[0])],)),
+        *(Kind(f"foreign {n}", (one,), own=False) for n, one in enumerate(foreign_captures())),
+        Kind("foreign, no chunks", (loose_capture(),), own=False, chunked=False),
+        Kind("in parts", _parts()),
+    )
+
+
+def _parts() -> tuple[bytes, ...]:
+    """A recording in three parts."""
+    protocol = load_protocol()
+    about = session_metadata(
+        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
+    )
+    paths = [engine.folder() / f"part-{number}.mcap" for number in range(3)]
+    writer: CaptureWriter = RecordWriter(paths[0], _START, {**about, PART: "1"})
+    for number, path in enumerate(paths):
+        if number:
+            writer = writer.following(path, {**about, PART: str(number + 1)})
+        for turn in range(12):
+            t = (12 * number + turn) * 10 * MS
+            writer.chunk(Chunk(t, "host", bytes([turn]) * 4))
+            writer.chunk(Chunk(t + MS, "device", bytes([number])))
+            if turn % 4 == 3:
+                writer.write(Line(t + 2 * MS, "modem", "host", "RTS"), t + 2 * MS)
+                writer.flush()
+    writer.close()
+    return tuple(path.read_bytes() for path in paths)
+
+
+def bounds(data: bytes) -> list[int]:
+    """Where the records of a whole capture begin, and where the last one ends."""
+    at, found = len(MAGIC), []
+    while at + RECORD_HEAD.size <= len(data):
+        found.append(at)
+        at += RECORD_HEAD.size + RECORD_HEAD.unpack_from(data, at)[1]
+    return [*found, at]
+
+
+def _data_end(data: bytes) -> int:
+    return next(at for at in bounds(data) if data[at] == records.DATA_END)
+
+
+def _stretch(random: Random, data: bytes) -> tuple[int, int]:
+    """A stretch of a file: in half of the cases of whole records, else of any bytes."""
+    places = [at for at in bounds(data) if at <= len(data)]
+    if random.random() < 0.5 and len(places) > 1:
+        first = random.randrange(len(places) - 1)
+        return places[first], places[min(len(places) - 1, first + random.choice((1, 1, 2, 3, 8)))]
+    at = random.randrange(len(data))
+    longest = random.choice((4, 64, 512, len(data)))
+    return at, min(len(data), at + random.randint(1, longest))
+
+
+def _flip(random: Random, data: bytes) -> bytes:
+    changed = bytearray(data)
+    for _ in range(random.choice((1, 1, 1, 2, 8))):
+        changed[random.randrange(len(data))] ^= 1 << random.randrange(8)
+    return bytes(changed)
+
+
+def _overwritten(random: Random, data: bytes, by: Callable[[int], bytes] | None = None) -> bytes:
+    first, end = _stretch(random, data)
+    return data[:first] + (by or random.randbytes)(end - first) + data[end:]
+
+
+def _cut(random: Random, data: bytes) -> bytes:
+    return data[: random.choice(_stretch(random, data)) or 1]
+
+
+def _doubled(random: Random, data: bytes) -> bytes:
+    first, end = _stretch(random, data)
+    return data[:end] + data[first:]
+
+
+def _removed(random: Random, data: bytes) -> bytes:
+    first, end = _stretch(random, data)
+    return data[:first] + data[end:]
+
+
+def _inserted(random: Random, data: bytes) -> bytes:
+    at, _ = _stretch(random, data)
+    return data[:at] + random.randbytes(random.choice((1, 9, 100, 5000))) + data[at:]
+
+
+def _exchanged(random: Random, data: bytes) -> bytes:
+    one, other = sorted((_stretch(random, data), _stretch(random, data)))
+    (a, b), (c, d) = one, (max(one[1], other[0]), max(one[1], other[1]))
+    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
+
+
+Damage = Callable[[Random, bytes], bytes]
+DAMAGES: dict[str, Damage] = {
+    "flipped bits": _flip,
+    "a stretch overwritten": _overwritten,
+    "a stretch of zeros": partial(_overwritten, by=bytes),
+    "a cut": _cut,
+    "a stretch doubled": _doubled,
+    "a stretch removed": _removed,
+    "foreign bytes inserted": _inserted,
+    "two stretches exchanged": _exchanged,
+}
+
+
+class Outcome(NamedTuple):
+    """What one run came to: `refused`, or how many messages are missing; what is wrong, or ""."""
+
+    refused: bool = False
+    missing: int = 0
+    wrong: str = ""
+
+
+def _placed(files: tuple[bytes, ...]) -> Path:
+    """Write the files of a capture; gives the name under which it is opened."""
+    name = engine.folder() / ("input.mcap" if len(files) == 1 else "input-in-parts.mcap")
+    for number, data in enumerate(files, 1):
+        (part_path(name, number) if len(files) > 1 else name).write_bytes(data)
+    return name
+
+
+def messages(path: Path) -> Messages:
+    """The messages of a capture in order, with the wall clock's times."""
+    capture = open_capture(path)
+    start = capture.start
+    return [(start + one.t, one.topic, repr(one.value)) for one in capture.messages()]
+
+
+@cache
+def recorded(kind: Kind) -> Messages:
+    """The messages of a capture before it is damaged."""
+    return messages(_placed(kind.files))
+
+
+def judged(kind: Kind, files: tuple[bytes, ...]) -> Outcome:
+    """Read a damaged capture of a kind in every way. Raises what the reader raises."""
+    held = recorded(kind)
+    path = _placed(files)
+    found = list(of_capture(path))
+    try:
+        read = messages(path)
+        examined(path)
+        mended(path)
+    except CaptureError:
+        told = any(one.grade is Grade.BLOCKS for one in found)
+        return Outcome(True, wrong="" if told else "`doctor` does not tell why it is refused")
+    missing = (Counter(held) - Counter(read)).total()
+    more = (Counter(read) - Counter(held)).total()
+    grades = {one.grade for one in found if one.check != "mend"}
+    # A capture that was cut short has lost its end, and nothing before it.
+    at_end = Grade.ADVICE in grades and (not kind.own or read == held[: len(read)])
+    told = Grade.BLOCKS in grades or at_end
+    strange = len({*read} - {*held})
+    wrong = ""
+    if strange and (kind.own or (kind.chunked and not told)):
+        wrong = f"{strange} messages are read that were not recorded"
+    elif not told and (missing > more or (kind.chunked and missing + more)):
+        wrong = f"{missing} messages are missing and {more} there twice, which nothing tells"
+    return Outcome(False, missing, wrong)
+
+
+def _damaged(random: Random, kind: Kind, damage: Damage) -> tuple[bytes, ...]:
+    at = random.randrange(len(kind.files))
+    return (*kind.files[:at], damage(random, kind.files[at]), *kind.files[at + 1 :])
+
+
+def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
+    for run in range(runs):
+        kind = random.choice(kinds())
+        read = partial(judged, kind, _damaged(random, kind, damage))
+        outcome = engine.guarded(read)
+        if not isinstance(outcome, Outcome):
+            outcome = Outcome(wrong=str(outcome))
+        yield outcome._replace(wrong=outcome.wrong and f"run {run}, {kind.name}: {outcome.wrong}")
+
+
+def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+    return [
+        _row(name, list(_told(_outcomes(damage, share, Random(f"{seed} {name}")), progress)))
+        for (name, damage), share in zip(DAMAGES.items(), _shares(runs), strict=True)
+        if share
+    ]
+
+
+def _shares(runs: int) -> list[int]:
+    each, more = divmod(runs, len(DAMAGES))
+    return [each + (number < more) for number in range(len(DAMAGES))]
+
+
+def _told(outcomes: Iterator[Outcome], progress: Progress) -> Iterator[Outcome]:
+    with engine.watched():
+        for outcome in outcomes:
+            progress(1)
+            yield outcome
+
+
+def _row(name: str, outcomes: list[Outcome]) -> Row:
+    refused = sum(one.refused for one in outcomes)
+    lost = sum(one.missing > 0 for one in outcomes)
+    whole = len(outcomes) - refused - lost
+    return Row(
+        f"captures with {name}, read, examined and mended",
+        len(outcomes),
+        f"{whole:,} whole, {lost:,} with messages missing, {refused:,} refused with a sentence",
+        tuple(one.wrong for one in outcomes if one.wrong),
+    )
+
+
+HARM = Harm("damage", "damaged captures are read, examined and mended", 30_000, _measure)

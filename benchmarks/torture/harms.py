@@ -1,0 +1,36 @@
+"""The harms that there are, in the order in which docs/RELIABILITY.md has them."""
+
+from __future__ import annotations
+
+from benchmarks.torture import (
+    chunks,
+    damage,
+    exits,
+    floods,
+    fuzzing,
+    grammars,
+    hostile,
+    kills,
+    matrices,
+    noise,
+    servers,
+    unplugs,
+)
+
+HARMS = {
+    harm.name: harm
+    for harm in (
+        damage.HARM,
+        chunks.HARM,
+        hostile.HARM,
+        kills.HARM,
+        unplugs.HARM,
+        exits.HARM,
+        floods.HARM,
+        servers.HARM,
+        grammars.HARM,
+        noise.HARM,
+        matrices.HARM,
+        fuzzing.HARM,
+    )
+}
