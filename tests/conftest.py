@@ -25,9 +25,10 @@ from tests.vectors import RobotState
 
 Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 
-# No test asserts a wall-clock time.
-settings.register_profile("house", deadline=None, max_examples=60)
-settings.load_profile("house")
+# No test asserts a wall-clock time. What Hypothesis draws is the same in every run, so that a run
+# fails for what was changed; with --whole it is another each time.
+settings.register_profile("sample", deadline=None, max_examples=60, derandomize=True)
+settings.register_profile("whole", deadline=None, max_examples=60)
 
 os.environ["XDG_CONFIG_HOME"] = (
     os.devnull
@@ -45,11 +46,12 @@ _refusals: list[str] = []  # of the test that runs
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the product before the first test.
+    """Settle what Hypothesis draws, and compile the product before the first test.
 
     A command that a test lets write short files only would else leave a module's compiled file cut
     short, and no command could import it again.
     """
+    settings.load_profile("whole" if config.getoption("--whole") else "sample")
     if not hasattr(config, "workerinput"):  # once, and not in each process of a run
         for room in ("src", "spec", "captures", "analyzer", "conformance"):
             compileall.compile_dir(ROOT / room, quiet=2)
@@ -62,7 +64,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="skip each test at the moment that it starts a program or waits in real time",
     )
 
-    parser.addoption("--whole", action="store_true", help="every row of the tests that are sampled")
+    parser.addoption(
+        "--whole",
+        action="store_true",
+        help="every row of the tests that are sampled, and other random inputs in each run",
+    )
     parser.addoption("--sample-seed", type=int, default=1, help="which rows a sample holds")
 
 

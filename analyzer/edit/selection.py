@@ -99,7 +99,10 @@ class Selection:
         self._before: dict[str, int] = {}  # bytes that the next records have from before the steps
         self._fresh = True  # whether the next step does not follow the last one
         self._in_step = False
-        self._under_way = False  # whether the part ends in an open frame, or a held answer
+        # Whether the part ends in an open frame, with a held answer, or before a moment that is
+        # kept and which nothing that is written comes to.
+        self._under_way = False
+        self._awaited = False  # whether such a moment is the last thing that is kept
         self._now: int | None = None  # how far the part's decoder has come (ns)
         self._left_out = 0  # bytes since the last one that was written
         self._chunk: Chunk | None = None  # what is written next, as more bytes of it may follow
@@ -301,7 +304,7 @@ class Selection:
             if not self._in_step:
                 self._resume(self._without(step.state, 0), step.t)
             self.frames += sum(is_frame(record) for record in step.records)
-            self._now = step.t
+            self._now, self._awaited = step.t, True
         elif tells:
             self._fall_behind(step.state)
 
@@ -309,11 +312,11 @@ class Selection:
         """What comes next does not come to the part's decoder, which stays in this state."""
         if self._in_step:
             self._in_step = False
-            self._under_way = bool(state.frame or state.held)
+            self._under_way = bool(state.frame or state.held) or self._awaited
 
     def _write_event(self, step: Step) -> None:
         event = step.event
-        self._now = step.t
+        self._now, self._awaited = step.t, False
         if not isinstance(event, Chunk):
             assert event is not None
             self._write_chunk()
@@ -338,7 +341,7 @@ class Selection:
             gap = Line(begin, "gap", "", _said_of(self._left_out))
         write_resumption(self._out, self._protocol, state, t, gap)
         self._in_step, self._left_out = True, 0
-        self._now = t
+        self._now, self._awaited = t, False
 
 
 def _passed_over(entry: _Entry) -> int:

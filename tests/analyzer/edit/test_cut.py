@@ -227,15 +227,34 @@ def test_a_filtered_part_is_decoded_as_what_was_selected(
     protocol: Protocol, tmp_path: Path, name: str
 ) -> None:
     how, pieces = CUT_BEFORE[name]
+    compare_selected(tmp_path / "a.mcap", protocol, how, pieces, ALL)
+
+
+def test_a_frame_that_is_given_up_behind_the_window_is_decoded_as_it_was(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    pieces = [(0, "host", "00 02 00"), (0, "device", "00 00"), (20, "host", "00")]
+    how = HELD | {"skew": 0}
+    compare_selected(tmp_path / "a.mcap", protocol, how, pieces, Window(0, MS))
+
+
+def compare_selected(
+    path: Path,
+    protocol: Protocol,
+    how: dict[str, Any],
+    pieces: Iterable[tuple[int, str, str]],
+    window: Window,
+) -> None:
+    """Write what comes when (ms), cut what is faulty out of it, and compare what is decoded."""
     events = [
         Line(t * MS, side, "host") if side == "break" else Chunk(t * MS, side, bytes.fromhex(data))
         for t, side, data in pieces
     ]
-    path = written(tmp_path / "a.mcap", events, how)
-    part = cut(path, protocol, ALL, "faulty")
+    path = written(path, events, how)
+    part = cut(path, protocol, window, "faulty")
 
     test = compiled("faulty", protocol)
-    expected, more = selected(read_capture(path, protocol), ALL, test)
+    expected, more = selected(read_capture(path, protocol), window, test)
     decoded = seen(read_capture(part, protocol))
     assert expected
     assert [line for line in decoded if line in expected or not more] == expected
@@ -264,6 +283,8 @@ def selected(records: Iterable[Record], window: Window, test: Any) -> tuple[list
         else:
             alone.add(place)
             loose = True
+    cut_short = {r.sequence for r in told if isinstance(r, HostRecord) and r.kind == "truncated"}
+    loose = loose or bool(cut_short & exchanges)
     kept = [
         line
         for place, record in enumerate(told)
