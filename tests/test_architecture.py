@@ -68,6 +68,7 @@ def test_every_package_has_a_row_and_a_box() -> None:
     assert set(PLACES) == {names[0] for names in ROOMS}
 
 
+@pytest.mark.slow
 def test_every_room_stands_above_or_beside_what_it_imports() -> None:
     rows = {rank: PLACES[names[0]].row for rank, names in enumerate(ROOMS)}
     pairs = [

@@ -163,6 +163,7 @@ def test_the_command_conforms_with_the_copy(grammar: str, tmp_path: Path) -> Non
     }
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("device", "suite", "code"),
     [(True, True, 0), (False, True, 1), (True, False, 1)],

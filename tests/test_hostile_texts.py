@@ -408,7 +408,7 @@ def test_the_environment_does_nothing(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.waits
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", [name for name in EVERY if name != "broken"])
 def test_what_a_probe_says_does_nothing(name: str, tmp_path: Path) -> None:
     pages = {kind: tmp_path / kind for kind in ("html", "junit", "markdown", "json")}

@@ -79,7 +79,7 @@ def test_a_reader_that_ends_at_the_first_damage_is_seen(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("kind", hostile.KINDS)
 def test_a_hostile_file_is_read_or_refused_in_bounds(
     kind: str, monkeypatch: pytest.MonkeyPatch

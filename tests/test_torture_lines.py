@@ -119,7 +119,7 @@ def test_a_byte_that_is_not_in_the_capture_is_seen(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.waits
 @pytest.mark.slow
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("name", "peer"), floods.PAIRS, ids=lambda word: word.replace(" ", "-"))
 def test_a_command_at_a_bad_device_stays_small(name: str, peer: str) -> None:
     ended = floods.flooded(name, peer, 1)

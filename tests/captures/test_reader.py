@@ -108,6 +108,7 @@ def test_a_flipped_bit_never_gives_wrong_messages(
     assert min(kept) >= 24 - 2 * FLUSH_EVERY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["zeroed", "inserted", "removed"])
 def test_what_is_whole_after_a_damaged_stretch_is_read(
     small: Path, tmp_path: Path, way: str
@@ -333,6 +334,7 @@ def test_a_foreign_file_cut_anywhere_never_surprises(tmp_path: Path) -> None:
             assert len(list(capture.events())) <= 101
 
 
+@pytest.mark.slow
 def test_random_damage_never_raises_anything_else(small: Path, tmp_path: Path) -> None:
     choose = random.Random(11)
     sources = [
@@ -572,6 +574,7 @@ def foreign_front(small: Path) -> bytes:
     return whole[: chunk_offsets(whole)[0]].replace(b"bilprov 1", b"nothing 1")
 
 
+@pytest.mark.slow
 def test_a_file_with_more_messages_than_bytes_is_read_up_to_a_limit(
     small: Path, tmp_path: Path
 ) -> None:

@@ -602,7 +602,7 @@ class Conforming:
         return self.process.returncode, out.decode(), err.decode()
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     tmp_path: Path, number: signal.Signals
@@ -668,6 +668,7 @@ def test_a_run_in_the_background_is_ended_by_a_signal_that_is_sent_to_it() -> No
     assert state["moving"] is False
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("probe", [True, False])
 def test_an_unplug_keeps_what_was_judged(tmp_path: Path, probe: bool) -> None:
     file, capture = tmp_path / "report.json", tmp_path / "run.mcap"

@@ -106,6 +106,7 @@ def test_a_slow_probe_is_measured_and_counted_before_anybody_is_asked(protocol: 
     assert 80 < int(told[1]) < 400  # some thousand looks; a busy machine makes them longer
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("patient", [False, True])
 def test_a_recorded_run_tells_what_was_announced_unless_it_is_patient(
     patient: bool, tmp_path: Path
@@ -150,7 +151,7 @@ FAULTS = [
 EITHER = {"late-second-answer": ("reading/",)}
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
 def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
     protocol: Protocol, fault: str, only: list[str], code: int
@@ -299,6 +300,7 @@ def test_what_a_command_was_not_asked_about_says_so(tmp_path: Path) -> None:
         assert case["axes"]["answer"]["verdict"] in ("pass", "skipped")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("pty", [True, False])
 def test_without_a_probe_answers_are_judged_and_stops_are_not_observable(pty: bool) -> None:
     with simulate(pty=pty) as robot:

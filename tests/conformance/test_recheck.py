@@ -159,6 +159,7 @@ def test_another_grammar_travels_with_the_recording(tmp_path: Path, horn: Protoc
     same(tmp_path / "run.mcap", report)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("pty", [False, True], ids=["tcp", "pty"])
 def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> None:
     run, report, again = (tmp_path / name for name in ("run.mcap", "run.json", "again.json"))
@@ -481,6 +482,7 @@ def test_options_may_be_anything(faulty: Path, tmp_path: Path, options: dict[str
         assert recheck(str(file)).exit == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "values",
     [

@@ -219,6 +219,7 @@ def _read_until(terminal: int, enough: Callable[[bytes], bool]) -> None:
             seen += os.read(terminal, 1 << 16)
 
 
+@pytest.mark.sample(6)
 @pytest.mark.waits
 @pytest.mark.parametrize(("typed", "behind", "given"), TYPED)
 def test_a_shell_completes_what_was_typed(

@@ -146,6 +146,7 @@ LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
 def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(

@@ -233,16 +233,18 @@ def test_another_grammar_counts_its_own_instructions(tmp_path: Path, horn_text: 
 
 
 def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protocol) -> None:
-    chunk = bytes([protocol.pad_byte]) * 4096
-    events: list[Event] = [Chunk(number, "host", chunk) for number in range(400)]
-    events.insert(7, Line(3, "break"))
+    stops, answers = bytes([protocol.pad_byte]) * 4096, bytes(4096)
+    events: list[Event] = []
+    for number in range(200):
+        events += [Chunk(number * MS, "host", stops), Chunk(number * MS, "device", answers)]
+    events.insert(7, Line(3 * MS, "break"))
     told: list[int] = []
 
     totals = capture_totals(
         open_capture(written(tmp_path / "c.mcap", events)), protocol, told.append
     )
 
-    assert sum(told) == totals.host_bytes == 400 * 4096
+    assert sum(told) == 2 * totals.host_bytes == 400 * 4096
     assert max(told) <= 1 << 20  # so that memory stays flat
     assert len(told) > 1
 

@@ -102,7 +102,7 @@ def later(full: list[str], start: int) -> list[str]:
     return [line for line in full if msgspec.json.decode(line)["t"] * 1e9 >= start - 0.5]
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "attached"), [(1, False), (2, True), (3, False), (4, True)])
 @pytest.mark.parametrize("judged", [False, True])
@@ -138,6 +138,7 @@ def test_an_older_capture_is_replayed_and_said_to_be_slow(protocol: Protocol, sa
         assert lines(sample, protocol, start, seek=True) == later(full, start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lie", ["grammar", "crc", "nonsense", "settings"])
 def test_a_checkpoint_that_lies_is_not_believed(
     protocol: Protocol, tmp_path: Path, lie: str

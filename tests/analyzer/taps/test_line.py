@@ -544,6 +544,7 @@ def test_a_line_with_strong_drops_never_fails_the_reference() -> None:
     assert "0 dropped, 0 flipped, 0 doubled, 0 delayed; B to A" not in account
 
 
+@pytest.mark.sample(0)
 def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
     """It is given up in one sentence, after as long as a board may take to boot."""
     result, _ = conform_over([], ["--drop", "1"], "valid/LED/*")
@@ -551,6 +552,7 @@ def test_a_line_on_which_nothing_arrives_cannot_be_used() -> None:
     assert b"nobody answered" in result.stdout + result.stderr
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fault", ["no-stop-on-bad-data", "ok-to-bad-data"])
 def test_a_bad_line_never_lets_a_faulty_robot_pass(fault: str) -> None:
     faults = ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"]

@@ -124,6 +124,7 @@ LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat, behind_a_pt
 lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
 
 
+@pytest.mark.sample(2)
 @lines
 def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
     with simulate(pty=True) as served, behind(served.port, tmp_path) as url:
@@ -154,7 +155,7 @@ def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path:
     assert result.returncode == 1, (result.stdout + result.stderr).decode()
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @AVR
 @pytest.mark.parametrize(("bug", "codes"), [("", (0, 3)), ("-DBUG_STOP_KEEPS_PWM", (1, 3))])
 @pytest.mark.timeout(200)
@@ -169,7 +170,7 @@ def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
     assert result.returncode in codes, (result.stdout + result.stderr).decode()
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @lines
 def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> None:
     faulty = simulate("--fault", "ok-to-bad-data", pty=True)

@@ -22,6 +22,7 @@ def randoms(protocol: Protocol, level: str, soaked: int = 0) -> list[SequenceCas
     return [c for c in cases if isinstance(c, SequenceCase) and c.id.startswith(RANDOM)]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 def test_the_arrays_cover_every_feasible_combination_of_three(each_protocol: Protocol) -> None:
     def covered(*only: str) -> dict[str, tuple[int, int]]:
@@ -51,6 +52,7 @@ def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Pr
     assert [any(len(b.steps) > 1 for b in case.bursts) for case in first] == [False, True] * 2
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol) -> None:
     standard, deep = randoms(protocol, "standard"), randoms(protocol, "deep")
@@ -59,6 +61,7 @@ def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol)
     assert deep[: len(standard)] == standard
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_a_random_sequence_of_a_budget_is_made_again_by_its_id(protocol: Protocol) -> None:
     beyond = randoms(protocol, "standard")[-1].id
@@ -85,6 +88,7 @@ def test_a_budget_that_is_left_is_filled_with_random_sequences(protocol: Protoco
     assert seconds + 20 < spent < seconds + 30
 
 
+@pytest.mark.slow
 def test_sequences_that_pass_are_kept_as_counts_and_others_whole(protocol: Protocol) -> None:
     options = Options(only=(f"{RANDOM}00?",))
     good = conform(Simulator(protocol), grammar=protocol, options=options)

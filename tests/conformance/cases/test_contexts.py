@@ -67,6 +67,7 @@ def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_eac
     assert min(len(lengths[FrameClass.UNUSED_ID, length, "first"]) for length in range(1, 16)) > 250
 
 
+@pytest.mark.slow
 def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
     inputs = Inputs(each_protocol, 1)
     met = defaultdict(set)

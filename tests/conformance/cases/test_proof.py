@@ -177,6 +177,7 @@ def test_the_command_says_it_before_and_what_is_proven_after() -> None:
     assert b"proven by answers: 1 of its 17 sequences were run and passed" in result.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -115,6 +115,7 @@ def test_what_is_swept_is_sent_while_the_robot_moves(protocol: Protocol, what: s
     assert met == MOVING
 
 
+@pytest.mark.slow
 def test_every_value_of_every_setting_meets_each_kind_of_motion(protocol: Protocol) -> None:
     met: Counter[tuple[str, int, Motion]] = Counter()
     for sequence in sequences_of(protocol):
@@ -176,6 +177,7 @@ def test_standard_meets_every_pair_of_kinds_in_every_kind_of_motion(
     assert pairs_in_motion(WHOLE) - met == set()
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_deep_meets_every_pair_with_frames_cut_short_too(protocol: Protocol) -> None:
     met = pairs_met(protocol, "deep", "sequence/tour/")
@@ -348,6 +350,7 @@ def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
     assert found == {row.group for row in GENERATORS if row.amount(LEVELS[level])}
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("level", EACH_TOUR)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
@@ -423,6 +426,7 @@ def test_a_glob_chooses_the_same_whether_or_not_the_sequences_are_made(
     assert reaches([glob], SEQUENCE_PREFIXES) is reached
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_walks(protocol: Protocol, grammar_text: str) -> None:
     # The same grammar loaded twice: nothing is remembered from the first.
     again = load(grammar_text, "grammar.py")

@@ -44,6 +44,7 @@ def test_the_shards_are_disjoint_complete_and_in_order(
         assert [place[case.id] for case in shard] == sorted(place[case.id] for case in shard)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4, 7, 16])
 def test_no_shard_takes_longer_than_another_by_more_than_one_case(
     protocol: Protocol, count: int

@@ -305,6 +305,7 @@ def test_a_grammar_without_limited_fields_has_no_bad_data(grammar_text: str) -> 
     assert kinds[FrameClass.RECOVERY] == 16
 
 
+@pytest.mark.slow
 def test_a_grammar_whose_robot_cannot_move_has_cases_too(grammar_text: str) -> None:
     before, rest = grammar_text.split('    1: "Speed"')
     stop_only = load(before + rest[rest.index("}\n\nFRAME =") :], "stop.py")

@@ -85,7 +85,7 @@ SHOWN = {
 
 
 @pytest.mark.slow
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("name", "frames"), SHOWN.items())
 def test_a_faulty_robot_differs_by_shortest_sequences_that_show_the_fault_again(
     protocol: Protocol, name: str, frames: int
@@ -205,6 +205,7 @@ def at_times(condition: Condition, change: React, turns: Container[int]) -> Faul
     return Fault("between", "test", "", react=react)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("condition", "change", "turns", "case"),
     [

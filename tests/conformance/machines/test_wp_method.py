@@ -73,6 +73,7 @@ def small_machines(states: int) -> list[Mealy]:
     return [m for m in every if len(minimal(m)) == len(m)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reset", RESETS.values(), ids=RESETS)
 @pytest.mark.parametrize("extra", [0, 1])
 def test_every_machine_of_one_or_two_states_is_told_from_every_other(

@@ -164,6 +164,7 @@ def test_a_fault_that_fails_says_which_cases_catch_it(protocol: Protocol) -> Non
         assert ("*" in fault.caught_by) is (name in SWEEPING), name
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_every_glob_that_a_fault_names_has_cases(protocol: Protocol) -> None:
     suite = suite_ids(protocol, Options(level="deep", soak=1))  # the ids of the others, and more
@@ -248,6 +249,7 @@ def test_the_reference_passes_every_single_frame_there_is(protocol: Protocol) ->
     assert odd == ["power-on/Forward"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["echo", "dead"])
 def test_a_line_that_cannot_be_used_is_told_in_one_sentence(protocol: Protocol, name: str) -> None:
     report = conform(Simulator(protocol, fault_bank(protocol)[name]), grammar=protocol)

@@ -96,7 +96,7 @@ def test_what_two_choices_have_in_common_is_not_taken_for_a_third(
     assert worst_of(protocol, name)[0] == 0
 
 
-@pytest.mark.sample(40)
+@pytest.mark.sample(20)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PAIRS))
 def test_a_device_of_two_legal_readings_does_not_fail(name: str, protocol: Protocol) -> None:

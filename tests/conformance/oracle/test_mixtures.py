@@ -80,6 +80,7 @@ def test_every_choice_that_is_no_measured_time_is_mixed(protocol: Protocol) -> N
     assert len(mixtures(protocol)) > 60
 
 
+@pytest.mark.slow
 def test_each_says_what_it_does(protocol: Protocol, horn: Protocol) -> None:
     for grammar in (protocol, horn):
         docs = {fault.doc for fault in mixtures(grammar).values()}

@@ -323,6 +323,7 @@ def test_one_file_serves_every_level(
         expected_file(protocol, Options(level="smoke"), str(file), line)
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_another_grammar_has_entries_of_its_own(tmp_path: Path, horn_text: str) -> None:
     grammar, file = tmp_path / "horn.py", tmp_path / "f"

@@ -59,6 +59,7 @@ def merged(protocol: Protocol, *data: bytes) -> dict[str, Any]:
 # -- as one run -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["", "no-stop-on-bad-data", "led-order-reversed", "never-moves"])
 @pytest.mark.parametrize("count", [1, 3])
 def test_merged_shards_are_the_report_of_one_run(
@@ -196,6 +197,7 @@ STRANGE: list[tuple[Change, str]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "words"), STRANGE, ids=[words for _, words in STRANGE])
 def test_parts_that_do_not_belong_together_are_refused(
     protocol: Protocol, change: Change, words: str

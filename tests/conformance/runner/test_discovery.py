@@ -154,6 +154,7 @@ def test_the_reference_shows_the_default_of_every_point(protocol: Protocol) -> N
     assert {result.verdict for result in found.values()} == {PASS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [None, *sorted(SHOWS)])
 def test_each_variant_shows_its_own_choices_and_no_other(
     protocol: Protocol, name: str | None
@@ -281,6 +282,7 @@ def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) 
     assert found["reading/unused-length"].verdict is FAIL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", ["R-stop-speed=zeroed", "R-unused-length=too-many"])
 def test_a_mixture_of_choices_fails_in_the_probes_or_in_the_suite(
     protocol: Protocol, point: str

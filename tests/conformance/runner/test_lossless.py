@@ -34,6 +34,7 @@ def once(number: int) -> Fault:
     return Fault("x", "test", "", react=when(every(faulty, at_count("faults", number)), twice))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "condition",
     [
@@ -80,6 +81,7 @@ def test_a_device_object_that_declares_it_fails(protocol: Protocol) -> None:
     assert conform(device, options=Options(level="smoke")).exit == 1
 
 
+@pytest.mark.slow
 def test_another_grammar_fails_too(each_protocol: Protocol) -> None:
     def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         return (

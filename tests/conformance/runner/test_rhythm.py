@@ -182,7 +182,7 @@ def test_a_rhythm_of_frames_fails(protocol: Protocol, period: int, change: React
     assert over_a_line(protocol, when(every_nth("frames", period), change)).exit == 1
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.slow
 @pytest.mark.parametrize("change", [twice, silent, wrong])
 def test_every_1000th_frame_fails_at_standard(protocol: Protocol, change: React) -> None:
@@ -191,6 +191,7 @@ def test_every_1000th_frame_fails_at_standard(protocol: Protocol, change: React)
     assert over_a_line(protocol, react, "standard").exit == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [twice, wrong])
 def test_a_failure_says_its_rhythm(protocol: Protocol, change: React) -> None:
     report = over_a_line(protocol, when(every_nth("frames", 256), change))
