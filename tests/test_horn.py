@@ -110,6 +110,7 @@ def test_a_robot_with_a_horn_fails_the_documents_grammar(
     assert all("/9/" in ident or ident.startswith("link/") for ident in rest)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("level", HORNS)
 def test_a_robot_with_a_horn_fails_the_documents_suite_at_each_level(

@@ -202,6 +202,7 @@ CHOICES = [
 ]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("arguments", "member", "count"), CHOICES)
 def test_only_the_selected_cases_run(
     run: pytest.Pytester, arguments: tuple[str, ...], member: str, count: int
@@ -305,7 +306,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("arguments", "words"), WRONG)
 def test_wrong_use_is_one_sentence(
     run: pytest.Pytester, arguments: tuple[str, ...], words: str
@@ -458,7 +459,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
     assert moving is False
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     run: pytest.Pytester, number: signal.Signals

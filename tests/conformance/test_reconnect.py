@@ -96,6 +96,7 @@ def test_a_fault_is_found_after_the_gap(judge_unplugged: Judge) -> None:
     assert run.events.count("reconnected") == 1
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("at", [OPENING, CASES])
 def test_a_port_that_does_not_come_back_ends_the_run(judge_unplugged: Judge, at: int) -> None:
     run = judge_unplugged("--reconnect", "0.5", after=[at], away=None)

@@ -98,6 +98,7 @@ def test_a_cortex_under_qemu_conforms() -> None:
     assert unwell(result) == {}
 
 
+@pytest.mark.sample(1)
 @CORTEX
 @pytest.mark.parametrize("bug", ["BUG_STOP_LEAVES_MOTION", "BUG_TIMEOUT_DRIVES_ON"])
 def test_a_bug_of_the_core_is_found_on_the_cortex_too(bug: str) -> None:

@@ -270,7 +270,7 @@ def test_the_suite_passes_the_clean_build(pytestconfig: pytest.Config) -> None:
     assert {result.verdict for result in report.results} == {Verdict.PASS}
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("bug", BUGS)
 def test_the_suite_finds_every_planted_bug(bug: str) -> None:

@@ -43,6 +43,7 @@ def every_frame(protocol: Protocol) -> Iterator[bytes]:
                 yield raw_frame(protocol, spec.id, spec.length, data)
 
 
+@pytest.mark.sample(1)
 def test_every_frame_gets_the_verdict_of_the_grammar(
     each_protocol: Protocol, tmp_path: Path
 ) -> None:
@@ -155,6 +156,7 @@ def told(records: list[Record]) -> tuple[list[tuple[object, ...]], list[str], li
 LONG = 5_000 * MS
 
 
+@pytest.mark.sample(1)
 @settings(max_examples=5, phases=[Phase.generate])  # to shrink would start too many programs
 @given(lives=st.lists(ACTS, min_size=1, max_size=5), attached=st.booleans())
 def test_it_pairs_and_follows_the_state_as_the_kit_does(
@@ -196,6 +198,7 @@ def exchanges(protocol: Protocol) -> list[Event]:
     return events
 
 
+@pytest.mark.sample(1)
 def test_frames_cut_over_packets_are_put_together(each_protocol: Protocol, tmp_path: Path) -> None:
     events = exchanges(each_protocol)
     path = capture_of(tmp_path / "whole.mcap", each_protocol, events)

@@ -140,6 +140,7 @@ def test_a_bomb_is_a_sentence_in_little_memory_and_time(
     assert "MemoryError" not in said
 
 
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_random_grammar_is_used_or_refused_in_a_sentence(grammar_text: str, seed: int) -> None:

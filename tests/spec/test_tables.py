@@ -162,6 +162,7 @@ def test_a_stream_in_any_cuts_has_the_same_frames(
     assert (pieces, header) == framed(each_protocol, stream)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["random", "one header", "the longest", "none has data"])
 def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(

@@ -23,6 +23,7 @@ from tests.support.traffic import ACTS, SETTINGS, Act, played, records_of, told
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=100)
 @given(ACTS, st.integers(0, 60), SETTINGS, st.booleans())
@@ -61,6 +62,7 @@ def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     assert records_of(told(decoder, events[place:], [7])) == left
 
 
+@pytest.mark.sample(1)
 @given(ACTS, st.integers(0, 60))
 def test_columns_and_a_session_fall_due_at_the_same_time(
     each_protocol: Protocol, acts: list[Act], place: int

@@ -51,6 +51,7 @@ def same(
     return parts
 
 
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
@@ -78,6 +79,7 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
     return events
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(
@@ -146,7 +148,7 @@ LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
 def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(

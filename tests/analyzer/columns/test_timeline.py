@@ -108,6 +108,7 @@ def require_latencies(found: Timeline, records: Sequence[Record], most: int) -> 
         assert (low, high) == (min(mine), max(mine))
 
 
+@pytest.mark.sample(1)
 @settings(max_examples=60)
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, most=st.sampled_from([1 << 14, 30, 8]))
 def test_a_timeline_has_what_the_records_have(

@@ -141,6 +141,7 @@ def moved(protocol: Protocol, records: Sequence[Record], first: int, last: int) 
     return total + moving * max(0, last - now)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=50)
 @given(ACTS, BATCHES, SETTINGS)
@@ -164,6 +165,7 @@ FILTERS = (
 )
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(ACTS, BATCHES, SETTINGS, st.sampled_from(FILTERS))

@@ -127,6 +127,7 @@ def window_of(events: Sequence[Event], shares: tuple[int, int] | None) -> Window
     return Window(*sorted(last * share // 2500 for share in shares)) if shares else ALL
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.usefixtures("columns_at_once")
 @FEW
@@ -162,6 +163,7 @@ def test_a_window_keeps_the_events_and_is_decoded_as_the_whole(
     assert decoded[: len(expected)] == expected
 
 
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.usefixtures("columns_at_once")
 @FEW

@@ -110,6 +110,7 @@ def csv_rows(data: bytes) -> list[dict[str, Any]]:
     return [{name: value(name, cell) for name, cell in row.items() if cell} for row in reader]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=25)
 @given(ACTS, SETTINGS)

@@ -61,6 +61,7 @@ def _rest(event: Event) -> tuple[Any, ...]:
     return tuple(getattr(event, name) for name in event.__struct_fields__[1:])
 
 
+@pytest.mark.sample(1)
 @given(acts=ACTS, chosen=SETTINGS)
 @settings(max_examples=40)
 def test_it_has_every_byte_and_a_packet_for_each_frame_answer_and_line_event(

@@ -62,6 +62,7 @@ def require_same(test: Filter, stretch: Stretch) -> None:
     assert device.tolist() == [test(line) for line in lines if line]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=30)
 @given(data=st.data(), acts=ACTS, chosen=SETTINGS)

@@ -47,6 +47,7 @@ def flat(record: Record) -> dict[str, Any] | None:
     return {key: None if value == "" else value for key, value in row.items()}
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(ACTS, BATCHES, SETTINGS)
@@ -67,6 +68,7 @@ def test_rows_have_the_values_of_the_json_lines(
         assert all(row[key] == "" for key in set(row) - set(line))
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=40)
 @given(ACTS, BATCHES, SETTINGS, st.sampled_from(TimeStyle))

@@ -16,6 +16,7 @@ from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, told
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=100)
 @given(ACTS, BATCHES, SETTINGS)

@@ -320,6 +320,7 @@ def colours(page: Page) -> int:
     )
 
 
+@pytest.mark.sample(2)
 @needs_chromium
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])

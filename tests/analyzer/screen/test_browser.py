@@ -479,6 +479,7 @@ def test_a_long_filter_can_be_stopped(screen: Browser, protocol: Protocol) -> No
     operated(screen, steps)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("size", [*SIZES, (39, 9), (20, 5), (10, 2), (1, 1)])
 def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
     screen = browser(protocol, decoded(protocol, drive()))

@@ -41,6 +41,7 @@ def recorded(protocol: Protocol, parts: list[Any]) -> Recording:
     return recording
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 4096]))
@@ -64,6 +65,7 @@ def test_rows_are_the_records_in_order(
     assert recording.faults.slice(0, len(records)) == faulty
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(data=st.data(), acts=ACTS, batches=BATCHES, chosen=SETTINGS)

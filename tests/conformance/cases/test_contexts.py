@@ -31,6 +31,7 @@ def places(step: Step) -> Iterator[tuple[str, int]]:
     yield from (("second", data[1]),) if len(data) > 2 else ()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 def test_each_faulty_header_comes_right_after_each_kind(each_protocol: Protocol) -> None:
     kinds = set(Inputs(each_protocol, 1).kinds)
@@ -67,6 +68,7 @@ def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_eac
     assert min(len(lengths[FrameClass.UNUSED_ID, length, "first"]) for length in range(1, 16)) > 250
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
     inputs = Inputs(each_protocol, 1)

@@ -44,7 +44,7 @@ CUT = "cut short"
 MOST_PAUSES = 4
 # The levels that hold nothing but tours and sweeps; `test_proof` is about the other.
 TOURS = ("smoke", "standard", "deep")
-EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=pytest.mark.slow)]
+EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=[pytest.mark.slow, pytest.mark.sample(0)])]
 
 
 def sequences_of(protocol: Protocol, level: str = "standard", seed: int = 1) -> list[SequenceCase]:
@@ -350,7 +350,6 @@ def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
     assert found == {row.group for row in GENERATORS if row.amount(LEVELS[level])}
 
 
-@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("level", EACH_TOUR)
 def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
@@ -401,6 +400,7 @@ def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol:
         assert ids == [case.id for case in cases[len(singles) :]]
 
 
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("glob", "reached"),

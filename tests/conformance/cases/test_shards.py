@@ -23,6 +23,7 @@ from tests.support.robots import ALL_SEEING, sentence, served_here
 OPENING = ("power-on/", "link/", "timing/", "reading/")  # what every run has
 
 
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 4, 7])
 @pytest.mark.parametrize("seed", [1, 9])
@@ -44,6 +45,7 @@ def test_the_shards_are_disjoint_complete_and_in_order(
         assert [place[case.id] for case in shard] == sorted(place[case.id] for case in shard)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4, 7, 16])
 def test_no_shard_takes_longer_than_another_by_more_than_one_case(

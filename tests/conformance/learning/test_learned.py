@@ -138,6 +138,7 @@ def test_every_run_gives_the_same(protocol: Protocol) -> None:
     assert first.exit == 1
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_every_seed_gives_the_same_machine(protocol: Protocol) -> None:
     first, other = (learn(protocol, faulty(protocol, "no-led"), seed=seed) for seed in (1, 7))

@@ -90,7 +90,7 @@ def test_a_wrong_answer_shows_at_once(protocol: Protocol) -> None:
     assert found.difference == "answers 00 where 02 is due"
 
 
-@pytest.mark.sample(20)
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, fault in BANK.items() if not fault.needs])
 def test_a_fault_of_the_bank_shows_unless_it_needs_a_soak(name: str, protocol: Protocol) -> None:
@@ -113,7 +113,7 @@ def test_of_a_shortened_walk_nothing_can_be_left_out(protocol: Protocol) -> None
         assert equivalence.try_sequence(protocol, fault, fewer) == ((), "")
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "word"),

@@ -57,7 +57,7 @@ def run(protocol: Protocol, fault: Fault, **options: object) -> tuple[Report, se
     return report, failed & broken
 
 
-@pytest.mark.sample(14)
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_every_fault_ends_in_its_exit_code_and_names_what_it_breaks(
@@ -70,7 +70,7 @@ def test_every_fault_ends_in_its_exit_code_and_names_what_it_breaks(
     assert bool(named) is (fault.exit == 1)
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", mixtures(_OWN))
 def test_every_mixture_of_two_readings_fails(name: str, protocol: Protocol) -> None:

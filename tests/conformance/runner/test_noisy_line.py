@@ -121,6 +121,7 @@ def test_many_bad_bytes_end_the_run_by_itself_and_fail_nothing(protocol: Protoco
         assert not failed, (seed, failed)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", [1, 7, 10, 13, 17])
 def test_one_byte_doubled_in_a_thousand_fails_no_reference(protocol: Protocol, seed: int):
     device = NoisyDevice(Simulator(protocol), Noise(doubled=1e-3), seed)
