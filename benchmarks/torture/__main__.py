@@ -1,14 +1,13 @@
 """`python -m benchmarks.torture [HARM ...]`: does the long harms and says what each came to.
 
-Each harm's rows are kept in build/torture/HARM.json; with --page docs/RELIABILITY.md is written
-from them, which needs every harm. Ends with 1 if a robot, a message or a verdict was lost that may
+With --page what each came to replaces its section of docs/RELIABILITY.md, as soon as it is done.
+Ends with 1 if a robot, a message or a verdict was lost that may
 not be.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from benchmarks.torture.harms import HARMS
 from benchmarks.torture.page import page
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-OUT = ROOT / "build" / "torture"
 PAGE = ROOT / "docs" / "RELIABILITY.md"
 
 
@@ -32,8 +30,7 @@ def main() -> int:
     parser.add_argument("harm", nargs="*", help=f"these only; {known}")
     parser.add_argument("--runs", type=int, metavar="N", help="so often (the figure in brackets)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="what is drawn (1)")
-    parser.add_argument("--page", action="store_true", help=f"write docs/{PAGE.name} at the end")
-    parser.add_argument("--kept", action="store_true", help="do nothing; use the rows kept")
+    parser.add_argument("--page", action="store_true", help=f"write docs/{PAGE.name} too")
     given = parser.parse_args()
     if unknown := [name for name in given.harm if name not in HARMS]:
         parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(HARMS)}")
@@ -41,31 +38,23 @@ def main() -> int:
         parser.error(f"--runs {given.runs}: one at least")
     chosen = [HARMS[name] for name in given.harm or HARMS]
     held = True
-    for harm in [] if given.kept else chosen:
-        held &= _done(harm, given.runs or harm.runs, given.seed).held
-    if given.page:
-        if missing := [name for name in HARMS if not _file(name).exists()]:
-            parser.error(f"the page needs every harm; not done yet: {', '.join(missing)}")
-        kept = [Measured.from_json(json.loads(_file(name).read_text())) for name in HARMS]
-        PAGE.write_text(page(kept))
+    for harm in chosen:
+        done = _done(harm, given.runs or harm.runs, given.seed)
+        held &= done.held
+        if given.page:
+            PAGE.write_text(page([done], PAGE.read_text() if PAGE.exists() else ""))
     return 0 if held else 1
-
-
-def _file(name: str) -> Path:
-    return OUT / f"{name}.json"
 
 
 def _done(harm: Harm, runs: int, seed: int) -> Measured:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(harm.name, total=runs)
         done = measured(harm, runs, seed, lambda count: progress.advance(task, count))
-    OUT.mkdir(parents=True, exist_ok=True)
-    _file(harm.name).write_text(json.dumps(done.as_json(), indent=1) + "\n")
     console = Console(highlight=False, soft_wrap=True)
     for row in done.rows:
         state = "held" if row.held else "WRONG"
         console.print(escape(f"{state:5}  {row.times:>9,}  {row.harm}: {row.lost}"))
-        for sentence in row.wrong[:20]:
+        for sentence in row.wrong:
             console.print(escape(f"       {sentence}"))
     console.print(f"{harm.name}: {done.seconds:.0f} s")
     return done

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +53,6 @@ class Measured:
     def held(self) -> bool:
         """Whether every row held."""
         return all(row.held for row in self.rows)
-
-    def as_json(self) -> dict[str, Any]:
-        """As `build/torture/NAME.json` has it."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, loaded: dict[str, Any]) -> Measured:
-        """Of what `as_json` gave."""
-        rows = tuple(Row(**row | {"wrong": tuple(row["wrong"])}) for row in loaded["rows"])
-        return cls(**loaded | {"rows": rows})
 
 
 def measured(harm: Harm, runs: int, seed: int, progress: Progress = lambda done: None) -> Measured:

@@ -16,15 +16,22 @@ has the limits.
 """
 
 
-def page(harms: Sequence[Measured]) -> str:
-    """The page, from the rows of every harm."""
-    return "\n".join([_HEAD, *(_section(harm) for harm in harms)])
+def page(done: Sequence[Measured], before: str = "") -> str:
+    """The page with the sections of what was done; of other harms those that `before` has."""
+    sections = {part.partition("\n")[0]: part for part in before.split("\n## ")[1:]}
+    sections |= {_title(harm.name): _section(harm) for harm in done}
+    titles = [_title(name) for name in HARMS]
+    return "\n## ".join([_HEAD, *(sections[title] for title in titles if title in sections)])
+
+
+def _title(name: str) -> str:
+    what = HARMS[name].what
+    return f"{what[0].upper()}{what[1:]}"
 
 
 def _section(harm: Measured) -> str:
-    what = HARMS[harm.name].what
     lines = [
-        f"## {what[0].upper()}{what[1:]}",
+        _title(harm.name),
         "",
         "| harm | times | what was lost | held |",
         "|---|---|---|---|",
