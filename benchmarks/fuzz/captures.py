@@ -54,7 +54,8 @@ from bilprov.captures.storage.records import MAGIC
 _START = 1_790_000_000_000_000_000  # ns since 1970
 
 
-def _file(data: bytes) -> Path:
+def capture_file(data: bytes) -> Path:
+    """A file with these bytes, in place of the one before."""
     path = folder() / "input.mcap"
     path.write_bytes(data)
     return path
@@ -64,7 +65,7 @@ def reader() -> Test:
     """A capture is refused in a sentence, or read whole, by its index too, and examined."""
 
     def test(data: bytes) -> Hashable:
-        path = _file(data)
+        path = capture_file(data)
         for finding in of_capture(path):
             require(bool(finding.sentence), "a finding says nothing")
         return examined(path)
@@ -113,7 +114,7 @@ def mending() -> Test:
     """What `recover` writes is whole, and holds the events of the broken capture."""
 
     def test(data: bytes) -> Hashable:
-        return mended(_file(data))
+        return mended(capture_file(data))
 
     return test
 
@@ -152,7 +153,7 @@ def exporting() -> Test:
     faulty = compile_filter("faulty or t > 0.1", protocol)
 
     def test(data: bytes) -> Hashable:
-        capture = open_capture(_file(data))
+        capture = open_capture(capture_file(data))
         played = list(capture.events())
         records = records_one_by_one(capture_session(capture, protocol), played)
         with columns_at_once():
@@ -305,7 +306,8 @@ def _foreign(kind: CompressionType, chunked: bool = True) -> bytes:
     return out.getvalue()
 
 
-def _pool() -> list[bytes]:
+def capture_seeds() -> list[bytes]:
+    """Small good captures of each kind, of bilprov and of another program."""
     found = [*own_captures(), *foreign_captures(), loose_capture()]
     require(all(one.startswith(MAGIC) for one in found), "a seed is no capture")
     require(all(one != other for one, other in pairwise(found)), "two seeds are the same")
@@ -320,17 +322,17 @@ TARGETS = (
         "opening captures, by index and as evidence",
         reader,
         _REFUSED,
-        _pool,
+        capture_seeds,
         mutated_capture,
         2,
     ),
-    Target("recover", "mending captures", mending, _REFUSED, _pool, mutated_capture, 0.4),
+    Target("recover", "mending captures", mending, _REFUSED, capture_seeds, mutated_capture, 0.4),
     Target(
         "export",
         "statistics, plots and exports of captures",
         exporting,
         _REFUSED,
-        _pool,
+        capture_seeds,
         mutated_capture,
         0.2,
     ),
