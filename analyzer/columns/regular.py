@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.stretch import Decoding, Span, Stretch, values_of, written
-from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
+from bilprov.analyzer.decode.checkpoint import GROUP, QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -99,7 +99,8 @@ class RegularDecoder:
 
     def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
         """Yield the waiting frames, those with equal times together."""
-        first = np.flatnonzero(np.diff(carry.end, prepend=-1))
+        number = carry.rest.sequence - len(carry.end) + np.arange(len(carry.end))
+        first = np.flatnonzero((np.diff(carry.end, prepend=-1) != 0) | (number % GROUP == 0))
         bounds = [*carry.frames.offset[first].tolist(), carry.begun]
         for end, (low, high) in zip(carry.end[first].tolist(), pairwise(bounds), strict=True):
             yield WaitingFrames(end, end + self._longest, carry.data[low:high].tobytes())

@@ -7,13 +7,12 @@ appends the records to the list that it gets, since a list costs less per record
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from itertools import groupby
+from collections.abc import Callable
 from typing import Final
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
-from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
+from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, WaitingGroups
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -54,6 +53,7 @@ class Decoder:
         self._framer = Framer(protocol.lengths, timeout)
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
+        self._groups = WaitingGroups()
         self._steps = Steps(protocol)
         self._state = written_state(protocol.power_on)
         self._sequence = 0
@@ -187,7 +187,7 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=tuple(_grouped(self._pairing.waiting)),
+            waiting=self._groups.of(self._pairing.waiting),
             held=tuple((held.t, held.byte) for held in self._pairing.held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
@@ -203,6 +203,7 @@ class Decoder:
             (group, frame) for group in state.waiting for frame in group.split(self._protocol)
         ]
         first = state.sequence - len(frames)
+        self._groups = WaitingGroups()
         self._pairing.waiting.clear()
         self._pairing.waiting.extend(
             Waiting(first + place, group.end, group.expires, self._steps[frame].judgement)
@@ -366,17 +367,3 @@ def _after(state: State, step: Step) -> State:
     ):
         return state
     return State(motion, speed, steering, led, is_moving(motion, speed))
-
-
-def _grouped(waiting: Iterable[Waiting]) -> Iterator[WaitingFrames]:
-    """Put neighbours with equal times together; a frame cut short ends its group."""
-    number = 0
-
-    def group_of(one: Waiting) -> tuple[int, int, int]:
-        nonlocal number
-        group = one.end, one.expires, number
-        number += one.judgement.truncated
-        return group
-
-    for (end, expires, _), members in groupby(waiting, group_of):
-        yield WaitingFrames(end, expires, b"".join(one.judgement.frame for one in members))
