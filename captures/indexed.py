@@ -117,8 +117,11 @@ class IndexedCapture(Capture):
             yield from messages_after(file, contents, order, place)
             _check_size(file.fileno(), contents.size)
 
-        places = [after.place if after else None, *(None for _ in self.volumes[first + 1 :])]
-        reads = zip(self.volumes[first:], (partial(read, place) for place in places), strict=True)
+        volumes = list(self.volumes[first:])
+        if after:  # what is missing before its part is no loss behind it
+            volumes[0] = volumes[0]._replace(missing="")
+        places = [after.place if after else None, *(None for _ in volumes[1:])]
+        reads = zip(volumes, (partial(read, place) for place in places), strict=True)
         return in_one(order, reads)
 
 

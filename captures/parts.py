@@ -62,7 +62,9 @@ def kept_parts(path: Path) -> dict[int, Path]:
 
 
 def require_new(path: Path) -> None:
-    """Raise CaptureError if a recording, in parts or not, has this name already."""
+    """Raise CaptureError if a recording, in parts or not, has this name, or if it is none."""
+    if str(path) == "-":
+        raise CaptureError("a capture cannot be written to standard output: name a file")
     taken = next(iter(part_paths(path).values()), path)
     if os.path.lexists(taken):
         raise CaptureError(

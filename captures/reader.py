@@ -159,7 +159,7 @@ class Capture:
     @property
     def in_parts(self) -> bool:
         """Whether it is the parts of a recording, and not one file."""
-        return self.volumes[0].path != self.path
+        return self.volumes[0].path.name != self.path.name
 
     @property
     def left_out(self) -> int:

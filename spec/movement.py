@@ -40,10 +40,10 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
     for frame in frames:
         if frame in known:
             continue
-        known.add(frame)
         judged = judge(protocol, frame)
         if not judged.valid or judged.instruction is None:
             continue
+        known.add(frame)
         effect = judged.instruction.effect
         after = effect.apply(State(), dict(judged.fields))
         found |= Movement(
@@ -62,8 +62,8 @@ def movement_words(protocol: Protocol, movement: Movement) -> str:
     words = f"it {' and '.join(verbs)}" if verbs else "it is told no motion"
     if "speed" in protocol.limits:
         fast = f"speeds up to {movement.speed} of {protocol.limits['speed'][1]}"
-        if movement.speed is None:
-            words += ", at the speed that it has"
-        else:
+        if movement.speed is not None:
             words += f", at {fast}" if verbs else f", only {fast}"
+        elif verbs:
+            words += ", at the speed that it has"
     return f"{words}; its wheels should be off the ground"

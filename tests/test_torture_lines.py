@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from benchmarks.noise import Trial, noisy_run, simulated
-from benchmarks.torture import floods, grammars, noise, unplugged_taps, unplugs
+from benchmarks.torture import floods, grammars, matrices, noise, unplugged_taps, unplugs
 from benchmarks.torture.harm import Row
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
@@ -239,3 +239,20 @@ def test_every_line_meets_every_fault_at_every_rate_in_its_turn() -> None:
 
     met = {(trial.line, trial.rate, trial.fault) for trial in trials if trial.fault}
     assert len(met) == 144
+
+
+# -- matrices -------------------------------------------------------------------------------------
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    "tests",
+    [("tests/no_such_file.py",), ("-k", "no_such_test", "tests/test_torture_page.py")],
+    ids=["no file", "no test"],
+)
+def test_a_matrix_of_which_nothing_was_run_is_seen(
+    tests: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(matrices, "PLACES", {"a fault": tests})
+
+    assert "after 0 tests" in wrong(matrices.HARM.measure(1, 1, lambda done: None))[0]

@@ -123,9 +123,9 @@ def recover(grammar: str | None, path: Path, new: Path, force: bool) -> None:
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
         size = write_window(opened_at(path, protocol, 0), protocol, out, Window(), progress)
-    lost = quantity(capture.left_out, "byte")
     note(f"{printable(new)} holds {quantity(size, 'byte')} of {printable(path)}")
-    note(f"{lost} of the file could not be read")
+    if capture.left_out or not capture.damage:
+        note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
 
 @click.command()

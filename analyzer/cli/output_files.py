@@ -55,6 +55,12 @@ def require_writable(
         lost = lost or taken.get(real_path(file))
         if lost:
             raise click.UsageError(f"{option} {path} would overwrite {lost}: name another file")
+        if regular and (parts := kept_parts(file)):
+            first = printable(next(iter(parts.values())))
+            raise click.UsageError(
+                f"{option} {path} is the name of a recording in parts, {first} and so on, which it "
+                "would hide: name another file"
+            )
         if regular and file.exists() and not file.is_file():
             raise click.UsageError(f"{option} {path} is no regular file: name another one")
         if not force and file.is_file():

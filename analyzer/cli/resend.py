@@ -66,7 +66,7 @@ def send_again(
     target.begin()
     inside = (event for event in capture.events() if window.has(event.t))
     for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
-        if stopper.stopped or target.driven_out:
+        if target.ended:
             break
         records = _records(pipeline.events([event]))
         _note_all(recorded, records)
@@ -77,7 +77,7 @@ def send_again(
         pipeline.advance(event.t)
     rest = _records(pipeline.finish())
     _note_all(recorded, rest)
-    if not rate and not (stopper.stopped or target.driven_out):
+    if not rate:
         _send_frames(target, rest)
     if target.driven_out:
         note(f"{target.driven_out_words}; --max-drive allows more, and nothing was compared")
@@ -95,8 +95,10 @@ def _records(parts: Iterable[Part]) -> list[Record]:
 
 
 def _send_frames(target: Target, records: Iterable[Record]) -> None:
-    """Send each frame after the one before it was answered."""
+    """Send each frame after the one before it was answered, as long as that may go on."""
     for record in records:
+        if target.ended:
+            return
         if isinstance(record, HostRecord):
             target.send(record.data)
             target.settle()

@@ -92,8 +92,8 @@ def send(
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
     pause=MS. The device is homed first and on every way out.
 
-    With --wait a port that was unplugged and is there again is homed first; what was not yet sent
-    then follows, and the exit code is 1.
+    With --wait the robot at a port that was unplugged and is there again is stopped first; what
+    comes behind the instruction or pause that was under way then follows, and the exit code is 1.
 
     Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
     answer is missing, is no code of the grammar or is not allowed, bytes came without an
@@ -189,15 +189,23 @@ def _resumed(
 ) -> str:
     """Wait for the port that was lost, and home the robot there; returns what was, in words.
 
-    Raises `lost` where the port cannot be found again or a stop was asked for before it was.
+    Raises LinkError where the port cannot be found again, a stop was asked for before it was, or
+    nobody answers there.
     """
-    note(f"{lost}; waiting")
-    port = opened_again(place, settings, stopper, lost)
-    if port is None:
-        raise lost
-    gap = f"{port.name} was lost and is there again, and the robot was stopped there first"
-    target.resume(port, gap)
-    return gap
+    while place.lasts:
+        note(f"{lost}; waiting")
+        port = opened_again(place, settings, stopper, lost)
+        if port is None:
+            break
+        gap = f"{port.name} was lost and is there again, and the robot was stopped there first"
+        try:
+            target.resume(port, gap)
+        except LinkError as again:
+            lost = again
+            continue
+        target.require_answer()
+        return gap
+    raise lost
 
 
 def _code(protocol: Protocol, word: str) -> int | None:

@@ -39,8 +39,9 @@ def of_capture(path: Path) -> Iterator[Finding]:
     if left_out or capture.damage or losses or capture.unfinished:
         new = path.with_name(f"{path.stem}-recovered.mcap")
         words = shlex.join(["bilprov", "recover", str(path), str(new)])
-        share = f"{quantity(left_out, 'byte')} ({left_out / size:.1%}) cannot be read"
-        yield Finding("mend", Grade.ADVICE, f"{share}; a new file with all the rest", words)
+        share = f"{quantity(left_out, 'byte')} ({left_out / size:.1%}) cannot be read; "
+        what = f"{share if left_out else ''}a new file with all the rest"
+        yield Finding("mend", Grade.ADVICE, what, words)
 
 
 def _end(capture: Capture, left_out: int) -> Iterator[Finding]:

@@ -161,8 +161,8 @@ class Recorder(Closing):
         self._rotation = rotation
         self._part = 1
         self._part_since: int | None = None  # the time of the first event in the part
+        require_new(self._name)
         if rotation:
-            require_new(self._name)
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
         self._writer = BackgroundWriter(
             path, start_wall=start_wall, metadata=metadata, version=kit_version()

@@ -60,15 +60,16 @@ class Target(Closing):
     def begin(self) -> None:
         """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
         self.answered_stops = self._home()
-        self._require_answer()
+        self.require_answer()
         self._start = time.monotonic_ns()
 
     def send(self, data: bytes) -> None:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
-        self._show(self._session.feed(Chunk(self._now(), "host", data)))
-        self.driven_out = False
+        now = self._now()
         self._port.write(data)
+        self._show(self._session.feed(Chunk(now, "host", data)))
+        self.driven_out = False
         self._instructed = time.monotonic()
 
     def pump(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
@@ -100,12 +101,12 @@ class Target(Closing):
         Raises LinkError.
         """
         until = time.monotonic() + seconds
-        while not self._ended and (left := until - time.monotonic()) > 0:
+        while not self.ended and (left := until - time.monotonic()) > 0:
             self.pump(left)
 
     def settle(self) -> None:
         """Read until each instruction is answered or counts as unanswered. Raises LinkError."""
-        while (due := self._session.deadline) is not None and not self._ended:
+        while (due := self._session.deadline) is not None and not self.ended:
             self.pump(min(0.1, (due - self._now()) / 1e9))
 
     def finish(self) -> None:
@@ -137,13 +138,18 @@ class Target(Closing):
     def resume(self, port: Port, gap: str) -> None:
         """Go on at a port that was lost and is there again; first the device is homed.
 
-        `gap` says in words what was. Raises LinkError if the device does not answer.
+        `gap` says in words what was. Raises LinkError if the port is lost again; whether the device
+        answered, `require_answer` tells.
         """
         self._port.close()
         self._port, self._wire = port, PortWire(port)
         self._show(self._session.feed(Line(self._now(), "reconnected", "device", gap)))
         self.home(patient=True)
-        self._require_answer()
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more may be sent: it drove too long, or a stop was asked for."""
+        return self.driven_out or self._stopper.stopped
 
     @property
     def driven_out_words(self) -> str:
@@ -168,14 +174,11 @@ class Target(Closing):
         self.answered_stops = answered
         self._port.close()
 
-    @property
-    def _ended(self) -> bool:
-        return self.driven_out or self._stopper.stopped
-
     def _home(self) -> bool:
         return home(self._protocol, self._wire, lambda: self._stopper.stopped)
 
-    def _require_answer(self) -> None:
+    def require_answer(self) -> None:
+        """Raise LinkError if the device did not answer the last homing, unless that was stopped."""
         if not self.answered_stops and not self._stopper.stopped:
             raise LinkError(
                 f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"

@@ -165,6 +165,8 @@ def _is(convert: Callable[[str], Any], text: str) -> Hashable:
     """What a conversion makes of a text, None where it refuses."""
     try:
         value = convert(text)
+    except UnicodeError:
+        raise
     except (ValueError, click.BadParameter, ColumnError):
         return None
     return type(value).__name__

@@ -55,7 +55,7 @@ def _row(what: str, tests: tuple[str, ...]) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "results.xml"
         options = ["--whole", "-q", "-n", "2", "--dist", "worksteal", f"--junitxml={path}"]
-        run(
+        ended = run(
             [sys.executable, "-m", "pytest", *options, *tests],
             cwd=ROOT,
             stdin=DEVNULL,
@@ -72,7 +72,10 @@ def _row(what: str, tests: tuple[str, ...]) -> Row:
         for found in case
         if found.tag in ("failure", "error", "skipped")
     )
-    return Row(what, len(cases), f"{len(cases) - len(wrong)} held", wrong)
+    held = len(cases) - len(wrong)
+    if ended.returncode not in (0, 1) or not cases:
+        wrong = (*wrong, f"pytest ended with {ended.returncode} after {len(cases)} tests")
+    return Row(what, len(cases), f"{held} held", wrong)
 
 
 HARM = Harm("matrices", "one fault in each place where it can be", len(PLACES), _measure)

@@ -164,6 +164,10 @@ def _ended_wrong(command: Driver, run: Driven) -> list[str]:
 
 def _judged_wrong(run: Driven) -> list[str]:
     """What is wrong with the report and the capture of a run that was cut."""
+    if run.code is None:
+        return []
+    if not (run.folder / "report.json").exists():
+        return ["there is no report"]
     report: dict[str, Any] = json.loads((run.folder / "report.json").read_bytes())
     path = str(run.folder / "run.mcap")
     wrong = [f"recheck differs: {one}" for one in recheck(path).differences]

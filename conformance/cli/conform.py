@@ -225,7 +225,8 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.option(
     "--patient",
     is_flag=True,
-    help="Go on where the run takes more than three times what was announced; else it ends (3).",
+    help="Go on where the run takes more than three times what was announced; else it ends (3, or "
+    "1 where a case failed).",
 )
 @click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
 @click.pass_obj

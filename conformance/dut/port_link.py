@@ -29,6 +29,7 @@ Power = Callable[[], None]
 """Switches the robot off and on; returns once it has its power again. Raises PowerError."""
 
 _PATIENCE = 60  # s that a command may take
+_PARTING = 5.0  # s that a run which was stopped waits for a lost port, to home the robot there
 
 
 class PowerError(Exception):
@@ -79,6 +80,7 @@ class PortLink:
         self._heard: list[tuple[int, int]] = []
         self._sent = 0
         self._byte_time = port.byte_time
+        self._asked = False  # whether the reply to a look is still to come
 
     def now(self) -> int:
         """The time in ns since the link was made."""
@@ -111,8 +113,11 @@ class PortLink:
             return Ended(str(error), error=True, line_works=False)
         self._port.close()
         self._heard.clear()
-        stop = [] if self._stopping else [self._stop]
-        while self.now() - lost < self._reconnect * 1e9:
+        # A stop that was asked for before cannot be asked for again.
+        stop, longest = [self._stop], self._reconnect
+        if self._stopping:
+            stop, longest = [], min(longest, _PARTING)
+        while self.now() - lost < longest * 1e9:
             path = self._place.found()
             try:
                 again = open_port(path, self._port.settings) if path else None
@@ -123,14 +128,30 @@ class PortLink:
                 self._place = Place(path)
                 now = self.now()
                 after = f"it was there again after {(now - lost) / 1e9:.1f} s"
+                try:
+                    self._finish_look()
+                except ProbeError as broken:
+                    return Ended(str(broken), error=True, line_works=True)
                 return Reconnected(f"{error}; {after}", lost, now)
             if wait_readable([], LOOK_AGAIN, stop)[1]:
                 return Ended("interrupted", error=False, line_works=False)
         return Ended(
-            f"{error}, and it was not there again in {self._reconnect:g} s (--reconnect)",
+            f"{error}, and it was not there again in {longest:g} s (--reconnect)",
             error=True,
             line_works=False,
         )
+
+    def _finish_look(self) -> None:
+        """Take the reply to a look that the lost port cut short: the next is no reply to that.
+
+        Raises ProbeError where none comes in time.
+        """
+        probe = self._probe
+        while self._asked and probe is not None and (waits := probe.fileno()) is not None:
+            if not wait_readable([], probe.patience, [waits])[1]:
+                raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
+            self._asked = probe.take(self.now()) is None
+        self._asked = False
 
     def _power_cycle(self) -> int:
         assert self._power is not None
@@ -167,6 +188,7 @@ class PortLink:
         asked = self.now()
         until = asked + int(self._probe.patience * 1e9)
         self._probe.ask()
+        self._asked = True
         while True:
             waits = self._probe.fileno()
             if waits is not None and not self._wait(until - self.now(), waits):
@@ -175,6 +197,7 @@ class PortLink:
                 continue
             look = self._probe.take(self.now())
             if look is not None:
+                self._asked = False
                 if self._tap:
                     self._tap.looked(look)
                 return Observation(asked, self.now(), look)

@@ -300,7 +300,8 @@ def _endings(parts: Sequence[ShardReport], unrun: int) -> tuple[str, str]:
     elif unrun and not told:
         told.append(f"{unrun} cases are in none of the shards")
         causes.add("user")
-    return "; ".join(told), next((by for by in get_args(EndedBy) if by in causes), "")
+    unknown = "error" if causes else ""  # of a later kit
+    return "; ".join(told), next((by for by in get_args(EndedBy) if by in causes), unknown)
 
 
 def _profile(parts: Sequence[ShardReport]) -> dict[str, Any]:

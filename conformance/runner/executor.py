@@ -113,7 +113,9 @@ class Runner:
                 self._left.pop(0)
                 run.publish(judged.result)
                 if isinstance(judged.stopped, Reconnected):
-                    yield from self._resume(judged.stopped, case)
+                    label = judged.result.verdict.label
+                    run.note(f"{judged.stopped}; {case.id}: {label}, and the run goes on")
+                    yield from self._resume(judged.stopped)
                 elif judged.stopped:
                     raise judged.stopped
         except GaveUp as gave_up:
@@ -128,16 +130,16 @@ class Runner:
             axis = Axis(Verdict.INCONCLUSIVE, "", "not judged", str(gap))
             return Attempt(result_of(case, {"answer": axis}), stopped=gap)
 
-    def _resume(self, gap: Reconnected, case: AnyCase) -> Procedure[None]:
+    def _resume(self, gap: Reconnected) -> Procedure[None]:
         """Go on at a port that is there again: home the robot, however often the port is lost."""
         run = self.run
         while True:
-            run.note(f"{gap}; {case.id} is inconclusive, and the run goes on")
             run.limit.leave_out(gap.now - gap.lost)
             try:
                 yield from home_again(run)
             except Reconnected as another:
                 gap = another
+                run.note(f"{gap}; the run goes on")
             else:
                 return
 
@@ -147,7 +149,8 @@ class Runner:
         takes = run.profile.round_trip or 0
         on_time, pace = takes <= run.timers.deadline, self._pace()
         slow_answers = not on_time or (is_slow(pace.answer) and not run.config.virtual)
-        if not slow_answers and not is_slow(pace.look):
+        told = slow_answers or is_slow(pace.look)
+        if run.config.virtual and not told:
             return
         whole, cases = run.timers.run_budget, sum(map(self._cost, self._left))
         more = self._probes() + cases
@@ -159,6 +162,8 @@ class Runner:
                 "gives them more"
             )
         run.limit.announce(more)
+        if not told:
+            return
         if not on_time:
             run.note(
                 f"an answer takes {takes / 1e6:.0f} ms and is due after "

@@ -13,7 +13,15 @@ from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
-from bilprov.conformance.dut.operations import Ended, Observation, Procedure, listen, observe, send
+from bilprov.conformance.dut.operations import (
+    Ended,
+    Observation,
+    Procedure,
+    Reconnected,
+    listen,
+    observe,
+    send,
+)
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
@@ -164,8 +172,22 @@ def _too_many(run: Run, extra: tuple[tuple[int, int], ...], late: list[Late]) ->
 def leave(run: Run) -> Procedure[Ended | None]:
     """Home the robot at the run's end, confirmed by the probe where there is one.
 
+    At a port that was lost during this and is there again it is homed as one that may have booted.
     Returns what ended the run during this, None if nothing did.
     """
+    while isinstance(stopped := (yield from _leave(run)), Reconnected):
+        try:
+            yield from home_again(run)
+        except Reconnected:
+            continue
+        except Ended as ended:
+            return ended
+        except GaveUp as silent:
+            return Ended(str(silent), error=True, line_works=True)
+    return stopped
+
+
+def _leave(run: Run) -> Procedure[Ended | None]:
     seen: Observation | None = None
     try:
         for _ in range(3):
@@ -178,7 +200,7 @@ def leave(run: Run) -> Procedure[Ended | None]:
                 return None
             yield from listen(None, run.profile.truncation_timeout or run.timers.deadline)
     except Ended as ended:
-        if not ended.line_works:
+        if not ended.line_works or isinstance(ended, Reconnected):
             return ended
         # Interrupted, or the probe lost: the last operation was not done.
         try:

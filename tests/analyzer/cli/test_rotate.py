@@ -66,14 +66,25 @@ def test_settings_without_a_use_here_are_left_alone(tmp_path: Path) -> None:
     assert "neither a size" in refused("sniff", "no-such-port", cwd=tmp_path)
 
 
+@pytest.mark.parametrize("more", [(), ("--rotate", "1h")])
 @pytest.mark.parametrize("taken", [NAME, "drive.00001.mcap", "drive.00042.mcap"])
-def test_a_name_that_is_taken_is_told_and_kept(tmp_path: Path, taken: str) -> None:
+def test_a_name_that_is_taken_is_told_and_kept(
+    tmp_path: Path, taken: str, more: tuple[str, ...]
+) -> None:
     (tmp_path / taken).write_bytes(b"precious")
     with open_pty() as host:
-        words = refused("sniff", host.name, "-w", NAME, "--rotate", "1h", cwd=tmp_path)
+        words = refused("sniff", host.name, "-w", NAME, *more, cwd=tmp_path)
     assert words.startswith(f"bilprov: {taken} exists and captures are never overwritten")
     assert (tmp_path / taken).read_bytes() == b"precious"
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("more", [(), ("--rotate", "1h")])
+def test_no_recording_goes_to_standard_output(tmp_path: Path, more: tuple[str, ...]) -> None:
+    with open_pty() as host:
+        words = refused("sniff", host.name, "-w", "-", *more, cwd=tmp_path)
+    assert "a capture cannot be written to standard output: name a file" in words
+    assert list(tmp_path.iterdir()) == []
 
 
 def talk(pair: PtyPair, command: Running, data: bytes) -> None:
@@ -358,6 +369,16 @@ def test_a_part_is_never_overwritten_by_what_is_read_from_it(
     ):
         assert "would overwrite the input" in refused(*line.split(), cwd=folder)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def test_a_recording_in_parts_is_not_hidden(both: tuple[Path, Path], tmp_path: Path) -> None:
+    one, several = (folder / NAME for folder in both)
+    shutil.copy(part_path(several, 1), tmp_path)
+
+    words = refused("cut", str(one), NAME, "--end", "1", "--force", cwd=tmp_path)
+
+    assert "OUT drive.mcap is the name of a recording in parts, drive.00001.mcap and so on" in words
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_missing_recording_of_parts_is_a_missing_file(tmp_path: Path) -> None:

@@ -11,8 +11,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks.adapter import Adapter
+from bilprov.analyzer.cli.send import _resumed
 from bilprov.analyzer.client.wire import stops
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.replug import Place
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -376,6 +381,18 @@ def test_a_port_that_is_lost_in_the_last_homing_is_no_success(
     assert result.returncode == 1, result.stderr
     told = BACK if wait else UNANSWERED_STOPS
     assert told in result.stderr.decode()
+
+
+def test_nobody_is_told_to_wait_for_what_cannot_come_back(
+    capsys: pytest.CaptureFixture[str], protocol: Protocol
+) -> None:
+    place, lost = Place("socket://127.0.0.1:1"), LinkError("it is gone")
+    settings = line_settings(protocol, None, None, None)
+
+    with Stopper() as stopper, pytest.raises(LinkError, match="it is gone"):
+        _resumed(None, place, settings, stopper, lost)  # type: ignore[arg-type]
+
+    assert "waiting" not in capsys.readouterr().err
 
 
 def test_without_wait_a_port_that_is_lost_ends_it(tmp_path: Path, protocol: Protocol) -> None:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -274,6 +275,34 @@ def test_ctrl_c_leaves_the_device_stopped(capture: Write, protocol: Protocol) ->
 
     assert code == 0
     assert robot.frames[-16:] == [bytes([protocol.pad_byte])] * 16
+
+
+def test_ctrl_c_ends_what_is_sent_as_fast_as_it_is_answered(
+    capture: Write, protocol: Protocol
+) -> None:
+    """All of it came at once; each frame waits for an answer that never comes."""
+
+    class Silent(PtyRobot):
+        def _take(self, records: Any) -> None:
+            for record in records:
+                super()._take([record])
+                if record.data == b"\x20":
+                    self._answers.pop()
+
+    robot = Silent(protocol)
+    path = capture([Chunk(0, "host", b"\x11\xff" + b"\x20" * 300)])  # few enough for a pipe
+
+    with (
+        served(robot) as port,
+        running("replay", str(path), "--rate", "0", "--to", port, "--yes") as command,
+    ):
+        give_up = time.monotonic() + 20
+        while robot.frames.count(b"\x20") < 2 and time.monotonic() < give_up:
+            time.sleep(0.01)
+        code, _, _ = command.end()
+
+    assert code in (0, 1)  # 1: nobody answers the stops
+    assert 2 <= robot.frames.count(b"\x20") < 100
 
 
 def test_without_a_terminal_a_device_moves_only_with_yes(

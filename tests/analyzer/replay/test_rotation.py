@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation, rotation_at
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
-from bilprov.captures.indexed import open_indexed
+from bilprov.captures.indexed import StoredCheckpoint, open_indexed
 from bilprov.captures.parts import part_path, part_paths
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk, Line, Resumption
@@ -202,6 +203,42 @@ def test_what_the_oldest_parts_held_may_be_gone_and_is_said(
     )
     assert list(said_about(open_capture(parts[min(parts)]), protocol)) == []
     assert open_indexed(path)
+
+
+def test_a_part_that_is_missing_is_no_loss_behind_it(protocol: Protocol, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    settings = {"timeout": None, "skew": 0, "heard": frozenset({"host"}), "attached": False}
+    events: list[Event] = [Chunk(n * 250 * MS, "host", b"\x11" + bytes([n])) for n in range(40)]
+    recorded(protocol, path, events, settings, Rotation(age=2 * SECOND))
+    part_path(path, 2).unlink()
+    capture = open_indexed(path)
+    assert capture
+
+    def gaps(after: StoredCheckpoint | None) -> int:
+        return sum(isinstance(e, Line) and "missing" in e.detail for e in capture.events(after))
+
+    first = open_capture(part_path(path, 3)).contents.first - START
+    behind = capture.checkpoint_before(first + 1500 * MS)
+    before = capture.checkpoint_before(first - MS)
+    assert behind
+    assert before
+    assert (before.volume, behind.volume) == (0, 1)
+    assert (gaps(None), gaps(before), gaps(behind)) == (1, 1, 0)
+
+
+def test_only_a_recording_in_parts_is_said_to_be_one(protocol: Protocol, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    settings = {"timeout": None, "skew": 0, "heard": frozenset({"host"}), "attached": False}
+    events: list[Event] = [Chunk(n * 500 * MS, "host", b"\x20") for n in range(5)]
+    recorded(protocol, path, events, settings, Rotation(age=SECOND))
+
+    together, alone = open_capture(path), open_capture(part_path(path, 2))
+
+    assert together.in_parts
+    assert not alone.in_parts
+    # Under its name without the folder, as a screen has room for, it is what it was.
+    assert replace(together, path=Path(path.name)).in_parts
+    assert not replace(alone, path=Path(alone.path.name)).in_parts
 
 
 def until(recorder: Recorder, number: int) -> None:

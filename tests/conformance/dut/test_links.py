@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
+from bilprov.conformance.dut import port_link
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import (
@@ -21,13 +27,14 @@ from bilprov.conformance.dut.operations import (
     Operation,
     Procedure,
     Received,
+    Reconnected,
     Send,
     listen,
     observe,
     send,
 )
 from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.probes import open_probe
+from bilprov.conformance.dut.probes import Probe, open_probe
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.protocol import Protocol
@@ -320,6 +327,84 @@ def test_a_port_that_goes_ends_the_run_and_says_so(protocol: Protocol) -> None:
     assert ended.value.error
     assert not ended.value.line_works
     assert name in str(ended.value)
+
+
+class Replies(Probe):
+    """A probe whose replies come when the test says so; each is 0 or 1, whether it moves."""
+
+    def __init__(self) -> None:
+        self.ends = os.pipe()
+        self.asked = threading.Event()
+
+    def ask(self) -> None:
+        self.asked.set()
+
+    def fileno(self) -> int:
+        return self.ends[0]
+
+    def take(self, now: int) -> Look:
+        return Look(now, os.read(self.ends[0], 1) == b"1")
+
+    def reply(self, moving: bytes) -> None:
+        os.write(self.ends[1], moving)
+
+    def close(self) -> None:
+        for end in self.ends:
+            os.close(end)
+
+
+@contextmanager
+def unplugged(
+    tmp_path: Path, protocol: Protocol, seconds: float
+) -> Iterator[tuple[PortLink, Replies, PtyPair, Stopper]]:
+    """A link to a port that can be unplugged: a name that leads to a pty."""
+    settings, name = line_settings(protocol, None, None, None), tmp_path / "port"
+    with ExitStack() as stack:
+        pair = stack.enter_context(open_pty())
+        name.symlink_to(pair.name)
+        port = stack.enter_context(open_port(str(name), settings))
+        stopper, probe = stack.enter_context(Stopper()), Replies()
+        stack.callback(probe.close)
+        yield PortLink(port, probe, stopper.fileno(), reconnect=seconds), probe, pair, stopper
+
+
+def test_the_reply_to_a_look_that_an_unplug_cut_short_is_not_that_to_the_next(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    with unplugged(tmp_path, protocol, PATIENCE) as (link, probe, first, _), open_pty() as second:
+
+        def replug() -> None:
+            probe.asked.wait(PATIENCE)
+            first.close()
+            (tmp_path / "new").symlink_to(second.name)
+            (tmp_path / "new").replace(tmp_path / "port")
+            probe.reply(b"1")
+
+        away = threading.Thread(target=replug)
+        away.start()
+        with pytest.raises(Reconnected):
+            link.do(Observe())
+        away.join()
+        probe.reply(b"0")
+        seen = link.do(Observe())
+
+    assert isinstance(seen, Observation)
+    assert seen.look.moving is False
+
+
+def test_a_run_that_was_stopped_does_not_wait_long_for_its_port(
+    tmp_path: Path, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(port_link, "_PARTING", 0.1)
+    with unplugged(tmp_path, protocol, 86_400) as (link, _, pair, stopper):
+        stopper.stop()
+        assert heard_of(link, 1, LONG).answers == ()
+        pair.close()
+
+        with pytest.raises(Ended, match=r"not there again in 0\.1 s") as ended:
+            heard_of(link, 1, LONG)
+
+    assert not isinstance(ended.value, Reconnected)
 
 
 def test_a_flood_does_not_fill_the_memory(protocol: Protocol) -> None:

@@ -157,6 +157,7 @@ ENDINGS = [
     ({"ended": "interrupted", "ended_by": "user"}, 3),
     ({"ended": "the probe hung up", "ended_by": "error"}, 2),
     ({"unusable": "nobody answered", "cases": []}, 2),
+    ({"ended": "what a later kit calls power", "ended_by": "power"}, 2),
 ]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import drive
@@ -76,6 +78,30 @@ def test_the_gap_does_not_count_as_time_of_the_run(protocol: Protocol) -> None:
 
     assert link.now > GAP
     assert runner.ended is None
+
+
+@pytest.mark.parametrize("before_the_end", [1, 2])
+def test_a_port_that_is_lost_in_the_last_homing_loses_no_verdict(
+    protocol: Protocol, before_the_end: int
+) -> None:
+    """The robot may have booted meanwhile: it is homed as after any other gap, and seen at rest."""
+    done: list[Operation] = []
+    judged(protocol, lambda operation: bool(done.append(operation)))
+    last = len(done) - before_the_end
+
+    done.clear()
+
+    def loses(operation: Operation) -> bool:
+        done.append(operation)
+        return len(done) == last + 1
+
+    results, link, runner = judged(protocol, loses)
+
+    assert runner.ended is None
+    assert {r.verdict for r in results.values()} == {Verdict.PASS, Verdict.SKIPPED}  # power-on
+    assert link.lost_after is not None
+    home = bytes([protocol.pad_byte]) * (1 + protocol.longest_frame)
+    assert b"".join(link.sent[link.lost_after :]).startswith(home)
 
 
 def test_a_failure_that_cannot_be_tried_again_is_inconclusive(protocol: Protocol) -> None:

@@ -93,6 +93,23 @@ def test_what_keeps_its_speed(protocol: Protocol) -> None:
     assert not any(case.thorough for case in slow)
 
 
+def test_a_wrong_answer_is_not_explained_by_a_motor(protocol: Protocol) -> None:
+    """A single one, and from then on the wheels do not turn at the speed of the preambles."""
+
+    class Lying(Motor):
+        def advance(self, now: int) -> bytes:
+            data = super().advance(now)
+            if data and len(self.driven) == TIRED and not self._tired:
+                self._tired = True
+                return bytes(code ^ 1 for code in data)
+            return data
+
+    report = run(protocol, Lying(protocol, 25))
+
+    failed = [result for result in report.results if result.verdict is Verdict.FAIL]
+    assert [result.axes["answer"].verdict for result in failed] == [Verdict.FAIL]
+
+
 @pytest.mark.parametrize("tiring", ["fault", "preamble"])
 def test_a_motor_that_needs_more_later_is_tried_at_the_speeds_of_the_cases(
     protocol: Protocol, tiring: str

@@ -70,7 +70,7 @@ def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -
 
     assert (report.exit, report.ended_by) == (3, "time")
     told = re.fullmatch(
-        r"about 5 s were announced and (\d+) s are over \(\d+ s waiting for answers, (\d+) s looks "
+        r"about 6 s were announced and (\d+) s are over \(\d+ s waiting for answers, (\d+) s looks "
         r"\(200 ms each\), \d+ s silences, 0 s delays of this computer\); --patient goes on "
         "however long it takes",
         report.ended,
@@ -108,6 +108,56 @@ def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol
 
     assert robot.link.now > 65 * SECOND
     assert (report.exit, report.ended) == (0, "")
+
+
+class Delayed(Simulator):
+    """A robot whose answers come so many ns late, as through a server in a network."""
+
+    def __init__(self, protocol: Protocol, delay: int) -> None:
+        super().__init__(protocol)
+        self._delay = delay
+        self._later: list[tuple[int, bytes]] = []
+
+    def receive(self, data: bytes, now: int) -> None:
+        super().receive(data, now)
+        self._hold(now)
+
+    def advance(self, now: int) -> bytes:
+        self._hold(now)
+        due = b"".join(answer for t, answer in self._later if t <= now)
+        self._later = [one for one in self._later if one[0] > now]
+        return due
+
+    def deadline(self) -> int | None:
+        times = [super().deadline(), *(t for t, _ in self._later)]
+        return min((t for t in times if t is not None), default=None)
+
+    def _hold(self, now: int) -> None:
+        if answer := super().advance(now):
+            self._later.append((now + self._delay, answer))
+
+
+@pytest.mark.slow
+def test_answers_that_are_slower_than_was_thought_are_counted_though_not_told(
+    protocol: Protocol,
+) -> None:
+    robot = Robot(protocol, announced=0.01)
+    robot.simulator = Delayed(protocol, 4 * MS)
+    told: list[float] = []
+
+    class Noting(TimeLimit):
+        def announce(self, more: float) -> None:
+            told.append(more)
+            super().announce(more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bilprov.conformance.runner.run.TimeLimit", Noting)
+        report = robot.judged()
+
+    assert (report.exit, report.ended) == (0, "")
+    assert len(told) == 1
+    # It takes the waits for the wheels too, which nobody measures before.
+    assert 0.5 < robot.link.now / 1e9 / told[0] < 2
 
 
 @pytest.mark.slow
