@@ -38,6 +38,7 @@ class Port(Closing):
         self.settings = settings
         self._handle = handle
         self._fd = _descriptor(handle)
+        self._instant = "://" in name or _is_pty(name)
         # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
         self._direct = self._fd is not None and not name.lower().startswith("spy://")
 
@@ -55,8 +56,7 @@ class Port(Closing):
 
         It is 0 for a pty or a socket, where written bytes have arrived.
         """
-        there = "://" in self.name or os.path.realpath(self.name).startswith("/dev/pts/")
-        return 0 if there else self.settings.byte_time
+        return 0 if self._instant else self.settings.byte_time
 
     def read(self, *, ready: bool = False) -> bytes:
         """Return the available bytes, at most 64 KiB, without waiting; b"" if there are none now.
@@ -160,6 +160,7 @@ class Port(Closing):
         self.close()
         self.name, self.settings = other.name, other.settings
         self._handle, self._fd, self._direct = other._handle, other._fd, other._direct
+        self._instant = other._instant
 
     def close(self) -> None:
         """Close the port. Never raises; further calls do nothing."""
@@ -206,6 +207,13 @@ class Port(Closing):
     def _wait_writable(self) -> None:
         if self._fd is not None:
             select.select([], [self._fd], [], 0.02)
+
+
+def _is_pty(name: str) -> bool:
+    try:
+        return os.path.realpath(name).startswith("/dev/pts/")
+    except OSError:  # a link that was just removed
+        return False
 
 
 def _descriptor(handle: Any) -> int | None:

@@ -103,6 +103,25 @@ def refusal(name: str, settings: LineSettings | None = None) -> str:
 # Line settings
 
 
+def test_a_port_whose_link_is_removed_is_what_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = tmp_path / "robot"
+    with open_pty() as pair:
+        link.symlink_to(pair.name)
+        with open_port(str(link)) as port:
+            link.unlink()
+            assert port.byte_time == 0
+
+        def removed(path: str) -> str:
+            raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
+
+        link.symlink_to(pair.name)
+        monkeypatch.setattr(os, "readlink", removed)
+        with open_port(str(link)) as port:
+            assert port.byte_time > 0  # nobody can tell
+
+
 @pytest.mark.parametrize(
     ("settings", "text", "byte_time"),
     [
