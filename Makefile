@@ -62,7 +62,7 @@ quick: setup ## what needs no real time and no other program: under a minute, be
 	$(BIN)/ruff format -q --check $(SOURCES)
 	$(BIN)/python -m pytest --quick -m "not slow and not waits" -n 2 --dist worksteal
 
-whole: setup packages ## every row of the tests of which make test runs a seeded sample
+whole: setup packages ## every row of the tests of which make test runs a seeded sample, and new random inputs
 	$(BIN)/python -m pytest $(PYTEST_ARGS) --whole
 
 slow: setup packages ## make test, and the slowest 20 tests of it
