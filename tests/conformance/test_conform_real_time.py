@@ -148,7 +148,7 @@ FAULTS = [
 
 # An answer that comes after its exchange falls to one neighbour, to the other, or to the line
 # between them, by microseconds.
-EITHER = {"late-second-answer": ("reading/",)}
+EITHER = {"late-second-answer": ("reading/", "wrong-length/")}
 
 
 @pytest.mark.sample(2)
