@@ -103,4 +103,4 @@ def test_the_page_of_the_project_has_every_harm() -> None:
 
     assert [name for name in HARMS if f"benchmarks.torture {name} --runs" not in text] == []
     assert page([], text) == text
-    assert "**no**" not in text
+    assert "| **no** |" not in text
