@@ -112,9 +112,23 @@ def speeds(draw: random.Random, frames: int) -> bytes:
     return b"".join(bytes([0x11, draw.randrange(256)]) for _ in range(frames))
 
 
+def talk_until(
+    part: Path, host: PtyPair, command: Running, draw: random.Random, pause: float = 0.0
+) -> bytes:
+    """Say random speeds until a part of the recording is there; returns all that was said."""
+    said = b""
+    command.wait_for(part.with_name("drive.00001.mcap"))
+    while not part.exists():
+        data = speeds(draw, 20)
+        said += data
+        talk(host, command, data)
+        time.sleep(pause)
+    return said
+
+
 @pytest.mark.waits
 def test_a_log_goes_on_from_part_to_part_and_the_oldest_go(tmp_path: Path) -> None:
-    path, draw, said = tmp_path / NAME, random.Random(1), b""
+    path = tmp_path / NAME
     foreign = tmp_path / "drive.1.mcap"
     foreign.write_bytes(b"precious")
     with (
@@ -124,12 +138,7 @@ def test_a_log_goes_on_from_part_to_part_and_the_oldest_go(tmp_path: Path) -> No
             *("--rotate", "1s", "--keep", "2"),
         ) as command,
     ):
-        command.wait_for(part_path(path, 1))
-        while not part_path(path, 4).exists():
-            data = speeds(draw, 20)
-            said += data
-            talk(host, command, data)
-            time.sleep(0.05)
+        said = talk_until(part_path(path, 4), host, command, random.Random(1), 0.05)
         code, out, err = command.end()
     first, last = min(part_paths(path)), max(part_paths(path))
     assert (code, last - first, first >= 3) == (0, 1, True)
@@ -222,18 +231,14 @@ def test_a_part_that_is_deleted_while_it_is_written_leaves_those_before_it(tmp_p
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_kill_9_leaves_what_was_said_from_its_begin_on(tmp_path: Path, seed: int) -> None:
-    path, draw, said = tmp_path / NAME, random.Random(seed), b""
+    path = tmp_path / NAME
     with (
         open_pty() as host,
         running(
             *("sniff", host.name, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
         ) as command,
     ):
-        command.wait_for(part_path(path, 1))
-        while not part_path(path, 3).exists():
-            data = speeds(draw, 20)
-            said += data
-            talk(host, command, data)
+        said = talk_until(part_path(path, 3), host, command, random.Random(seed))
         command.end(signal.SIGKILL)
     capture = open_capture(path)
     assert (capture.damage, capture.unfinished) == ((), True)
