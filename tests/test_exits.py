@@ -7,11 +7,9 @@ import signal
 import pytest
 
 from benchmarks.torture import exits
-from benchmarks.torture.exits import CASES, COMMANDS, PHASES, WAYS, Case, ended
+from benchmarks.torture.exits import CASES, COMMANDS, DRIVING, PHASES, WAYS, Case, ended
 
 pytestmark = [pytest.mark.waits, pytest.mark.slow]
-
-DRIVING = ("while moving", "in a pause", "waiting for an answer")
 
 
 @pytest.mark.sample(4)

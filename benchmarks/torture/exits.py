@@ -2,23 +2,23 @@
 
 Each run ends one command in one phase in one way, drawn by the seed, while it drives
 `bilprov simulate` over a relay, and asks the probe afterwards. SIGKILL is not among the ways:
-nothing that a program does can follow it.
+nothing that a program does can follow it. The harm `signals` does the same with each signal that
+ends or suspends a process, while the robot moves.
 """
 
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import termios
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -26,14 +26,15 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from random import Random
+from textwrap import indent
 from typing import NamedTuple
 
 from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
-from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.cases.preamble import frames_to, full_state
@@ -107,29 +108,6 @@ class Line:
         self._near.close()
 
 
-class Probe:
-    """What the simulator's probe tells."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.seen = False
-        """Whether it moved when it was looked at last."""
-        self._socket = socket.create_connection(parse_address(name.removeprefix("tcp:")), 30)
-        self._answers = self._socket.makefile("rb")
-
-    @property
-    def moving(self) -> bool:
-        """Whether the robot moves now."""
-        self._socket.sendall(b"state\n")
-        self.seen = bool(json.loads(self._answers.readline())["moving"])
-        return self.seen
-
-    def close(self) -> None:
-        """Hang up."""
-        self._answers.close()
-        self._socket.close()
-
-
 class Command(NamedTuple):
     """A command: its words for a port, a probe and a folder; what is typed; its robot's fault."""
 
@@ -150,9 +128,18 @@ with Robot(sys.argv[1]) as robot:
 """
 
 
-def _driver(last: str) -> Command:
+_IN_A_THREAD = """
+import threading
+def drive():
+{}
+thread = threading.Thread(target=drive)
+thread.start()
+thread.join()
+"""
+
+
+def _driver(script: str) -> Command:
     frames = [frame.hex() for frame in _moving_frames()]
-    script = _DRIVE.format(last)
     return Command(lambda port, probe, folder: [sys.executable, "-c", script, port, *frames])
 
 
@@ -214,9 +201,17 @@ COMMANDS = {
     "learn": _seeing("learn"),
     DOCTOR: _bilprov("doctor", "--ask", "--yes", "--seconds", "0.2"),
     "plugin": Command(_plugin),
-    "Robot": _driver("pass"),
-    "Robot, exception": _driver("assert turn < 2"),
+    "Robot": _driver(_DRIVE.format("pass")),
+    "Robot, exception": _driver(_DRIVE.format("assert turn < 2")),
 }
+SIGNALLED = {
+    **{
+        name: COMMANDS[name]
+        for name in ("send", "shell", "conform", "replay --to", "learn", "plugin", "Robot")
+    },
+    "Robot, another thread": _driver(_IN_A_THREAD.format(indent(_DRIVE.format("pass"), "  "))),
+}
+"""The commands that are sent every signal."""
 
 
 class Run(NamedTuple):
@@ -269,7 +264,11 @@ PHASES: dict[str, Callable[[Run], None]] = {
 }
 
 
-def _signals(*numbers: signal.Signals) -> Callable[[Run], None]:
+DRIVING = ("while moving", "in a pause", "waiting for an answer")
+"""The phases in which the robot moves."""
+
+
+def _signals(*numbers: int) -> Callable[[Run], None]:
     def send(run: Run) -> None:
         for number in numbers:
             run.process.send_signal(number)
@@ -303,6 +302,43 @@ WAYS: dict[str, Callable[[Run], None]] = {
     "SIGTERM, slow reader": _slow,
 }
 
+
+def _suspended(run: Run) -> None:
+    """Suspend a command, see that its robot is at rest, and end it; where it moves, at once."""
+    run.process.send_signal(signal.SIGTSTP)
+    _wait(run, lambda: _is_suspended(run.process.pid))
+    run.line.drained()
+    if _is_suspended(run.process.pid) and run.probe.moving:
+        run.process.kill()
+    run.process.send_signal(signal.SIGCONT)
+    run.process.terminate()
+
+
+def _is_suspended(pid: int) -> bool:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    return False
+
+
+_NAMED = (
+    *("INT", "TERM", "HUP", "QUIT", "USR1", "USR2", "ALRM"),
+    *("XCPU", "VTALRM", "PROF", "IO", "PWR", "STKFLT"),
+)
+_REAL_TIME = {
+    "SIGRTMIN": signal.SIGRTMIN,
+    "SIGRTMIN+1": signal.SIGRTMIN + 1,
+    "SIGRTMIN+15": signal.SIGRTMIN + 15,
+    "SIGRTMAX-1": signal.SIGRTMAX - 1,
+    "SIGRTMAX": signal.SIGRTMAX,
+}
+_SUSPEND = "SIGTSTP"
+SIGNALS: dict[str, Callable[[Run], None]] = {
+    **{f"SIG{name}": _signals(signal.Signals[f"SIG{name}"]) for name in _NAMED},
+    **{name: _signals(number) for name, number in _REAL_TIME.items()},
+    _SUSPEND: _suspended,
+}
+"""What ends or suspends a process that does not handle it, and may be handled."""
+
 Case = tuple[str, str, str]
 
 CASES: tuple[Case, ...] = tuple(
@@ -311,6 +347,9 @@ CASES: tuple[Case, ...] = tuple(
     if row[0] != DOCTOR or row[1] in ("before the first byte", "homing")
 )
 """Each command, phase and way; `doctor` sends no motion, so it has the first two phases only."""
+
+SIGNAL_CASES: tuple[Case, ...] = tuple(product(SIGNALLED, DRIVING, SIGNALS))
+"""Each command that is sent signals in each phase in which its robot moves, with each signal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,19 +372,13 @@ class Exit:
 
 def ended(case: Case, seed: int) -> Exit:
     """Run a command, end it in that phase in that way, and see what the robot does then."""
-    command, draw = COMMANDS[case[0]], Random(f"{seed} {case}")
+    command, draw = (COMMANDS | SIGNALLED)[case[0]], Random(f"{seed} {case}")
     fault = ["--fault", command.fault] if command.fault else []
-    words = [sys.executable, "-m", "bilprov", "simulate", "--probe-listen", "127.0.0.1:0", *fault]
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        served = stack.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
-        stack.callback(served.terminate)
-        assert served.stdout is not None
-        port, probe_name = (served.stdout.readline().strip() for _ in range(2))
+        _, port, probe = stack.enter_context(served(*fault))
         line = Line(port)
         stack.callback(line.close)
-        probe = Probe(probe_name.removeprefix("probe "))
-        stack.callback(probe.close)
         told = stack.enter_context(tempfile.TemporaryFile())
         arguments = command.words(line.name, probe.name, folder)
         started = _started(arguments, folder, command.typed, case[2], told.fileno())
@@ -354,7 +387,7 @@ def ended(case: Case, seed: int) -> Exit:
             PHASES[case[1]](run)
             moved = probe.seen
             again = hung = False
-            WAYS[case[2]](run)
+            (WAYS | SIGNALS)[case[2]](run)
             try:
                 process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:
@@ -394,7 +427,9 @@ def _started(
         stdout=streams[1],
         stderr=streams[2],
         cwd=folder,
-        start_new_session=True,
+        # In a session of its own, of which nobody else is, a process cannot be suspended.
+        start_new_session=way != _SUSPEND,
+        process_group=0 if way == _SUSPEND else None,
         preexec_fn=(lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0)) if way == "hang-up" else None,
         env=os.environ | {"TERM": "xterm", "PROMPT_TOOLKIT_NO_CPR": "1"},
     )
@@ -426,22 +461,35 @@ def _read_all(descriptor: int) -> None:
 
 
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
-    """End so many runs, drawn by the seed, two at a time; a row for each command."""
+    """End so many runs, drawn by the seed; a row for each command."""
     draw = Random(seed)
-    ends: dict[str, list[Exit]] = {name: [] for name in COMMANDS}
-    rows = [draw.choice(CASES) for _ in range(runs)]
+    how = "ended in any phase by a signal, a broken pipe or a hang-up"
+    return _rows([draw.choice(CASES) for _ in range(runs)], seed, progress, how)
+
+
+def _measure_signals(runs: int, seed: int, progress: Progress) -> list[Row]:
+    """Send signals in so many runs, all before one comes again; a row for each command."""
+    draw, cases = Random(seed), list[Case]()
+    while len(cases) < runs:
+        cases += draw.sample(SIGNAL_CASES, len(SIGNAL_CASES))
+    return _rows(cases[:runs], seed, progress, "sent any signal while its robot moves")
+
+
+def _rows(cases: list[Case], seed: int, progress: Progress, how: str) -> list[Row]:
+    """Run the cases two at a time."""
+    ends = defaultdict[str, list[Exit]](list)
     with ThreadPoolExecutor(2) as pool:
-        for one in pool.map(ended, rows, range(seed, seed + runs)):
+        for one in pool.map(ended, cases, range(seed, seed + len(cases))):
             ends[one.case[0]].append(one)
             progress(1)
-    return [_row(name, exits) for name, exits in ends.items() if exits]
+    return [_row(name, how, ends[name]) for name in COMMANDS | SIGNALLED if name in ends]
 
 
-def _row(name: str, exits: list[Exit]) -> Row:
+def _row(name: str, how: str, exits: list[Exit]) -> Row:
     moved, left = sum(one.moved for one in exits), sum(one.left_moving for one in exits)
     lost = sum(one.lost for one in exits)
     return Row(
-        f"`{name}` ended in any phase by a signal, a broken pipe or a hang-up",
+        f"`{name}` {how}",
         len(exits),
         f"{left} robots left moving, of {moved} that moved; "
         f"{sum(one.hung for one in exits)} commands did not end"
@@ -451,3 +499,9 @@ def _row(name: str, exits: list[Exit]) -> Row:
 
 
 HARM = Harm("exits", "commands that drive are ended from outside", 200, _measure)
+SIGNALS_HARM = Harm(
+    "signals",
+    "each signal is sent to commands that drive",
+    len(SIGNAL_CASES) // len(DRIVING),
+    _measure_signals,
+)

@@ -6,12 +6,13 @@ same share of bad bytes, at level standard in virtual time (`benchmarks.noise`).
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from typing import NamedTuple
 
 from benchmarks.noise import Trial, noisy_run, simulated
 from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.robots import verdicts
 
 RATES = (1e-3, 3e-4, 1e-4)
 """Shares of bad bytes."""
@@ -45,18 +46,10 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
 
 
 def _row(line: str, ended: list[Ended]) -> Row:
-    codes = {"good": Counter[int](), "faulty": Counter[int]()}
-    for one in ended:
-        codes["faulty" if one.trial.fault else "good"][one.code] += 1
-    good, faulty = codes.values()
-    told = "; ".join(
-        f"{kind}: " + ", ".join(f"exit {code} in {times}" for code, times in sorted(found.items()))
-        for kind, found in codes.items()
-    )
     return Row(
         f"the suite with {line}",
         len(ended),
-        f"{good[1]} good robots failed, {faulty[0]} faulty ones passed ({told})",
+        verdicts((not one.trial.fault, one.code) for one in ended),
         tuple(one.wrong for one in ended if one.wrong),
     )
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 import json
 import multiprocessing
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import cycle
 from statistics import quantiles
-from subprocess import PIPE, Popen
 
 from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.robots import served
 from bilprov.analyzer.transport.streams import parse_address
 
 _PATIENCE = 30.0  # s; a look that takes longer has failed
@@ -93,11 +92,9 @@ def _looks(probe: socket.socket, count: int) -> list[float]:
 
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
     """Look so often beside each harm; nothing is drawn here, so the seed does nothing."""
-    words = [sys.executable, "-m", "bilprov", "simulate", "--probe-listen", "127.0.0.1:0"]
     rows = []
-    with Popen(words, stdout=PIPE, text=True) as served:
-        lines = [served.stdout.readline().strip() for _ in range(2)] if served.stdout else []
-        address = parse_address(lines[1].removeprefix("probe tcp:"))
+    with served() as (simulator, _, own_probe):
+        address = parse_address(own_probe.name.removeprefix("tcp:"))
         count = max(2, runs // len(_HARMS))
         for name, work in _HARMS.items():
             told, wrong = "", []
@@ -108,13 +105,12 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
                 told = f"p50 {percent[49]:.2f} ms, p99 {percent[98]:.2f} ms"
             except (OSError, ValueError) as error:
                 wrong = [f"a look failed: {error}"]
-            if served.poll() is not None:
-                wrong.append(f"the simulator ended with {served.returncode}")
+            if simulator.poll() is not None:
+                wrong.append(f"the simulator ended with {simulator.returncode}")
             rows.append(
                 Row(f"looks at the probe of `simulate` beside {name}", count, told, tuple(wrong))
             )
             progress(count)
-        served.terminate()
     return rows
 
 

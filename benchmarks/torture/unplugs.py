@@ -24,8 +24,9 @@ from typing import Any, NamedTuple
 
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words, started
-from benchmarks.torture.exits import Probe, drive_capture, items
+from benchmarks.torture.exits import drive_capture, items
 from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.robots import served
 from benchmarks.torture.unplugged_taps import TAPPED, Unplugged
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.captures.reader import open_capture
@@ -104,13 +105,7 @@ def driven(name: str, seed: int) -> Unplugged:
     away = draw.uniform(*_AWAY) if seed % 2 else None
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        words = bilprov_words("simulate", "--probe-listen", "127.0.0.1:0")
-        served = stack.enter_context(started(words, stdout=subprocess.PIPE))
-        stack.callback(served.terminate)
-        assert served.stdout is not None
-        line, told = (served.stdout.readline().decode().strip() for _ in range(2))
-        probe = Probe(told.removeprefix("probe "))
-        stack.callback(probe.close)
+        _, line, probe = stack.enter_context(served())
         adapter = stack.enter_context(Adapter(folder / "port", line, [after], away, late))
         errors = stack.enter_context(tempfile.TemporaryFile())
         words = command.words(str(folder / "port"), probe.name, folder)
