@@ -14,8 +14,10 @@ from benchmarks.torture import (
     kills,
     matrices,
     noise,
+    nonblocking,
     pauses,
     probes,
+    seams,
     servers,
     unplugs,
 )
@@ -37,6 +39,8 @@ HARMS = {
         jitter.HARM,
         pauses.HARM,
         probes.HARM,
+        nonblocking.HARM,
+        seams.HARM,
         matrices.HARM,
         fuzzing.HARM,
     )

@@ -20,10 +20,8 @@ from random import Random
 
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.robots import Hurt, Served, faulty, measure
-from benchmarks.torture.unplugged_taps import Listener, Plug, Talk
+from benchmarks.torture.unplugged_taps import Listener, Plug, Talk, heard
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk
 from bilprov.spec.fields import Outcome
 
 FAULTY = faulty("ok-to-unknown-id", "no-stop-on-bad-data", "every-7th-fault-missed")
@@ -112,11 +110,7 @@ def sniffed(seed: int, *, good: bool) -> str:
         sniff.process.send_signal(signal.SIGCONT)
         traffic(_BEFORE_AND_AFTER)
         code = sniff.end()
-        heard = {"host": b"", "device": b""}
-        for message in open_capture(sniff.capture):
-            if isinstance(message, Chunk):
-                heard[message.direction] += message.data
-        if heard != talk.written:
+        if heard(sniff.capture) != talk.written:
             return f"seed {seed}: the capture has not just what was said"
         told = f"seed {seed}: exit {code}: {sniff.told.strip()[-300:]}"
         return "" if code == (0 if good else 1) else told
@@ -133,7 +127,7 @@ def _sniff_row(seeds: range, *, good: bool) -> Row:
         wrong = tuple(filter(None, pool.map(partial(sniffed, good=good), seeds)))
     device = f"a {'good' if good else 'faulty'} device"
     return Row(
-        f"`sniff --judge` of {device} stopped for {_PAUSE:g} s between an instruction and its answer",
+        f"`sniff --judge` of {device} stopped for {_PAUSE:g} s before an answer",
         len(seeds),
         f"{len(wrong)} judged wrongly or not whole",
         wrong,

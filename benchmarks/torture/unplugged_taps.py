@@ -24,6 +24,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import kept_parts
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.codec import judge, nearest
@@ -66,7 +67,7 @@ class Plug:
         os.write(self.pair.master, data)
 
 
-def _until(what: Callable[[], bool], why: str) -> None:
+def until(what: Callable[[], bool], why: str) -> None:
     """Wait for something. Raises TimeoutError."""
     give_up = time.monotonic() + _PATIENCE
     while not what():
@@ -106,7 +107,10 @@ class Listener:
         more = ("-w", str(self.capture), "--quiet")
         command = bilprov_words("sniff", *words, *more)
         self.process = stack.enter_context(started(command, stderr=errors.fileno()))
-        _until(lambda: self.capture.exists() or self.ended, "no capture")
+        until(
+            lambda: bool(kept_parts(self.capture)) or self.capture.exists() or self.ended,
+            "no capture",
+        )
 
     @property
     def ended(self) -> bool:
@@ -120,12 +124,12 @@ class Listener:
 
     def says(self, words: str) -> None:
         """Wait until it has said this."""
-        _until(lambda: words in self.told, f"it does not say {words!r}, but {self.told[-200:]!r}")
+        until(lambda: words in self.told, f"it does not say {words!r}, but {self.told[-200:]!r}")
 
     def has(self, tap: Direction, data: bytes) -> bool:
         """Whether the capture has just these bytes of a side now."""
         try:
-            return _heard(self.capture)[tap] == data
+            return heard(self.capture)[tap] == data
         except CaptureError:  # it has just been made
             return False
 
@@ -134,6 +138,43 @@ class Listener:
         if interrupt:
             self.process.send_signal(signal.SIGINT)
         return self.process.wait(_PATIENCE)
+
+
+class Bridge:
+    """Both ends of `sniff --bridge`: the host's pty, and the device, which is a plug."""
+
+    def __init__(self, stack: ExitStack, sniff: Listener, plug: Plug, talk: Talk) -> None:
+        until(lambda: "/dev/" in sniff.told, "no name of a pty")
+        name = next(line for line in sniff.told.splitlines() if line.startswith("/dev/"))
+        self.host = stack.enter_context(open_port(name.strip()))
+        self.arrived, self.got = bytearray(), bytearray()
+        """What the device and the host heard."""
+        self._plug, self._talk = plug, talk
+
+    def exchanges(self, count: int) -> None:
+        """Send instructions and their answers, each once the other end has heard what was before.
+
+        Raises TimeoutError where the bridge hands nothing on.
+        """
+        for _ in range(count):
+            frame, answer = self._talk.next()
+            self.host.write(frame)
+            self._talk.wrote("host", frame)
+            _passed(len(frame), self.arrived, lambda: self._plug.pair.read())
+            self._plug.write(answer)
+            self._talk.wrote("device", answer)
+            _passed(len(answer), self.got, self.host.read)
+
+
+def _passed(count: int, into: bytearray, read: Callable[[], bytes]) -> None:
+    """Wait until so many bytes more have been read."""
+    wanted = len(into) + count
+
+    def there() -> bool:
+        into.extend(read())
+        return len(into) >= wanted
+
+    until(there, "the bridge hands nothing on")
 
 
 def tapped(seed: int) -> Unplugged:
@@ -166,7 +207,7 @@ def tapped(seed: int) -> Unplugged:
             if draw.random() < 0.5:  # in the middle of an instruction
                 said("host", talk.next()[0][:1])
             said_before = talk.written[lost]
-            _until(lambda: sniff.has(lost, said_before), f"what the {lost} said is not captured")
+            until(lambda: sniff.has(lost, said_before), f"what the {lost} said is not captured")
             plug = plugs.pop(lost)
             plug.pull()
             sniff.says(f"listening goes on without the {lost}")
@@ -195,57 +236,35 @@ def bridged(seed: int) -> Unplugged:
         plug = Plug(folder / "port")
         words = ("--bridge", str(plug.path), *(["--wait"] if back else []))
         sniff = Listener(stack, folder, *words)
-        arrived = bytearray()
-
-        got = bytearray()
-
-        def passed(count: int, into: bytearray, read: Callable[[], bytes]) -> None:
-            def there() -> bool:
-                into.extend(read())
-                return len(into) >= count
-
-            _until(there, "the bridge hands nothing on")
-
-        def exchanges(count: int) -> None:
-            for _ in range(count):
-                frame, answer = talk.next()
-                host.write(frame)
-                talk.wrote("host", frame)
-                passed(len(arrived) + len(frame), arrived, lambda: plug.pair.read())
-                plug.write(answer)
-                talk.wrote("device", answer)
-                passed(len(got) + len(answer), got, host.read)
 
         def run() -> int:
-            exchanges(draw.randint(1, _FRAMES))
+            bridge.exchanges(draw.randint(1, _FRAMES))
             plug.pull()
             if not back:
                 return sniff.end(interrupt=False)
             sniff.says("waiting for the device")
             for _ in range(draw.randint(0, _FRAMES)):  # recorded, though nobody hears it
                 frame, _ = talk.next()
-                host.write(frame)
+                bridge.host.write(frame)
                 talk.wrote("host", frame)
                 time.sleep(_PAUSE)
             time.sleep(draw.uniform(0.0, 0.3))
             plug.plug()
             sniff.says("is there again")
             time.sleep(0.2)
-            arrived.extend(plug.pair.read())  # what was held back for it
-            before = len(arrived)
+            bridge.arrived.extend(plug.pair.read())  # what was held back for it
+            before = len(bridge.arrived)
             written = len(talk.written["host"])
-            exchanges(_FRAMES)
-            if arrived[before:] != talk.written["host"][written:]:
+            bridge.exchanges(_FRAMES)
+            if bridge.arrived[before:] != talk.written["host"][written:]:
                 raise ValueError("the device did not hear what was sent after the gap")
-            if got != talk.written["device"]:
+            if bridge.got != talk.written["device"]:
                 raise ValueError("the host did not hear what the device answered")
             code = sniff.end()
             plug.pull()
             return code
 
-        _until(lambda: "/dev/" in sniff.told, "no name of a pty")
-        name = next(line for line in sniff.told.splitlines() if line.startswith("/dev/"))
-        host = stack.enter_context(open_port(name.strip()))
+        bridge = Bridge(stack, sniff, plug, talk)
         return _came(run, sniff, talk, back, 0 if back else 2, checked=True)
 
 
@@ -270,7 +289,7 @@ def _came(
     return Unplugged(cut=True, back=back, moving=False, wrong=tuple(wrong))
 
 
-def _heard(path: Path) -> dict[Direction, bytes]:
+def heard(path: Path) -> dict[Direction, bytes]:
     """The bytes of each side in a capture, also in one that is still written."""
     heard: dict[Direction, bytes] = {"host": b"", "device": b""}
     for message in open_capture(path):
@@ -281,11 +300,11 @@ def _heard(path: Path) -> dict[Direction, bytes]:
 
 def _capture_wrong(path: Path, talk: Talk, back: bool, *, checked: bool) -> list[str]:
     """What is missing from the capture, or wrong in it."""
-    wrong, heard = [], _heard(path)
+    wrong, there = [], heard(path)
     events = [message.event for message in open_capture(path) if isinstance(message, Line)]
     for tap, data in talk.written.items():
-        if heard[tap] != data:
-            wrong.append(f"{tap}: {len(data)} bytes were said, {len(heard[tap])} are there")
+        if there[tap] != data:
+            wrong.append(f"{tap}: {len(data)} bytes were said, {len(there[tap])} are there")
     for event, count in (("unplugged", 1), ("reconnected", int(back))):
         if events.count(event) != count:
             wrong.append(f"{events.count(event)} events {event}, not {count}")
