@@ -30,12 +30,16 @@ from bilprov.captures.errors import CaptureError
 
 _PAGE = 4096  # bytes, the least that a pipe holds
 _STALLED = (0.5, 2.0)  # s that nobody reads
+_STALLED_DRIVING = (0.2, 0.6)  # s that nobody reads once it drives; an answer is awaited longer
 _PATIENCE = 60.0  # s
 _SLOW = 0.001  # s between two reads
 _FRAMES = 300  # instructions that sniff hears
 _STEP = 0.002  # s between them
-_TIMES = re.compile(rb"\d[\d.:T+-]* *(?:ms|s|times)\b|begun .*|-?\d+\.\d{3,}|/dev/pts/\d+")
-"""What differs from run to run: times, and names of ports."""
+_TIMES = re.compile(
+    rb"answered after .* is the deadline|begun .*|\d[\d.:T+-]* *(?:ms|s|times)\b|-?\d+\.\d{3,}"
+    rb"|/dev/pts/\d+|/tmp/\w+"
+)
+"""What differs from run to run: times, and names of ports and folders."""
 
 
 class Shown(NamedTuple):
@@ -90,7 +94,9 @@ def _plain(*words: str) -> Command:
 
 def _sniff(port: str, folder: Path) -> list[str]:
     taps = [str(folder / name) for name in ("host", "device")]
-    return bilprov_words("sniff", *taps, "-w", str(folder / "run.mcap"), "--plain")
+    return bilprov_words(
+        *("sniff", *taps, "-w", str(folder / "run.mcap"), "--plain", "--columns", "hex")
+    )
 
 
 COMMANDS = {
@@ -122,6 +128,7 @@ def shown(name: str, seed: int, *, blocking: bool) -> Shown:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         robot = stack.enter_context(served()) if command.drives else None
+        at_first = robot.probe.look() if robot else {}
         errors = stack.enter_context(tempfile.TemporaryFile())
         plugs = [Plug(folder / side) for side in ("host", "device")] if command.listens else []
         for plug in plugs:
@@ -133,14 +140,18 @@ def shown(name: str, seed: int, *, blocking: bool) -> Shown:
         if command.listens:
             lost = _recorded(process, plugs, folder / "run.mcap", Talk(draw), pipe)
         else:
-            time.sleep(draw.uniform(*_STALLED))
+            if robot:
+                until(lambda: robot.probe.look() != at_first or process.poll() is not None, "rests")
+            time.sleep(draw.uniform(*(_STALLED_DRIVING if robot else _STALLED)))
             pipe.read_on()
         try:
             code: int | None = process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             code = None
             process.kill()
-        output = b" ".join(_TIMES.sub(b"#", pipe.all()).split())
+        lines = [b" ".join(line.split()) for line in _TIMES.sub(b"#", pipe.all()).splitlines()]
+        # Of two taps, which is read first is a matter of chance.
+        output = b"\n".join(sorted(lines) if command.listens else lines)
         errors.seek(0)
         told = errors.read().decode(errors="replace")
         return Shown(output, code, told, lost, robot is not None and robot.probe.moving)

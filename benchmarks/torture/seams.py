@@ -1,7 +1,7 @@
 """The disk is full as `sniff --rotate` closes a part: the line goes on, and one sentence says so.
 
 What stands for a full disk is a limit on the size of files. It is set while `sniff` runs, to a size
-drawn by the seed: what has been written has its place, and of the end of the part a few bytes only.
+drawn by the seed: what has been written has its place, and of the end of the part a share.
 """
 
 from __future__ import annotations
@@ -13,20 +13,34 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.unplugged_taps import Bridge, Listener, Plug, Talk, heard, until
+from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
 
 _ROTATE = 1.0  # s
 _FRAMES = 20  # instructions before the disk is full, at most, and after
-_ROOM = 2000  # bytes that are left on the disk, at most
 _PAUSE = 0.002  # s between instructions at taps
 FORMS = ("two taps", "--bridge")
+
+
+@cache
+def _end() -> int:
+    """How many bytes the end of a part has, at least."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "part.mcap"
+        with CaptureWriter(path, start_wall=0, metadata={}, version="0") as part:
+            part.chunk(Chunk(0, "host", b" "))
+            part.flush()
+            before = part.size
+        return path.stat().st_size - before
 
 
 def filled(form: str, seed: int) -> str:
@@ -47,7 +61,7 @@ def filled(form: str, seed: int) -> str:
             exchanges = Bridge(stack, sniff, plugs[1], talk).exchanges
         try:
             wrong = _wrong(sniff, talk, exchanges, draw)
-        except (TimeoutError, subprocess.TimeoutExpired, OSError) as error:
+        except (TimeoutError, subprocess.TimeoutExpired, LinkError) as error:
             sniff.process.kill()
             wrong = f"{type(error).__name__}: {error}"
         if "Traceback" in sniff.told:
@@ -73,7 +87,7 @@ def _wrong(sniff: Listener, talk: Talk, exchanges: Callable[[int], None], draw: 
     before = dict(talk.written)
     until(lambda: all(sniff.has(*said) for said in before.items()), "not all is captured")
     parts = kept_parts(sniff.capture)
-    size = parts[max(parts)].stat().st_size + draw.randrange(_ROOM)
+    size = parts[max(parts)].stat().st_size + draw.randrange(_end())
     resource.prlimit(sniff.process.pid, resource.RLIMIT_FSIZE, (size, size))
     time.sleep(1.2 * _ROTATE)
     exchanges(_FRAMES)
