@@ -49,3 +49,29 @@ def test_each_command_that_drives_is_in_each_phase_and_way() -> None:
 
     assert rows.pop(exits.DOCTOR)
     assert {len(found) for found in rows.values()} == {len(PHASES) * len(WAYS)}
+
+
+SUSPENDED = """
+import sys, time
+from bilprov.analyzer.transport.ports import open_port
+port = open_port(sys.argv[1])
+for frame in sys.argv[2:]:
+    port.write(bytes.fromhex(frame))
+time.sleep(60)
+"""
+
+
+def test_a_command_that_is_suspended_while_its_robot_moves_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(exits.SIGNALLED, "planted", exits._driver(SUSPENDED))
+
+    left = ended(("planted", "while moving", "SIGTSTP"), seed=1)
+
+    assert left.moved
+    assert left.left_moving
+
+
+def test_every_signal_is_sent_to_every_command_in_every_phase_in_which_it_drives() -> None:
+    assert len(set(exits.SIGNAL_CASES)) == 8 * len(DRIVING) * 19
+    assert set(exits.SIGNALS) > {"SIGQUIT", "SIGTSTP", "SIGXCPU", "SIGRTMIN", "SIGRTMAX"}

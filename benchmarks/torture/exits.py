@@ -306,15 +306,16 @@ WAYS: dict[str, Callable[[Run], None]] = {
 def _suspended(run: Run) -> None:
     """Suspend a command, see that its robot is at rest, and end it; where it moves, at once."""
     run.process.send_signal(signal.SIGTSTP)
-    _wait(run, lambda: _is_suspended(run.process.pid))
+    _wait(run, lambda: is_suspended(run.process.pid))
     run.line.drained()
-    if _is_suspended(run.process.pid) and run.probe.moving:
+    if is_suspended(run.process.pid) and run.probe.moving:
         run.process.kill()
     run.process.send_signal(signal.SIGCONT)
     run.process.terminate()
 
 
-def _is_suspended(pid: int) -> bool:
+def is_suspended(pid: int) -> bool:
+    """Whether a process has been stopped by a signal, and may be continued."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
     return False

@@ -53,8 +53,8 @@ class Delayed:
 class Relay:
     """Relays TCP between one host at a time and the robot at `port`, and holds bytes up.
 
-    `up` and `down` are the longest times (s) to the robot and from it. At the end of the block what
-    is still on its way to the robot arrives.
+    `up` and `down` are the longest times (s) to the robot and from it. The block ends once the host
+    has hung up, and what was still on its way to the robot has arrived.
     """
 
     def __init__(self, port: str, up: float, down: float, draw: Random) -> None:
@@ -77,7 +77,7 @@ class Relay:
                 self._relay(host, robot)
 
     def _relay(self, host: socket.socket, robot: socket.socket) -> None:
-        """Relay until one side hangs up or the relay ends, and all that came has arrived."""
+        """Relay until one side hangs up, and all that came for the robot has arrived."""
         ways = {
             host: (robot, Delayed(self._up, self._draw)),
             robot: (host, Delayed(self._down, self._draw)),
@@ -85,7 +85,7 @@ class Relay:
         for end in ways:
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         open_ends, to_robot = list(ways), ways[host][1]
-        while to_robot.until is not None or (len(open_ends) == 2 and not self._over.is_set()):
+        while to_robot.until is not None or len(open_ends) == len(ways):
             now = time.monotonic()
             dues = [held.until - now for _, held in ways.values() if held.until is not None]
             wait = max(0.0, min([_LOOK, *dues]))

@@ -85,25 +85,41 @@ LIES = {
 }
 
 
+class Past:
+    """Looks by their times: what was seen `lag` (s) ago; the first look, where that is too long."""
+
+    def __init__(self, lag: float) -> None:
+        self._lag = lag
+        self._seen = deque[tuple[float, Look]]()
+
+    def saw(self, look: Look, now: float) -> None:
+        """Note a look."""
+        self._seen.append((now, look))
+
+    def look(self, now: float) -> Look:
+        """The look of then."""
+        while len(self._seen) > 1 and self._seen[1][0] <= now - self._lag:
+            self._seen.popleft()
+        return self._seen[0][1]
+
+
 class Lagging:
     """Looks through a probe all the time; `look` is what it saw `lag` (s) ago."""
 
     def __init__(self, probe: Probe, lag: float) -> None:
-        self._probe, self._lag = probe, lag
-        self._seen = deque([(time.monotonic(), probe.look())])
+        self._probe, self._past = probe, Past(lag)
+        self._past.saw(probe.look(), time.monotonic())
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._look)
         self._thread.start()
 
     def _look(self) -> None:
         while not self._over.wait(_STEP):
-            self._seen.append((time.monotonic(), self._probe.look()))
+            self._past.saw(self._probe.look(), time.monotonic())
 
     def look(self) -> Look:
         """The look of then."""
-        while len(self._seen) > 1 and self._seen[1][0] <= time.monotonic() - self._lag:
-            self._seen.popleft()
-        return self._seen[0][1]
+        return self._past.look(time.monotonic())
 
     def close(self) -> None:
         """End the looking."""

@@ -291,11 +291,11 @@ def _came(
 
 def heard(path: Path) -> dict[Direction, bytes]:
     """The bytes of each side in a capture, also in one that is still written."""
-    heard: dict[Direction, bytes] = {"host": b"", "device": b""}
+    sides: dict[Direction, bytes] = {"host": b"", "device": b""}
     for message in open_capture(path):
         if isinstance(message, Chunk):
-            heard[message.direction] += message.data
-    return heard
+            sides[message.direction] += message.data
+    return sides
 
 
 def _capture_wrong(path: Path, talk: Talk, back: bool, *, checked: bool) -> list[str]:
