@@ -90,7 +90,9 @@ class Relay:
             dues = [held.until - now for _, held in ways.values() if held.until is not None]
             wait = max(0.0, min([_LOOK, *dues]))
             for end in select.select(open_ends, [], [], wait)[0]:
-                data = end.recv(1 << 12)
+                data = b""
+                with suppress(ConnectionError):
+                    data = end.recv(1 << 12)
                 if data:
                     ways[end][1].put(data, time.monotonic())
                 else:
