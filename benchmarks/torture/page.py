@@ -10,7 +10,7 @@ from benchmarks.torture.harms import HARMS
 _HEAD = """# Reliability
 
 What was done to bilprov, how often, and what was lost. `make torture` does it all again and
-writes this page, on two cores in some three hours; the command under each table does that part
+writes this page, on two cores in four to five hours; the command under each table does that part
 alone. Where something was lost that may not be, the row says **no**. [captures.md](captures.md)
 has the limits.
 """
