@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.torture import exits
 from benchmarks.torture.exits import CASES, COMMANDS, PHASES, WAYS, Case, ended
+from bilprov.analyzer.transport.ending import ENDINGS
 
 pytestmark = [pytest.mark.waits, pytest.mark.slow]
 
@@ -30,6 +31,19 @@ def test_a_command_that_is_ended_while_it_drives_stops_the_robot(case: Case) -> 
 )
 def test_a_command_that_is_ended_before_or_after_leaves_the_robot_at_rest(case: Case) -> None:
     left = ended(case, seed=1)
+
+    assert left.held, left
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != exits.DOCTOR])
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_command_that_any_other_signal_ends_stops_the_robot_first(
+    monkeypatch: pytest.MonkeyPatch, command: str, number: int
+) -> None:
+    monkeypatch.setitem(WAYS, "signal", exits._signals(number))
+
+    left = ended((command, "while moving", "signal"), seed=1)
 
     assert left.held, left
 

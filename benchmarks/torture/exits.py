@@ -269,7 +269,7 @@ PHASES: dict[str, Callable[[Run], None]] = {
 }
 
 
-def _signals(*numbers: signal.Signals) -> Callable[[Run], None]:
+def _signals(*numbers: int) -> Callable[[Run], None]:
     def send(run: Run) -> None:
         for number in numbers:
             run.process.send_signal(number)
