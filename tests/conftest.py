@@ -15,6 +15,7 @@ from random import Random
 import pytest
 from hypothesis import settings
 
+from benchmarks.dispositions import usual_for_children
 from bilprov.analyzer.columns import decoder
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
@@ -70,6 +71,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="every row of the tests that are sampled, and other random inputs in each run",
     )
     parser.addoption("--sample-seed", type=int, default=1, help="which rows a sample holds")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _usual_signals() -> None:
+    """What tests start does not ignore the signals that these tests were started to ignore.
+
+    Only where tests run: an xdist controller goes on handing down what nohup has set.
+    """
+    usual_for_children()
 
 
 @pytest.fixture(autouse=True, scope="session")

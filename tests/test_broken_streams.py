@@ -28,7 +28,6 @@ from tests.support import ROOT
 from tests.support.commands import PATIENCE, command
 from tests.support.reports import timeless
 from tests.support.robots import sentence, simulate
-from tests.support.signals import ignoring
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
@@ -375,15 +374,14 @@ def test_a_terminal_that_goes_away_ends_what_drives_the_robot_without_a_verdict(
     with simulate() as robot, open_pty() as terminal:
         given = LONG[name].format(port=robot.port, probe=robot.probe, runs=runs, new=tmp_path)
         # The leader of a session that opens a terminal has it as its own, and is hung up on.
-        with ignoring():
-            process = subprocess.Popen(
-                [
-                    *("/bin/sh", "-c", 'tty=$1; shift; exec "$@" <$tty >$tty 2>&1', "sh"),
-                    *(terminal.name, sys.executable, "-m", "bilprov", *shlex.split(given), "--yes"),
-                ],
-                cwd=ROOT,
-                start_new_session=True,
-            )
+        process = subprocess.Popen(
+            [
+                *("/bin/sh", "-c", 'tty=$1; shift; exec "$@" <$tty >$tty 2>&1', "sh"),
+                *(terminal.name, sys.executable, "-m", "bilprov", *shlex.split(given), "--yes"),
+            ],
+            cwd=ROOT,
+            start_new_session=True,
+        )
         while not robot.state()["moving"]:
             assert process.poll() is None
         terminal.close()

@@ -32,6 +32,14 @@ def test_a_command_that_is_ended_before_or_after_leaves_the_robot_at_rest(case: 
     assert left.held, left
 
 
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("case", exits.SIGNAL_CASES, ids=lambda case: "-".join(case))
+def test_every_signal_that_can_be_handled_stops_the_robot_first(case: Case) -> None:
+    left = ended(case, seed=1)
+
+    assert left.held, left
+
+
 def test_a_kill_is_seen_to_leave_the_robot_moving(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing follows a SIGKILL: this is what the other tests would see of a stop that fails."""
     kill = exits._signals(signal.SIGKILL)

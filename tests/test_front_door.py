@@ -23,7 +23,6 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 from tests.support.commands import Done, command, process
-from tests.support.signals import ignoring
 
 HEAVY = {
     "serial",
@@ -224,13 +223,12 @@ def test_ctrl_c_ends_quietly_with_130() -> None:
 def test_a_signal_in_the_middle_ends_quietly_with_130(tmp_path: Path) -> None:
     fifo = tmp_path / "grammar.py"
     os.mkfifo(fifo)  # reading it waits until somebody writes
-    with ignoring():
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bilprov", "--grammar", str(fifo), "spec", "show"],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bilprov", "--grammar", str(fifo), "spec", "show"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     with fifo.open("wb"):  # returns once the command reads
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)

@@ -97,8 +97,8 @@ def send(
 
     Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
     answer is missing, is no code of the grammar or is not allowed, bytes came without an
-    instruction, or not all was sent, as where it drove too long (--max-drive); 2 the port cannot be
-    used or nobody answers.
+    instruction, or not all was done, as where it drove too long (--max-drive) or a pause was cut
+    short; 2 the port cannot be used or nobody answers.
     """
     protocol = load_protocol(grammar)
     timeout = timeout_in_ns(protocol, truncation_timeout)
@@ -118,6 +118,7 @@ def send(
             )
     settings = line_settings(protocol, baud, parity, stopbits)
     output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
+    pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     first = _opened(port, settings, wait=wait)
     if first is None:
         note("stopped before the port was there: nothing was sent")
@@ -140,6 +141,8 @@ def send(
             def done(what: bytes | float) -> None:
                 if isinstance(what, float):
                     target.wait(what)
+                    if not stopper.stopped:
+                        pauses.remove(what)
                     return
                 target.send(what)
                 if not together:
@@ -168,6 +171,8 @@ def send(
         told += [check.wrong_words, check.missing_words]
     if check.sent < planned:
         told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
+    elif stopper.stopped and pauses:
+        told.append("stopped before the end of the last pause")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
     sentences = [sentence for sentence in told if sentence]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bilprov.analyzer.client.turns import Turns
 from bilprov.analyzer.client.wire import Heard, Wire, home, stops
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
@@ -74,6 +76,8 @@ class Driver:
     RobotError for a surplus or unsolicited answer; and LinkError when the line is lost. After any
     of the last three it is unknown which answer comes next, so the robot is homed, and thereby
     stopped, before the next instruction.
+
+    Several threads may use one driver: each instruction and its answer are by themselves.
     """
 
     def __init__(self, protocol: Protocol, wire: Wire, timeout: float | None = None) -> None:
@@ -84,6 +88,7 @@ class Driver:
         self._patience = longest if timeout is None else timeout
         self._methods = method_names(protocol)
         self._in_step = True
+        self._turns = Turns()
 
     def send(self, name: str, /, **values: int) -> Answer:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
@@ -100,18 +105,20 @@ class Driver:
         By default an answer may take the longest time that the protocol allows, including the
         time-out of a truncated frame.
         """
-        self._in_step = False
-        self._require_silence(0)
-        sent = self._wire.send(data)
-        heard = self._wire.listen(answers, round(self._patience * MS)) if answers else ()
-        if len(heard) != answers:
-            raise self._miscounted(data, answers, heard)
-        self._in_step = True
+        with self._alone():
+            self._in_step = False
+            self._require_silence(0)
+            sent = self._wire.send(data)
+            heard = self._wire.listen(answers, round(self._patience * MS)) if answers else ()
+            if len(heard) != answers:
+                raise self._miscounted(data, answers, heard)
+            self._in_step = True
         return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
     def wait(self, milliseconds: float) -> None:
         """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
-        self._require_silence(round(milliseconds * MS))
+        with self._alone():
+            self._require_silence(round(milliseconds * MS))
 
     def home(self) -> None:
         """Home the robot from any state: the line at a frame boundary, the robot stopped.
@@ -119,9 +126,10 @@ class Driver:
         Settings that do not cause motion, such as speed and light, stay. Raises NoAnswer if the
         robot does not answer.
         """
-        if not home(self.protocol, self._wire):
-            raise self._nobody()
-        self._in_step = True
+        with self._alone():
+            if not home(self.protocol, self._wire):
+                raise self._nobody()
+            self._in_step = True
 
     def __dir__(self) -> Iterable[str]:
         return sorted({*super().__dir__(), *self._methods})
@@ -170,10 +178,17 @@ class Driver:
         return method
 
     def _exchange(self, frame: bytes) -> Answer:
-        if not self._in_step:
-            self.home()
-        (answer,) = self.send_bytes(frame)
+        with self._alone():
+            if not self._in_step:
+                self.home()
+            (answer,) = self.send_bytes(frame)
         return answer
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other threads from the wire inside the block."""
+        with self._turns.taken():
+            yield
 
     def _require_silence(self, patience: int) -> None:
         heard = self._wire.listen(None, patience)

@@ -3,22 +3,123 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack, suppress
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+import weakref
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache, partial
 from os import PathLike
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
+from bilprov.analyzer.client.turns import Turns
 from bilprov.analyzer.client.wire import PortWire, home_once, stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import (
     ending_in_order,
+    halting_first,
+    in_main_thread,
     suspending,
     undisturbed,
 )
 from bilprov.spec.protocol import Protocol
+
+_TURN = 0.01  # s between two looks at the port while a program waits
+_PATIENCE = 1.0  # s for another thread's exchange to end before the robot is stopped
+
+
+class _OpenRobot:
+    """Stops the robot of a driver without the driver: at a signal, and when that was dropped."""
+
+    def __init__(self, protocol: Protocol, port: Port, turns: Turns) -> None:
+        self.in_block = False
+        """Whether the main thread is in its `with`, and so gets an exception from a signal."""
+        self.halted = False
+        """Whether a signal stopped it, and it was not used since."""
+        self.why = ""
+        """Why it was stopped, where no exception has said so."""
+        self._protocol = protocol
+        self._port = port
+        self._turns = turns
+        self._process = os.getpid()
+
+    def halt(self, why: str) -> None:
+        """Stop the robot. Whoever uses it next is told why, unless an exception does now."""
+        if self._process != os.getpid():  # it is the parent's
+            return
+        with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
+            self.halted, self.why = True, "" if self.in_block else why
+            if self.in_block or not alone:  # the end of the block homes it
+                self._port.write(stops(self._protocol))
+            else:
+                home_once(self._protocol, PortWire(self._port))
+
+    def drop(self) -> None:
+        """Home the robot and close its port, and warn that nobody did."""
+        _open.discard(self)
+        if self._process != os.getpid():
+            return
+        self.in_block = False  # or it was left without its end, as a generator is
+        self.halt("")
+        self._port.close()
+        what = f"the robot at {self._port.name} was never closed, and was stopped only now"
+        warnings.warn(f"{what}: use it in a with block", ResourceWarning, stacklevel=2)
+
+
+_open: set[_OpenRobot] = set()
+
+
+def _halt_all(number: int) -> None:
+    """Stop every open robot, for this signal."""
+    try:
+        why = f"{signal.Signals(number).name} came"
+    except ValueError:  # a real-time signal has no name
+        why = f"signal {number} came"
+    if number == signal.SIGTSTP:
+        why = "the program was suspended"
+    for robot in list(_open):
+        robot.halt(f"{why}, and the robot was stopped before that")
+
+
+def _handle_signals() -> None:
+    """Have every open robot stopped by each signal before it ends the program.
+
+    Raises RuntimeError in a thread that cannot arrange that.
+    """
+    if in_main_thread():
+        halting_first(_halt_all)
+        return
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        raise RuntimeError(
+            "a robot in this thread could not be stopped by a signal: import Robot in the main "
+            "thread before this one starts"
+        )
+    _watch_main_thread()
+
+
+@cache
+def _watch_main_thread() -> None:
+    """Once Ctrl-C has ended the main thread, stop the robots that other threads drive on."""
+
+    def watch() -> None:
+        threading.main_thread().join()
+        if isinstance(getattr(sys, "last_value", None), KeyboardInterrupt):
+            _halt_all(signal.SIGINT)
+
+    threading.Thread(target=watch, name="bilprov robots", daemon=True).start()
+
+
+if in_main_thread():  # a robot that is opened in another thread later needs it
+    _handle_signals()
 
 
 class PortDriver(Driver):
@@ -33,10 +134,17 @@ class PortDriver(Driver):
     that cannot be opened, NoAnswer if the robot does not answer, GrammarError and ValueError for
     wrong use.
 
-    Within `with`, the robot is also homed after Ctrl-C, and after SIGTERM and SIGHUP unless the
-    program handles them itself; a second signal waits until homing has ended. Ctrl-Z stops it
-    before the program is suspended; once that is continued, RobotError is raised. An exception
-    raised in the block is kept; if the robot could not be homed, a note on the exception says so.
+    Within `with`, the robot is also homed after Ctrl-C, and after any other signal that ends the
+    program unless the program handles it itself; a second signal waits until homing has ended.
+    Ctrl-Z stops it before the program is suspended; once that is continued, RobotError is raised.
+    An exception raised in the block is kept; if the robot could not be homed, a note on the
+    exception says so. A robot that is dropped without `close`, or is open when the program ends, is
+    homed too, with a ResourceWarning.
+
+    Several threads may use it, and it may be opened in any of them: a signal stops it there too,
+    and if the program goes on, whoever uses it next gets a RobotError. Signals can only be handled
+    from the main thread, so that has to import this class before another thread opens a robot;
+    RuntimeError otherwise.
     """
 
     def __init__(
@@ -53,15 +161,19 @@ class PortDriver(Driver):
             grammar = load_protocol(None if grammar is None else str(grammar))
         if timeout is not None and not 0 < timeout < math.inf:
             raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
+        _handle_signals()
         self._port = open_port(url, line_settings(grammar, baud, parity, stopbits))
         self._open = True
         self._signals = ExitStack()
         try:
             super().__init__(grammar, PortWire(self._port), timeout)
+            self._held = _OpenRobot(self.protocol, self._port, self._turns)
             self.home()
         except BaseException:
             self._port.close()
             raise
+        self._dropped = weakref.finalize(self, self._held.drop)
+        _open.add(self._held)
 
     def close(self) -> None:
         """Home the robot and close the port; further calls do nothing.
@@ -72,16 +184,32 @@ class PortDriver(Driver):
         if not self._open:
             return
         with undisturbed(again=True):
-            self._open = False
-            try:
-                if not home_once(self.protocol, self._wire):
-                    raise self._nobody()
-            finally:
-                self._port.close()
+            self._open = False  # first: other threads send nothing more
+            with self._turns.taken():
+                try:
+                    if not home_once(self.protocol, self._wire):
+                        raise self._nobody()
+                finally:
+                    self._dropped.detach()
+                    _open.discard(self._held)
+                    self._port.close()
+
+    def wait(self, milliseconds: float) -> None:
+        """Wait for the given time; other threads may use the robot meanwhile.
+
+        Raises RobotError if the robot sends an unsolicited byte, and LinkError.
+        """
+        until = time.monotonic() + milliseconds / 1000
+        super().wait(0)
+        while (left := until - time.monotonic()) > 0:
+            time.sleep(min(left, _TURN))
+            super().wait(0)
 
     def __enter__(self) -> Self:
-        self._signals.enter_context(ending_in_order(self._halt))
-        self._signals.enter_context(suspending(self._halt, self._continued))
+        self._held.in_block = in_main_thread()
+        self._signals.enter_context(ending_in_order(_halt_all))
+        suspended = partial(_halt_all, signal.SIGTSTP)
+        self._signals.enter_context(suspending(suspended, self._continued))
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -96,10 +224,16 @@ class PortDriver(Driver):
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self._port.name} {self.protocol.name}>"
 
-    def _halt(self) -> None:
-        self._in_step = False
-        with suppress(LinkError):
-            self._port.write(stops(self.protocol))
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        with super()._alone():
+            if not self._open:
+                raise LinkError(f"{self._port.name} is closed")
+            if self._held.halted:
+                self._in_step = self._held.halted = False
+                if self._held.why:
+                    raise RobotError(self._held.why)
+            yield
 
     def _continued(self) -> None:
         if self._open:

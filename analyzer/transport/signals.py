@@ -1,4 +1,7 @@
-"""Handling of SIGINT (Ctrl-C), SIGTERM, SIGHUP and SIGTSTP (Ctrl-Z), for who drives a robot."""
+"""Handling of the signals that end or suspend a process, for who drives a robot.
+
+Which signals end a process is listed in one place, `transport.ending`.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,36 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
+from bilprov.analyzer.transport.ending import ENDINGS, REQUESTS, note_ending
 from bilprov.captures.closing import Closing
 
 Handler = Callable[[int, FrameType | None], object]
 
 
-class Stopper(Closing):
-    """Turns SIGINT, SIGTERM and SIGHUP into a clean stop: `fileno()` is readable from then on.
+@dataclass(frozen=True, slots=True)
+class _HaltFirst:
+    """The handler of `halting_first`: it counts as none, since the usual follows."""
 
-    As a context manager it installs handlers for the three signals (in the main thread; elsewhere
-    it only offers `stop`) and restores the old handlers at the end. A SIGHUP that is ignored
-    already, as under nohup, stays ignored. A second signal has no effect, so that a command can
-    finish its file; SIGQUIT (Ctrl-\\) still ends the process at once. A program that goes on after
-    Ctrl-C, such as a prompt, takes the request back by `withdraw`.
+    halt: Callable[[int], object]
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.halt(number)
+        _as_usual(number)
+
+
+class Stopper(Closing):
+    """Turns each signal that ends a process into a clean stop: `fileno()` is readable from then on.
+
+    As a context manager it handles these signals (in the main thread; elsewhere it only offers
+    `stop`) and restores the old handlers at the end. A signal that is ignored already, as SIGHUP is
+    under nohup, stays ignored, but for SIGINT and SIGTERM. A second signal has no effect, so that a
+    command can finish its file. A program that goes on after Ctrl-C, such as a prompt, takes the
+    request back by `withdraw`.
     """
 
     def __init__(self) -> None:
@@ -90,10 +107,8 @@ class Stopper(Closing):
         self._writer.close()
 
     def __enter__(self) -> Self:
-        if _in_main_thread():
-            self._handlers.enter_context(
-                _handled(_heeded(), lambda number, frame: self.stop(number))
-            )
+        if in_main_thread():
+            self._handlers.enter_context(_handled(_heeded(), self._end))
             # A signal that comes between the interpreter's own check and the select call would be
             # handled only at the next event. The wakeup descriptor, which C code writes, ends the
             # select at once.
@@ -101,39 +116,40 @@ class Stopper(Closing):
             self._handlers.callback(_restore_wakeup, old)
         return self
 
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        note_ending(number)
+        self.stop(number)
+
 
 @contextmanager
 def undisturbed(*, again: bool) -> Iterator[None]:
     """Hold signals back until the block ends, so that it can stop the robot first.
 
-    If `again`, the first signal that came is raised afterwards. Without effect outside the main
-    thread.
+    If `again`, those that came are raised afterwards. Without effect outside the main thread.
     """
-    heard: list[int] = []
-    with _handled(_heeded(), lambda number, frame: heard.append(number)):
+    heard: dict[int, None] = {}
+    with _handled(_held_back(), lambda number, frame: heard.setdefault(number)):
         yield
-    if heard and again:
-        signal.raise_signal(heard[0])
+    for number in heard if again else ():
+        signal.raise_signal(number)
 
 
 @contextmanager
-def ending_in_order(halt: Callable[[], object]) -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP, where they have no handler, into SystemExit inside the block.
+def ending_in_order(halt: Callable[[int], object]) -> Iterator[None]:
+    """Turn each signal that ends a process into SystemExit inside the block.
 
-    So the block's cleanup runs, as it does after Ctrl-C. `halt` is called first, also by Ctrl-C
-    where the program does not handle it: a second signal may end the cleanup before it has begun.
-    Without effect outside the main thread.
+    So the block's cleanup runs, as it does after Ctrl-C. `halt` is called first with the signal,
+    also by Ctrl-C: a second signal may end the cleanup before it has begun. A signal that the
+    program handles or ignores stays so. Without effect outside the main thread.
     """
 
     def end(number: int, frame: FrameType | None) -> None:
-        halt()
+        halt(number)
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         sys.exit(128 + number)
 
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    usual = (signal.SIG_DFL, signal.default_int_handler)
-    with _handled([number for number in numbers if signal.getsignal(number) in usual], end):
+    with handled_endings(end):
         yield
 
 
@@ -149,22 +165,46 @@ def suspending(
 
     def suspend(number: int, frame: FrameType | None) -> None:
         halt()
-        signal.signal(number, signal.SIG_DFL)
-        signal.raise_signal(number)  # returns once the process is continued
-        signal.signal(number, suspend)
+        _as_usual(number)
         continued()
 
-    unhandled = signal.getsignal(signal.SIGTSTP) is signal.SIG_DFL
-    with _handled([signal.SIGTSTP] if unhandled else [], suspend):
+    with _handled(_unhandled([signal.SIGTSTP]), suspend):
         yield
 
 
+def halting_first(halt: Callable[[int], object]) -> None:
+    """Let each signal call `halt` before it ends or suspends the process as usual, from now on.
+
+    Only for the main thread. A signal that the program handles or ignores stays so, and so does
+    SIGINT, which is an exception in Python; asyncio asks for the usual handler of it.
+    """
+
+    for number in _unhandled([*ENDINGS, signal.SIGTSTP]):
+        if number != signal.SIGINT:
+            signal.signal(number, _HaltFirst(halt))
+
+
 @contextmanager
-def _handled(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[None]:
+def handled_endings(handler: Handler) -> Iterator[None]:
+    """Handle each signal that ends a process, unless the program itself handles or ignores it.
+
+    Without effect outside the main thread.
+    """
+    with _handled(_unhandled(ENDINGS), handler):
+        yield
+
+
+def in_main_thread() -> bool:
+    """Whether signals can be handled from here."""
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextmanager
+def _handled(numbers: Iterable[int], handler: Handler) -> Iterator[None]:
     """Handle signals by `handler` until the block ends. Without effect outside the main thread."""
-    old: dict[signal.Signals, Any] = {}
+    old: dict[int, Any] = {}
     try:
-        for number in numbers if _in_main_thread() else ():
+        for number in numbers if in_main_thread() else ():
             old[number] = signal.signal(number, handler)
         yield
     finally:
@@ -172,8 +212,11 @@ def _handled(numbers: Iterable[signal.Signals], handler: Handler) -> Iterator[No
             signal.signal(*old.popitem())
 
 
-def _in_main_thread() -> bool:
-    return threading.current_thread() is threading.main_thread()
+def _as_usual(number: int) -> None:
+    """End or suspend the process by a signal; returns once a suspended one is continued."""
+    handler = signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
+    signal.signal(number, handler)
 
 
 def _restore_wakeup(descriptor: int) -> None:
@@ -183,12 +226,45 @@ def _restore_wakeup(descriptor: int) -> None:
         signal.set_wakeup_fd(-1)
 
 
-def _heeded() -> Iterator[signal.Signals]:
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+def _heeded() -> set[int]:
+    """The signals that ask a command to end."""
+    heeded = set(_unhandled(ENDINGS))
+    for number in REQUESTS:
         handler = signal.getsignal(number)
         # nohup ignores SIGHUP so that the run goes on without its terminal. A shell's background
         # jobs ignore SIGINT too, but there `kill -INT` is how a script ends what it started.
-        nohup = number is signal.SIGHUP and handler is signal.SIG_IGN
+        nohup = number == signal.SIGHUP and handler is signal.SIG_IGN
         # None is a handler that was not set from Python and cannot be put back from here.
         if handler is not None and not nohup:
-            yield number
+            heeded.add(number)
+    return heeded
+
+
+def _held_back() -> list[int]:
+    """The signals that would end the process, or whose handlers could raise an exception."""
+    unhandled = _unhandled(ENDINGS)
+    return [n for n in ENDINGS if n in unhandled or callable(signal.getsignal(n))]
+
+
+def _unhandled(numbers: Iterable[int]) -> list[int]:
+    """Those of the signals that the program neither handles nor ignores."""
+    caught = _caught()
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    found = []
+    for number in numbers:
+        handler = signal.getsignal(number)
+        in_c = handler is signal.SIG_DFL and caught >> (number - 1) & 1
+        if isinstance(handler, _HaltFirst) or (handler in usual and not in_c):
+            found.append(number)
+    return found
+
+
+def _caught() -> int:
+    """A bit for each signal that has a handler, also those set in C, which Python does not know of.
+
+    A profiler and `faulthandler.register` set such; 0 where the system does not tell.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        _, caught = Path("/proc/self/status").read_bytes().split(b"SigCgt:")
+        return int(caught.split()[0], 16)
+    return 0

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 
+from benchmarks.dispositions import usual_for_children
 from benchmarks.torture.harm import Harm, Measured, measured
 from benchmarks.torture.harms import HARMS
 from benchmarks.torture.page import page
@@ -36,6 +37,7 @@ def main() -> int:
         parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(HARMS)}")
     if given.runs is not None and given.runs < 1:
         parser.error(f"--runs {given.runs}: one at least")
+    usual_for_children()
     chosen = [HARMS[name] for name in given.harm or HARMS]
     held = True
     for harm in chosen:

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bilprov.analyzer.cli.options import confirm_motion, line_options, note, note_hindrances
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    line_options,
+    note,
+    note_hindrances,
+    note_suspension,
+)
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
@@ -142,6 +148,8 @@ def learn(
         if target.moves:
             _confirm(target, robot, seed)
         stack.enter_context(stopper)
+        if target.moves:
+            stopper.before_suspending(target.halt)
         shown = stack.enter_context(bar())
         task = shown.add_task("", total=None)
 
@@ -154,6 +162,7 @@ def learn(
             raise NotUsable(str(why)) from why
         if target.remark():
             note(target.remark())
+    note_suspension(stopper)
     _write(learned, dot, svg, json_path)
     onto_stdout = STANDARD_OUTPUT in (dot, svg, json_path)
     for line in _told(learned):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.link import HELD_ANSWERS, Device, LinkListener
 from bilprov.conformance.dut.operations import (
     Listen,
@@ -35,7 +36,7 @@ class VirtualLink:
         return self._now
 
     def do(self, operation: Operation) -> Reply:
-        """Do one operation at once. Raises RuntimeError for a deadline that does not advance."""
+        """Do one operation at once. Raises DeviceError for a deadline that does not advance."""
         match operation:
             case Send(data):
                 if self._tap:
@@ -48,7 +49,10 @@ class VirtualLink:
                     due = self._device.deadline()
                     self._pass(until if due is None else min(until, max(due, self._now)))
                     if due is not None and due <= self._now and self._device.deadline() == due:
-                        raise RuntimeError("the device's deadline does not advance")
+                        raise DeviceError(
+                            f"the device's deadline gave {due} again after advance({self._now}); "
+                            "it must give a later time, or None"
+                        )
                 heard, self._heard = tuple(self._heard), []
                 if heard:
                     # An answer takes a byte's time on the wire: the host sends only after it.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Collection, Generator, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -15,6 +15,7 @@ from bilprov.analyzer.cli.options import NotConfirmed, confirm_motion
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.signals import handled_endings
 from bilprov.captures.text import printable
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
@@ -29,9 +30,6 @@ from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
 from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import GrammarError, Protocol
-
-_GONE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_UNHANDLED = (signal.SIG_DFL, signal.default_int_handler)
 
 
 class RobotSession:
@@ -64,7 +62,7 @@ class RobotSession:
             )
         self._wanted = self._asked_for()
         self._left: list[str] = []
-        self._old: dict[signal.Signals, Any] = {}
+        self._signals = ExitStack()
 
     def _asked_for(self) -> frozenset[str]:
         """The ids of the cases that the command line names; all of them where it names nothing."""
@@ -156,14 +154,11 @@ class RobotSession:
                 yield extra
 
     def _heed_signals(self) -> None:
-        """Treat SIGTERM and SIGHUP as Ctrl-C, so that a cancelled job leaves no robot driving.
+        """Treat each signal that ends pytest as Ctrl-C, so that none leaves a robot driving.
 
         The run is told at once: pytest itself may not hear of a second Ctrl-C in time to end it.
         """
-        if threading.current_thread() is threading.main_thread():
-            for number in _GONE:
-                if signal.getsignal(number) in _UNHANDLED:
-                    self._old[number] = signal.signal(number, self._end)
+        self._signals.enter_context(handled_endings(self._end))
 
     def _end(self, number: int, frame: FrameType | None) -> None:
         self.bench.interrupt()
@@ -177,8 +172,7 @@ class RobotSession:
     def pytest_unconfigure(self) -> None:
         """Close the port and restore the signal handlers."""
         self.bench.close()
-        while self._old:
-            signal.signal(*self._old.popitem())
+        self._signals.close()
 
     # -- telling ----------------------------------------------------------------------------------
 

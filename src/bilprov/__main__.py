@@ -13,6 +13,7 @@ from click import exceptions
 
 from bilprov.analyzer.output.help import Group, with_pages
 from bilprov.analyzer.settings import read_settings
+from bilprov.analyzer.transport.ending import exit_status
 
 
 class Row(NamedTuple):
@@ -237,7 +238,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             status = streams.settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
         except BaseException as error:
             status = streams.settled(report(error))
-    sys.exit(status)
+    sys.exit(exit_status(status))
 
 
 def _run(arguments: list[str]) -> int:

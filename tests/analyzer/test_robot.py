@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import os
 import pickle
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +20,7 @@ import pytest
 
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.robot import Robot
+from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
@@ -31,7 +34,6 @@ from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import RESERVED
 from tests.support import ROOT
 from tests.support.robots import PATIENCE, served_here, simulate
-from tests.support.signals import ignoring
 
 pytestmark = pytest.mark.waits
 
@@ -426,12 +428,32 @@ with Robot(sys.argv[1]) as robot:
     time.sleep(60)
 """
 
-ENDED = {signal.SIGINT: -signal.SIGINT, signal.SIGTERM: 143, signal.SIGHUP: 129}
+ENDED = {number: 128 + number for number in ENDINGS} | {signal.SIGINT: -signal.SIGINT}
 
 
+@contextmanager
+def program(text: str, port: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A program that drives the robot at the port, once it has said so."""
+    with subprocess.Popen(
+        [sys.executable, "-c", text, port],
+        bufsize=0,
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"driving\n"
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("number", ENDED)
 def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
-    protocol: Protocol, number: signal.Signals
+    protocol: Protocol, number: int
 ) -> None:
     device = Scripted(protocol)
     alive: list[bool] = []
@@ -446,18 +468,7 @@ def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
                 alive.append(True)
 
     device.hearing = ended_again
-    with (
-        served_here(device) as (port, _),
-        ignoring(),
-        subprocess.Popen(
-            [sys.executable, "-c", DRIVING, port],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        ) as process,
-    ):
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"driving\n"
+    with served_here(device) as (port, _), program(DRIVING, port) as process:
         assert device.state.moving
         process.send_signal(number)
         process.wait(PATIENCE)
@@ -467,11 +478,185 @@ def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
     assert process.returncode == ENDED[number]
 
 
+THREADED = """\
+import sys, threading, time
+from bilprov import Robot
+
+def drive():
+    with Robot(sys.argv[1]) as robot:
+        robot.speed(100)
+        robot.forward()
+        print("driving", flush=True)
+        while True:
+            robot.wait(20)
+            robot.forward()
+
+thread = threading.Thread(target=drive)
+thread.start()
+while thread.is_alive():
+    time.sleep(1)
+"""
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("number", ENDED)
+def test_a_robot_in_another_thread_is_stopped_before_a_signal_ends_the_program(
+    protocol: Protocol, number: int
+) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(THREADED, port) as process:
+        assert device.state.moving
+        process.send_signal(number)
+        process.wait(PATIENCE)
+
+    assert not device.state.moving
+    assert process.returncode == -number
+
+
+def test_ctrl_c_ends_the_thread_that_drives_too(protocol: Protocol) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(THREADED, port) as process:
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=PATIENCE)
+
+    assert not device.state.moving
+    assert b"RobotError: SIGINT came, and the robot was stopped before that" in told
+
+
+def test_ctrl_z_stops_a_robot_in_another_thread_before_the_program_is_suspended(
+    protocol: Protocol,
+) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(THREADED, port) as process:
+        process.send_signal(signal.SIGTSTP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        moving = device.state.moving
+        process.send_signal(signal.SIGCONT)
+        _, told = process.communicate(timeout=PATIENCE)
+
+    assert not moving
+    assert not device.state.moving
+    assert b"RobotError: the program was suspended, and the robot was stopped" in told
+
+
+LATE_IMPORT = """\
+import sys, threading
+
+def drive():
+    from bilprov import Robot
+    try:
+        Robot(sys.argv[1])
+    except RuntimeError as error:
+        print("driving")
+        print(error, flush=True)
+
+thread = threading.Thread(target=drive)
+thread.start()
+thread.join()
+"""
+
+
+def test_a_robot_that_no_signal_could_stop_is_refused(protocol: Protocol) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(LATE_IMPORT, port) as process:
+        told, errors = process.communicate(timeout=PATIENCE)
+
+    assert told == (
+        b"a robot in this thread could not be stopped by a signal: import Robot in the main thread "
+        b"before this one starts\n"
+    )
+    assert errors == b""
+    assert device.heard == b""
+
+
+DROPPED = """\
+import sys
+from bilprov import Robot
+
+robot = Robot(sys.argv[1])
+robot.speed(100)
+robot.forward()
+print("driving", flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.mark.parametrize("how", ["", "del robot\nimport time\ntime.sleep(60)\n", "1 / 0\n"])
+def test_a_robot_that_nobody_closes_is_homed_with_a_warning(protocol: Protocol, how: str) -> None:
+    device = Scripted(protocol)
+    text = "import warnings\nwarnings.simplefilter('always')\n" + DROPPED + how
+    with served_here(device) as (port, _), program(text, port) as process:
+        assert device.state.moving
+        assert process.stdin is not None
+        assert process.stderr is not None
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        told = b""
+        while b"ResourceWarning" not in told:
+            line = process.stderr.readline()
+            assert line, told
+            told += line
+        moving = device.state.moving
+
+    assert not moving
+    assert f"the robot at {port} was never closed, and was stopped only now".encode() in told
+
+
+def test_a_robot_that_is_closed_is_dropped_without_a_warning(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, device, _):
+        robot.close()
+        device.heard = b""
+        del robot
+
+    assert device.heard == b""
+
+
+def test_a_child_process_leaves_its_parents_robot_alone(protocol: Protocol) -> None:
+    text = DROPPED.replace(
+        "sys.stdin.readline()", "import os\nif os.fork(): os.wait(); os._exit(0)"
+    )
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(text, port) as process:
+        process.wait(PATIENCE)
+
+    assert device.state.moving
+
+
+@pytest.mark.parametrize("threads", [2, 8])
+def test_threads_take_turns_with_one_robot(protocol: Protocol, threads: int) -> None:
+    """Each gets the answers to its own instructions, and a wait keeps nobody out."""
+
+    def drive(number: int) -> int:
+        named = [robot.send_bytes(b"\x90") for _ in range(10)]
+        lit = [robot.led(number % 8) for _ in range(10)]
+        robot.wait(5)
+        return len({answer.name for (answer,) in named} | {answer.name for answer in lit})
+
+    with driven(protocol) as (robot, device, _), ThreadPoolExecutor(threads) as pool:
+        kinds = list(pool.map(drive, range(threads)))
+        heard = device.heard
+
+    assert kinds == [2] * threads
+    assert len(heard) == threads * 30
+
+
+def test_a_long_wait_in_one_thread_leaves_the_robot_to_the_others(protocol: Protocol) -> None:
+    with driven(protocol) as (robot, device, _), ThreadPoolExecutor(1) as pool:
+        robot.forward()
+        waiting = pool.submit(robot.wait, PATIENCE * 1000)
+        robot.stop()
+        assert not device.state.moving
+        assert not waiting.done()
+        robot.close()
+        with pytest.raises(LinkError, match="is closed"):
+            waiting.result(PATIENCE)
+
+
 def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))
     try:
-        with ending_in_order(lambda: None):
+        with ending_in_order(lambda number: None):
             signal.raise_signal(signal.SIGTERM)
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -481,7 +666,7 @@ def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
 
 def test_the_signals_are_given_back() -> None:
     before = [signal.getsignal(n) for n in ENDED]
-    with ending_in_order(lambda: None), undisturbed(again=True):
+    with ending_in_order(lambda number: None), undisturbed(again=True):
         assert [signal.getsignal(n) for n in ENDED] != before
 
     assert [signal.getsignal(n) for n in ENDED] == before

@@ -20,7 +20,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from tests.support import ROOT
-from tests.support.signals import ignoring
 
 START = 1_790_000_000_000_000_000
 PATIENCE = 60.0  # s; what takes longer hangs
@@ -250,7 +249,6 @@ def test_ctrl_c_finishes_the_file_and_kill_9_leaves_a_whole_part(
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-c", INTERRUPTED, str(path)]
     with (
-        ignoring(),
         subprocess.Popen(
             command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as child,

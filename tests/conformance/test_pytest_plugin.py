@@ -20,7 +20,6 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.firmware import AVR, QEMU, built
 from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, simulate
-from tests.support.signals import ignoring
 
 pytestmark = pytest.mark.waits
 
@@ -465,18 +464,17 @@ def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     run: pytest.Pytester, number: signal.Signals
 ) -> None:
     with simulate() as robot:
-        with ignoring():
-            process = subprocess.Popen(
-                [
-                    *(sys.executable, "-m", "pytest", *PLUGIN, "-v", "--robot-yes"),
-                    *("--robot-port", robot.port, "--robot-probe", robot.probe),
-                    *("--robot-only", "unused-id/*"),
-                ],
-                cwd=run.path,
-                stdout=subprocess.PIPE,
-                text=True,
-                env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            )
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "pytest", *PLUGIN, "-v", "--robot-yes"),
+                *("--robot-port", robot.port, "--robot-probe", robot.probe),
+                *("--robot-only", "unused-id/*"),
+            ],
+            cwd=run.path,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
         with process:
             assert process.stdout is not None
             for line in process.stdout:

@@ -23,7 +23,6 @@ from tests.support import ROOT
 from tests.support.commands import Done, command
 from tests.support.grammars import wide_grammar
 from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here
-from tests.support.signals import ignoring
 from tests.support.terminals import (
     CONTINUE,
     CTRL_C,
@@ -242,7 +241,7 @@ def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped(protocol
 def test_a_device_that_floods_the_line_is_stopped_and_fills_neither_screen_nor_memory(
     protocol: Protocol,
 ) -> None:
-    with car(protocol, more=b"\x00" * 1000) as (device, port, _), ignoring():
+    with car(protocol, more=b"\x00" * 1000) as (device, port, _):
         process = subprocess.Popen(
             [sys.executable, "-m", "bilprov", "shell", port, "--yes"],
             stdin=subprocess.PIPE,

@@ -32,7 +32,6 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.signals import ignoring
 
 MS = 1_000_000
 BYTE_TIME = 86_806  # ns at 115,200 8N1
@@ -226,15 +225,14 @@ def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextM
 
 @contextmanager
 def _serving(*words: str, lines: int = 2) -> Iterator[Served]:
-    with ignoring():
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bilprov", *words, "--probe-listen", "127.0.0.1:0"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=ROOT,
-        )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bilprov", *words, "--probe-listen", "127.0.0.1:0"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
     with process:
         assert process.stdout is not None
         assert process.stderr is not None

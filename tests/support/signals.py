@@ -1,26 +1,29 @@
-"""Sets which signals a process that a test starts ignores, however the tests were started."""
+"""Sets which signals a process that a test starts ignores; without that it ignores none."""
 
 from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 
 @contextmanager
 def ignoring(*ignored: signal.Signals) -> Iterator[None]:
-    """A process that is started inside ignores these of SIGINT, SIGHUP and SIGTERM and no others.
-
-    A background job of a shell ignores SIGINT and what nohup starts ignores SIGHUP, and both hand
-    that on to what they start.
-    """
-    before = {}
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
-        handler = signal.SIG_IGN if number in ignored else signal.SIG_DFL
-        if (signal.getsignal(number) is signal.SIG_IGN) is not (number in ignored):
-            before[number] = signal.signal(number, handler)
+    """A process that is started inside ignores these, as nohup and a shell's `&` have it."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ignored}
     try:
         yield
     finally:
-        for known, was in before.items():
-            signal.signal(known, was)
+        for number, was in before.items():
+            signal.signal(number, was)
+
+
+@contextmanager
+def handled(number: int, handler: Any) -> Iterator[None]:
+    """A signal has this handler inside."""
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)

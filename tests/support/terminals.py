@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from tests.support import ROOT
-from tests.support.signals import ignoring
 
 CONTINUE = "fg; echo ended with $?\n"
 PATIENCE = 30.0  # s; a test that waits longer hangs
@@ -97,17 +96,16 @@ def _terminal(
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     # Nothing here answers when a program asks where the cursor is.
     variables = {"TERM": "xterm", "PROMPT_TOOLKIT_NO_CPR": "1"} | more
-    with ignoring():
-        process = subprocess.Popen(
-            words,
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            cwd=ROOT,
-            env=os.environ | variables,
-            start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-        )
+    process = subprocess.Popen(
+        words,
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        cwd=ROOT,
+        env=os.environ | variables,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
     os.close(slave)
     terminal = Terminal(process, master)
     try:

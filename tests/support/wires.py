@@ -17,7 +17,6 @@ from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.robots import served_here
-from tests.support.signals import ignoring
 
 PATIENCE = 20.0  # s; a test that waits longer hangs
 
@@ -30,14 +29,13 @@ class Running:
     """The command while it runs."""
 
     def __init__(self, *arguments: str) -> None:
-        with ignoring():
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                cwd=ROOT,
-            )
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
         assert self.process.stdout is not None
         assert self.process.stderr is not None
         self.stdout, self.stderr = self.process.stdout, self.process.stderr

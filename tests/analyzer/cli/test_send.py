@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -122,6 +123,23 @@ def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -
 
     assert (code, err) == (1, b"2 of 3 instructions were sent\n")
     assert (device.state.moving, device.state.speed) == (False, 9)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 1), (signal.SIGQUIT, 131)])
+def test_a_last_pause_that_is_cut_short_is_told_too(
+    protocol: Protocol, number: signal.Signals, status: int
+) -> None:
+    device = Simulator(protocol)
+    with (
+        served_here(device) as (port, _),
+        running("send", port, "Forward", "pause=60000", "--yes") as command,
+    ):
+        for _ in range(2):
+            command.stdout.readline()
+        code, _, err = command.end(number)
+
+    assert (code, err) == (status, b"stopped before the end of the last pause\n")
+    assert not device.state.moving
 
 
 # -- what the answers are worth -------------------------------------------------------------------

@@ -23,7 +23,6 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import MS, Event, conversation
-from tests.support.signals import ignoring
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -415,8 +414,7 @@ def test_ctrl_c_ends_it_without_a_word_and_leaves_no_json(
     interrupt = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
     grammar.write_text(grammar_text + interrupt, encoding="utf-8")
 
-    with ignoring():
-        result = process("--grammar", str(grammar), "stats", EXAMPLES, "--json", str(file))
+    result = process("--grammar", str(grammar), "stats", EXAMPLES, "--json", str(file))
 
     assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
     assert not file.exists()

@@ -24,7 +24,6 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import parse_address
 from tests.support import ROOT
 from tests.support.robots import PATIENCE
-from tests.support.signals import ignoring
 
 pytestmark = pytest.mark.waits
 
@@ -359,14 +358,13 @@ print("finished", flush=True)
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_serving_cleanly(number: signal.Signals) -> None:
-    with ignoring():
-        process = subprocess.Popen(
-            [sys.executable, "-W", "error", "-c", SERVING],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=ROOT,
-        )
+    process = subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", SERVING],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
     with process as child:
         assert child.stdout is not None
         assert child.stderr is not None

@@ -2,10 +2,32 @@
 
 from __future__ import annotations
 
+import faulthandler
 import select
 import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from tempfile import TemporaryFile
 
-from bilprov.analyzer.transport.signals import Stopper
+import pytest
+
+from bilprov.analyzer.transport.ending import ENDINGS, exit_status
+from bilprov.analyzer.transport.signals import (
+    Stopper,
+    ending_in_order,
+    halting_first,
+    undisturbed,
+)
+from tests.support.signals import handled
+
+
+@pytest.fixture(autouse=True)
+def _forgotten() -> Iterator[None]:
+    """A test that ends early leaves no signal for a command that a later test runs here."""
+    yield
+    exit_status(0)
 
 
 def _asked(stopper: Stopper) -> bool:
@@ -24,6 +46,79 @@ def test_a_stop_can_be_taken_back_and_asked_for_again() -> None:
             assert _asked(stopper)
             assert stopper.withdraw(signal.SIGINT)
             assert not _asked(stopper)
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_each_signal_that_ends_a_process_asks_for_a_stop(number: int) -> None:
+    usual = number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    with handled(number, signal.SIG_DFL), Stopper() as stopper:
+        signal.raise_signal(number)
+        assert _asked(stopper)
+
+    assert exit_status(3) == (3 if usual else 128 + number)
+    assert exit_status(3) == 3
+
+
+ASK_EACH = """\
+import os, signal
+from bilprov.analyzer.transport.ending import ENDINGS
+for number in range(1, signal.NSIG):
+    if signal.getsignal(number) is not signal.SIG_DFL or number in ENDINGS:
+        continue
+    child = os.fork()
+    if not child:
+        signal.raise_signal(number)
+        os._exit(0)
+    _, status = os.waitpid(child, os.WUNTRACED)
+    if os.WIFSTOPPED(status):
+        os.kill(child, signal.SIGKILL)
+    elif os.WIFSIGNALED(status):
+        print(signal.Signals(number).name)
+"""
+
+
+def test_the_signals_that_end_a_process_and_are_not_handled_are_those_of_a_crash() -> None:
+    ran = subprocess.run(
+        [sys.executable, "-c", ASK_EACH], stdout=subprocess.PIPE, check=True, text=True
+    )
+
+    crashes = {"SIGILL", "SIGTRAP", "SIGABRT", "SIGBUS", "SIGFPE", "SIGSEGV", "SIGSYS"}
+    assert set(ran.stdout.split()) == crashes | {"SIGKILL"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1])
+def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals) -> None:
+    with (
+        handled(number, signal.SIG_IGN),
+        Stopper() as stopper,
+        ending_in_order(lambda number: None),
+        undisturbed(again=True),
+    ):
+        signal.raise_signal(number)
+        assert not _asked(stopper)
+
+
+def test_a_handler_that_python_does_not_know_of_stays() -> None:
+    with handled(signal.SIGUSR1, signal.SIG_DFL), TemporaryFile() as told:
+        faulthandler.register(signal.SIGUSR1, file=told)
+        try:
+            with Stopper() as stopper, ending_in_order(lambda number: None):
+                signal.raise_signal(signal.SIGUSR1)
+                assert not _asked(stopper)
+        finally:
+            faulthandler.unregister(signal.SIGUSR1)
+        told.seek(0)
+        assert b"test_signals.py" in told.read()
+
+
+def test_asyncio_finds_its_signal_as_it_was() -> None:
+    with ExitStack() as stack:
+        for number in (*ENDINGS, signal.SIGTSTP):
+            stack.enter_context(handled(number, signal.SIG_DFL))
+        stack.enter_context(handled(signal.SIGINT, signal.default_int_handler))
+        halting_first(lambda number: None)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
 
 
 def test_a_stop_for_another_cause_stands() -> None:

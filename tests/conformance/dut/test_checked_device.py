@@ -34,6 +34,7 @@ BROKEN = [
     ({"advance": lambda now: "\0"}, "the device's advance gave '\\x00'; it must give bytes"),
     ({"advance": lambda now: None}, "the device's advance gave None"),
     ({"deadline": lambda: 1.5}, "the device's deadline gave 1.5"),
+    ({"deadline": lambda: -1}, "the device's deadline gave -1 again after advance("),
     ({"receive": raising}, "the device's receive raised KeyError: 'x"),
     ({"look": lambda: Look(t=0, moving=False)}, "the device's look raised TypeError"),
     ({"deadline": None}, "the device object Own has no method deadline"),

@@ -17,6 +17,7 @@ from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut import port_link
+from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.operations import (
@@ -161,7 +162,7 @@ def test_a_device_whose_deadline_does_not_advance_is_wrong_use(protocol: Protoco
 
     link = VirtualLink(Stuck(protocol), BYTE_TIME)
 
-    with pytest.raises(RuntimeError, match="deadline does not advance"):
+    with pytest.raises(DeviceError, match=r"the device's deadline gave 0 again after advance\(0\)"):
         link.do(Listen(None, MS))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.firmware import needs
 from tests.support.robots import ALL_SEEING, PATIENCE, at_rest, sentence, served_here
-from tests.support.signals import ignoring
+from tests.support.wires import running
 
 FAULT = "ok-to-faults-while-forward"
 
@@ -156,13 +157,12 @@ def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: 
 def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protocol) -> None:
     robot = Simulator(protocol)
     with served_here(robot, pty=True) as (port, probe):
-        with ignoring():
-            run = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", "learn", port, "--probe", probe, "--yes"],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                cwd=ROOT,
-            )
+        run = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", "learn", port, "--probe", probe, "--yes"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+        )
         with run:
             until = time.monotonic() + PATIENCE
             while robot.frames < 3000 and time.monotonic() < until:  # past the opening
@@ -176,3 +176,24 @@ def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protoc
     assert out.decode().splitlines()[-1] == "it was not learned to the end: interrupted"
     assert b"Traceback" not in err
     assert at_rest(robot)
+
+
+@pytest.mark.waits
+def test_ctrl_z_stops_the_robot_and_ends_the_run(protocol: Protocol) -> None:
+    robot = Simulator(protocol)
+    with (
+        served_here(robot, pty=True) as (port, probe),
+        running("learn", port, "--probe", probe, "--yes") as run,
+    ):
+        until = time.monotonic() + PATIENCE
+        while not robot.state.moving and time.monotonic() < until:
+            time.sleep(0.001)
+        run.process.send_signal(signal.SIGTSTP)
+        os.waitid(os.P_PID, run.process.pid, os.WSTOPPED)
+        time.sleep(0.1)  # for what it has sent to arrive
+        resting = at_rest(robot)
+        code, _, err = run.end(signal.SIGCONT)
+
+    assert resting
+    assert code == 3
+    assert b"the program was suspended: the robot was stopped first" in err
