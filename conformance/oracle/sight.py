@@ -150,8 +150,9 @@ class Sight:
                     f"From look {gap.first:,} of {self.looks:,} on the probe did not report "
                     f"{words} ({where})"
                 )
-        settable = ("motion", *(name for name in VARIABLES if name in variables))
-        never = [facet for facet in settable if untold((facet,), self.shown)]
+        settable = [name for name in VARIABLES if name in variables]
+        never = [name for name in settable if name not in self.shown]
+        never = ["motion"] * bool(untold(["motion"], self.shown)) + never
         if self.looks and never:
             words = ", ".join(_FACETS[facet] for facet in never)
             yield f"In none of {self.looks:,} looks did the probe report {words}"

@@ -190,13 +190,16 @@ def leave(run: Run) -> Procedure[Ended | None]:
 
 def _leave(run: Run) -> Procedure[Ended | None]:
     seen: Observation | None = None
+    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
+    case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
+    last = Trial(run, case)  # the stops are answered while the robot is watched too
     try:
         for _ in range(3):
             yield from send(pad(run))
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
             if not run.config.observable:
                 return None
-            seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+            seen = yield from watch(run, moving=False, patience=run.timers.deadline, trial=last)
             if seen.look.moving is False:
                 return None
             yield from listen(None, run.profile.truncation_timeout or run.timers.deadline)
@@ -211,8 +214,6 @@ def _leave(run: Run) -> Procedure[Ended | None]:
             return again
         return ended
     assert seen is not None
-    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
-    case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
     verdict, reason = Verdict.FAIL, "THE ROBOT STILL MOVES"
     if seen.look.moving is None:
         verdict, reason = Verdict.INCONCLUSIVE, f"{NOT_OBSERVABLE}: it may still move"

@@ -74,7 +74,10 @@ class _SequenceRun:
         run, axes, case = self._run, self._trial.axes, self._case
         actual = f"{quantity(self._whole, 'look')} as expected"
         axes.setdefault("state", Axis(Verdict.PASS, "as the model says", actual))
-        blind = untold(case.facets or tested(s.frame_effect for s in case.steps), run.sight.shown)
+        # After a fault the stop is looked for, after an instruction what it has set.
+        looked_at = (b for b in case.bursts if b.looks and not b.steps[-1].faulty)
+        effects = (step.frame_effect for burst in looked_at for step in burst.steps)
+        blind = untold(case.facets or tested(effects), run.sight.shown)
         if blind:
             reason = f"{NOT_OBSERVABLE}: {blind}"
             self._trial.worsen("state", Verdict.INCONCLUSIVE, actual, reason)

@@ -37,7 +37,9 @@ def tried(run: Run, device: Any, case: Any, stop_at: int | None = None) -> Attem
     drive(home(run), link, lambda: False)
     start = link.asks
     return drive(
-        attempt(run, case), link, lambda: stop_at is not None and link.asks - start >= stop_at
+        followed(attempt(run, case), run.sight),
+        link,
+        lambda: stop_at is not None and link.asks - start >= stop_at,
     )
 
 
