@@ -48,8 +48,8 @@ def untold(tested: Iterable[str], shown: Container[str]) -> str:
     return f"the probe does not tell {', '.join(blind)}" if blind else ""
 
 
-def tested(frame_effects: Iterable[FrameEffect]) -> list[str]:
-    """The facets that these frames set to a value of their own; a fault sets none."""
+def facets_set(frame_effects: Iterable[FrameEffect]) -> list[str]:
+    """The facets that these frames set; a fault sets none, it stops the robot."""
     effects = {frame.effect for frame in frame_effects if frame.effect is not None}
     moves = any(effect.motion not in (None, Motion.STOPPED) for effect in effects)
     names = [name for name in VARIABLES if any(effect.sets(name) for effect in effects)]

@@ -187,7 +187,10 @@ def coverage(
 
 
 def run_facts(report: Report) -> dict[str, str]:
-    """When, where and with what the run was made, and what was not seen, as labels and words, as far as it is known."""
+    """When, where and with what the run was made, and what was not seen: labels and words.
+
+    What is not known is left out.
+    """
     took = "" if report.took_s is None else f"{report.took_s:.1f} s"
     versions = ", ".join(f"{name} {version}" for name, version in report.versions.items())
     told = {"begun": report.begun, "took": took, "host": report.host, "versions": versions}

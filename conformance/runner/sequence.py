@@ -14,7 +14,7 @@ from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
-from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, tested, untold
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_set, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.sequence_answers import (
@@ -77,7 +77,7 @@ class _SequenceRun:
         # After a fault the stop is looked for, after an instruction what it has set.
         looked_at = (b for b in case.bursts if b.looks and not b.steps[-1].faulty)
         effects = (step.frame_effect for burst in looked_at for step in burst.steps)
-        blind = untold(case.facets or tested(effects), run.sight.shown)
+        blind = untold(case.facets or facets_set(effects), run.sight.shown)
         if blind:
             reason = f"{NOT_OBSERVABLE}: {blind}"
             self._trial.worsen("state", Verdict.INCONCLUSIVE, actual, reason)

@@ -28,7 +28,7 @@ class Finding:
     def fits(self, other: Finding) -> bool:
         """Whether both show the same, as far as both could tell."""
         pairs = zip(self.words, other.words, strict=True)
-        alike = all(a == b or a[0] == b[0] and "" in (a[1], b[1]) for a, b in pairs)
+        alike = all(a == b or (a[0] == b[0] and "" in (a[1], b[1])) for a, b in pairs)
         return alike and (self.fault, self.coarse) == (other.fault, other.coarse)
 
     @property
