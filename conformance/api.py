@@ -289,6 +289,7 @@ def run_suite(
             ended=runner.ended,
             device=environment.device,
             link=environment.link,
+            unseen=tuple(run.sight.sentences(grammar.limits)),
             timing=meter.report(run.waiting.timeouts),
             dropped=_dropped(grammar, options, cases, target.line),
         )

@@ -28,13 +28,15 @@ class Choices:
 
     A point that was never shown counts as the default. `allowed` are the options that were given
     (`led-upper` -> `ignore`), `led_id` the ID that the device uses for the LED where it is not the
-    document's. `others` are the points at which the device has chosen otherwise than the kit.
+    document's. `others` are the points at which the device has chosen otherwise than the kit,
+    `hidden` those at which the probe did not show its choice.
     """
 
     shown: dict[str, tuple[str, str]] = field(default_factory=dict)
     allowed: dict[str, str] = field(default_factory=dict)
     led_id: int | None = None
     others: set[str] = field(default_factory=set)
+    hidden: set[str] = field(default_factory=set)
 
     def word(self, point: str) -> str:
         """The device's choice of a point."""
@@ -43,6 +45,10 @@ class Choices:
     def differs(self, point: str) -> bool:
         """Whether the device was seen to choose otherwise than the kit does."""
         return bool(self.others) and point in self.others
+
+    def unknown(self, point: str) -> bool:
+        """Whether the device may choose either way at this point: the probe did not show it."""
+        return point in self.hidden and point not in self.shown
 
     def record(self, point: str, word: str, case: str) -> str:
         """Record that the device showed `word` in `case`.

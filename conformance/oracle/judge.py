@@ -16,8 +16,6 @@ from bilprov.spec.motion import WHEELS, State
 from bilprov.spec.open_points import POINTS, STATE_POINTS
 from bilprov.spec.protocol import Protocol
 
-NOT_OBSERVABLE = "not observable"
-
 
 def judge_answers(
     protocol: Protocol,
@@ -149,11 +147,12 @@ def _facets(
 ) -> Iterator[tuple[str, object, object]]:
     """(facet, expected, seen) for each facet that the probe reports; wheels by sign and order."""
     expected, unknown = expected_state.state, expected_state.unknown
-    if "speed" not in unknown or expected_state.still:
+    # A look that does not show whether the robot moves shows no motion either.
+    if look.moving is not None and ("speed" not in unknown or expected_state.still):
         yield "moving", expected.moving, look.moving
         if "motion" not in unknown:
             yield from _direction(model, expected_state, look)
-        elif "speed" not in unknown and expected.moving:
+        elif unknown.isdisjoint(("speed", "curve")) and expected.moving:
             yield "motion", "a curve", _curve(expected, look)
     for name in ("speed", "steering", "led"):
         seen = getattr(look, name)

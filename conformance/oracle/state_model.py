@@ -38,7 +38,8 @@ NOTHING = FrameEffect(Effect())
 class ExpectedState:
     """The state that the robot must be in, as far as it is known.
 
-    `unknown` names the variables that are not known (of speed, steering, led, motion),
+    `unknown` names the variables that are not known (of speed, steering, led, motion; curve, if a
+    rotation may have become one),
     `pending_speed` is a speed that counts only from the next motion on (R-speed-moving), `rests_on`
     are the open points at which a choice other than the default led to this state.
     """
@@ -83,7 +84,7 @@ class Model:
         if unknown:
             unknown -= {name for name, _ in effect.assignments}
         expected_state = ExpectedState(state, unknown, before.pending_speed, before.rests_on)
-        if not self.choices.others:
+        if not self.choices.others and not self.choices.hidden:
             # The device reads the document as the kit does, and there is nothing to add.
             return expected_state
         moment = moment_of(frame_effect.effect)
@@ -94,7 +95,10 @@ class Model:
             known = expected_state.unknown - {"speed"}
             expected_state = replace(expected_state, state=speed, unknown=known, pending_speed=None)
         for point in points_after(moment).values():
-            if self.choices.differs(point.id):
+            if self.choices.unknown(point.id):
+                open_now = expected_state.unknown | {point.variable}
+                expected_state = replace(expected_state, unknown=open_now)
+            elif self.choices.differs(point.id):
                 expected_state = self._otherwise(expected_state, before, point)
         return expected_state
 
@@ -102,19 +106,28 @@ class Model:
         self, expected_state: ExpectedState, before: ExpectedState, effect: Effect
     ) -> ExpectedState:
         """The expected state after a setting: changed at once, unless the device chooses else."""
+        unknown = self.choices.unknown
         if effect.sets("speed"):
             expected_state = replace(expected_state, pending_speed=None)
             directed = before.state.motion is not Motion.STOPPED
-            if directed and self.choices.differs("R-speed-moving"):
+            if directed and unknown("R-speed-moving"):
+                open_now = expected_state.unknown | {"speed"}
+                speed = expected_state.state.speed
+                expected_state = replace(expected_state, unknown=open_now, pending_speed=speed)
+            elif directed and self.choices.differs("R-speed-moving"):
                 pending_speed = expected_state.state.speed
                 state = replace(expected_state.state, speed=before.state.speed)
                 # Whether a direction without speed counts as moving is left open too.
                 unsure = before.unknown if before.state.speed else {"speed"}
-                unknown = expected_state.unknown | (unsure & {"speed"})
+                open_now = expected_state.unknown | (unsure & {"speed"})
                 rests_on = expected_state.rests_on | {"R-speed-moving"}
-                expected_state = ExpectedState(state, unknown, pending_speed, rests_on)
-        curves = self.choices.differs("R-steer-rotating")
-        if curves and effect.sets("steering") and rotates(before.state.motion):
+                expected_state = ExpectedState(state, open_now, pending_speed, rests_on)
+        if not effect.sets("steering") or not rotates(before.state.motion):
+            return expected_state
+        if unknown("R-steer-rotating"):
+            open_now = expected_state.unknown | {"motion", "curve"}
+            return replace(expected_state, unknown=open_now)
+        if self.choices.differs("R-steer-rotating"):
             rests_on = expected_state.rests_on | {"R-steer-rotating"}
             expected_state = replace(
                 expected_state, unknown=expected_state.unknown | {"motion"}, rests_on=rests_on

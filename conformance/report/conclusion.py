@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from bilprov.captures.text import quantity
-from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.run_report import Report
 

@@ -217,6 +217,11 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
         comparison=None,
         timing={},
         dropped={},
+        unseen=tuple(
+            f"shard {part.index}/{part.of}: {sentence}"
+            for part in parts
+            for sentence in part.report.unseen
+        ),
         **_run_facts(parts),
         again={ident: raw["reproduce"] for ident, raw in raws.items()},
     )

@@ -38,7 +38,7 @@ class Report(msgspec.Struct, frozen=True):
     many cases of each group a budget has left out, `proof` what the level `complete` has proven.
     `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
     name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
-    not known.
+    not known. `unseen` says what the probe did not show, and from which look on.
     """
 
     grammar: dict[str, str]
@@ -63,6 +63,7 @@ class Report(msgspec.Struct, frozen=True):
     took_s: float | None = None
     host: str = ""
     versions: dict[str, str] = {}
+    unseen: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -186,10 +187,14 @@ def coverage(
 
 
 def run_facts(report: Report) -> dict[str, str]:
-    """When, where and with what the run was made, as labels and words, as far as it is known."""
+    """When, where and with what the run was made, and what was not seen: labels and words.
+
+    What is not known is left out.
+    """
     took = "" if report.took_s is None else f"{report.took_s:.1f} s"
     versions = ", ".join(f"{name} {version}" for name, version in report.versions.items())
     told = {"begun": report.begun, "took": took, "host": report.host, "versions": versions}
+    told["not seen"] = "; ".join(report.unseen)
     return {name: words for name, words in told.items() if words}
 
 

@@ -113,7 +113,8 @@ class Head(msgspec.Struct, kw_only=True):
     `complete` has proven, null at other levels. `options.shard` is [I, N]
     for a shard, else null. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
     (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
-    of Python, its platform and the libraries that reports depend on.
+    of Python, its platform and the libraries that reports depend on. `unseen` has a sentence for
+    what the probe did not show, and from which look on.
     """
 
     kit: str
@@ -138,6 +139,7 @@ class Head(msgspec.Struct, kw_only=True):
     took_s: Seconds | None = None
     host: str | None = None
     versions: dict[str, str] = {}
+    unseen: tuple[str, ...] = ()
 
 
 class Document(Head, kw_only=True):

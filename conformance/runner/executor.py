@@ -63,7 +63,7 @@ class Runner:
 
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
-        yield from followed(self._execute(), self.run.tally, self.run.limit)
+        yield from followed(self._execute(), self.run.tally, self.run.limit, self.run.sight)
 
     def _execute(self) -> Procedure[None]:
         run = self.run

@@ -22,6 +22,7 @@ from bilprov.conformance.dut.operations import (
     observe,
     send,
 )
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
@@ -189,14 +190,17 @@ def leave(run: Run) -> Procedure[Ended | None]:
 
 def _leave(run: Run) -> Procedure[Ended | None]:
     seen: Observation | None = None
+    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
+    case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
+    last = Trial(run, case)  # the stops are answered while the robot is watched too
     try:
         for _ in range(3):
             yield from send(pad(run))
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
             if not run.config.observable:
                 return None
-            seen = yield from watch(run, moving=False, patience=run.timers.deadline)
-            if not seen.look.moving:
+            seen = yield from watch(run, moving=False, patience=run.timers.deadline, trial=last)
+            if seen.look.moving is False:
                 return None
             yield from listen(None, run.profile.truncation_timeout or run.timers.deadline)
     except Ended as ended:
@@ -210,10 +214,10 @@ def _leave(run: Run) -> Procedure[Ended | None]:
             return again
         return ended
     assert seen is not None
-    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
-    case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
-    fault = Axis(Verdict.FAIL, "stopped", look_words(seen.look), "THE ROBOT STILL MOVES")
-    run.conclude(case, {"stop": fault})
+    verdict, reason = Verdict.FAIL, "THE ROBOT STILL MOVES"
+    if seen.look.moving is None:
+        verdict, reason = Verdict.INCONCLUSIVE, f"{NOT_OBSERVABLE}: it may still move"
+    run.conclude(case, {"stop": Axis(verdict, "stopped", look_words(seen.look), reason)})
     return None
 
 
@@ -249,14 +253,14 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
 def watch(
     run: Run, *, moving: bool, patience: int, trial: Trial | None = None
 ) -> Procedure[Observation]:
-    """Observe until the robot moves (or stands still), for at most `patience` ns.
+    """Observe until the robot is seen moving (or standing), for at most `patience` ns.
 
     Link and probe are two lines: an observation right after an answer may be older than it.
     Answers that come meanwhile belong to the trial; without one they are stray.
     """
     seen = yield from observe()
     start = seen.asked
-    while seen.look.moving is (not moving) and seen.now - start < patience:
+    while seen.look.moving is not moving and seen.now - start < patience:
         heard = yield from listen(None, 2 * MS)
         if trial:
             trial.hear(heard)

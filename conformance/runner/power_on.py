@@ -19,7 +19,8 @@ from bilprov.conformance.dut.operations import (
     power_cycle,
     send,
 )
-from bilprov.conformance.oracle.judge import NOT_OBSERVABLE, judge_answers, judge_state, lost
+from bilprov.conformance.oracle.judge import judge_answers, judge_state, lost
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words

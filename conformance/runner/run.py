@@ -13,8 +13,8 @@ from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, Sight
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
@@ -147,8 +147,9 @@ class Run:
     `limit` ends the run where it takes too long.
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
-    `results` every final result in order, `tally` every frame that was sent, `rhythms` those that
-    mismatches were shown to have, `followed` the settings that the probe has shown to follow.
+    `results` every final result in order, `tally` every frame that was sent, `sight` what the looks
+    have shown, `rhythms` those that mismatches were shown to have, `followed` the settings that the
+    probe has shown to follow.
     """
 
     def __init__(
@@ -166,6 +167,7 @@ class Run:
         self.waiting = Waiting(config.timers, self.profile, timeout)
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
+        self.sight = Sight()
         self.limit = TimeLimit(config.announced)
         self.rhythms = Rhythms()
         self.followed: set[str] = set()
@@ -176,8 +178,8 @@ class Run:
             lossless=config.lossless,
             frames=lambda: self.tally.frames,
         )
-        self.begin = begin
         self.note = note
+        self._begin = begin
         self._report = report
 
     @property
@@ -212,8 +214,14 @@ class Run:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""
         return on_the_wire(self.protocol, self.profile.choices, frame)
 
+    def begin(self, ident: str) -> None:
+        """Begin a case: its looks count for its result."""
+        self.sight.begin(ident)
+        self._begin(ident)
+
     def publish(self, result: CaseResult) -> None:
-        """Record a final result and report it."""
+        """Record a final result and report it; what its looks did not show makes it no pass."""
+        result = self.sight.judged(result)
         self.results.append(result)
         self._report(result)
 

@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_set, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.sequence_answers import (
@@ -38,7 +40,7 @@ class _SequenceRun:
         self._run = trial.run
         self._case = case
         self._axes = {"answer": Axis(Verdict.PASS, "each instruction answered once", "as expected")}
-        self._looked = 0
+        self._looks = self._whole = 0
         self._coarse = 0
         self._blind = False
 
@@ -59,14 +61,26 @@ class _SequenceRun:
                 break
         if not found and self._blind:
             trial.axes["state"] = run.config.not_observable("as the model says after each burst")
-        elif not found and self._looked and "state" not in trial.axes:
-            actual = f"{self._looked} looks as expected"
-            trial.axes["state"] = Axis(Verdict.PASS, "as the model says", actual)
+        elif not found and self._looks:
+            self._seen()
         if self._coarse and not found:
             reason = f"{self._coarse} pauses came out too long for the time-out on this link"
             words = "pauses below the time-out"
             trial.axes["answer"] = Axis(Verdict.INFORMATIONAL, words, reason, reason)
         return found
+
+    def _seen(self) -> None:
+        """Judge the state axis of a sequence in whose looks nothing was wrong."""
+        run, axes, case = self._run, self._trial.axes, self._case
+        actual = f"{quantity(self._whole, 'look')} as expected"
+        axes.setdefault("state", Axis(Verdict.PASS, "as the model says", actual))
+        # After a fault the stop is looked for, after an instruction what it has set.
+        looked_at = (b for b in case.bursts if b.looks and not b.steps[-1].faulty)
+        effects = (step.frame_effect for burst in looked_at for step in burst.steps)
+        blind = untold(case.facets or facets_set(effects), run.sight.shown)
+        if blind:
+            reason = f"{NOT_OBSERVABLE}: {blind}"
+            self._trial.worsen("state", Verdict.INCONCLUSIVE, actual, reason)
 
     # -- one burst ----------------------------------------------------------------------------
 
@@ -128,8 +142,10 @@ class _SequenceRun:
         found = yield from judge_burst(trial, taken, early, sent, watched)
         looks = burst.looks and not self._blind
         if not found and looks:
+            missed = run.sight.missed
             found = yield from look_after(trial, taken[-1], before)
-            self._looked += 1
+            self._looks += 1
+            self._whole += not found and run.sight.missed == missed
             if not found and run.profile.stop_latency:
                 trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
         if not found and burst.idle_ms:

@@ -79,7 +79,8 @@ def watch_idle(
             continue
         seen = yield from observe()
         found = differences(run.model, trial.expected, seen.look)
-        asleep = run.profile.watchdog is not None and seen.look.moving is False
+        sleeps = run.profile.watchdog is not None or run.profile.choices.unknown("R-watchdog")
+        asleep = sleeps and seen.look.moving is False
         if found and not asleep:
             return _by_itself(trial, step, trial.expected, found[0], seen.look)
     return None

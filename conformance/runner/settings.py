@@ -74,9 +74,10 @@ def other_settings(run: Run) -> Procedure[Motion | None]:
         moves: Setting | None = None
         stands: Setting | None = None
         for one in every:
-            if (yield from _moves(run, one)):
+            moving = yield from _moves(run, one)
+            if moving:
                 moves = moves or one
-            else:
+            elif moving is False:
                 stands = stands or one
             if moves and stands:
                 break
@@ -84,7 +85,7 @@ def other_settings(run: Run) -> Procedure[Motion | None]:
             continue
         # Motor power that was switched on meanwhile, or noise, does not show the same again.
         stands = stands or every[0]._replace(fresh=False)
-        if not (yield from _moves(run, stands)) and (yield from _moves(run, moves)):
+        if (yield from _moves(run, stands)) is False and (yield from _moves(run, moves)):
             _tell(run, moves, stands)
         elif fresh:
             yield from _switch(run)
@@ -97,7 +98,8 @@ def _whole(run: Run, frames: tuple[bytes, ...]) -> bool:
     return all(frame and run.wire(frame) for frame in frames)
 
 
-def _moves(run: Run, one: Setting) -> Procedure[bool]:
+def _moves(run: Run, one: Setting) -> Procedure[bool | None]:
+    """Whether it moves with a setting, None where that was not seen."""
     if one.fresh:
         yield from _switch(run)
     for frame in one.frames:
@@ -105,7 +107,7 @@ def _moves(run: Run, one: Setting) -> Procedure[bool]:
         yield from run.waiting.answers(1)
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from home(run)
-    return bool(seen.look.moving)
+    return seen.look.moving
 
 
 def _switch(run: Run) -> Procedure[None]:

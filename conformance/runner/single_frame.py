@@ -16,11 +16,11 @@ from bilprov.conformance.dut.operations import (
 )
 from bilprov.conformance.oracle.judge import (
     MOVING,
-    NOT_OBSERVABLE,
     contradiction,
     judge_answers,
     judge_state,
 )
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_of, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
@@ -87,7 +87,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
         moves = run.profile.moves is None or case.setup.motion in run.profile.moves
         patience = run.timers.deadline if moves else 0
         seen = yield from watch(run, moving=True, patience=patience)
-        if not seen.look.moving and setup != case.setup:
+        if seen.look.moving is False and setup != case.setup:
             run.profile.preamble_speed = None
             yield from home(run)
             return (yield from _precondition(run, case, looks))
@@ -213,7 +213,7 @@ def _note_followed(run: Run, expected: ExpectedState, look: Look) -> None:
 
 
 def unseen(case: Case, look: Look) -> str:
-    """Which facets this case tests that the probe does not show, as words; "" if none."""
+    """Which facets this case tests that the look does not show, as words; "" if none."""
     if look.moving is None:
         return "the probe does not know whether the robot moves"
     if case.kind is not FrameClass.VALID:
@@ -223,8 +223,5 @@ def unseen(case: Case, look: Look) -> str:
         for name in ("speed", "steering", "led")
         if getattr(case.expected, name) != getattr(case.setup, name)
     ]
-    wheels = look.left is not None and look.right is not None
-    blind = [n for n in changed if getattr(look, n) is None and (n == "led" or not wheels)]
-    if case.expected.moving and look.motion is None and not wheels:
-        blind.append("direction")
-    return f"the probe does not tell {', '.join(blind)}" if blind else ""
+    tested = [*changed, "motion"] if case.expected.moving else changed
+    return untold(tested, facets_of(look))

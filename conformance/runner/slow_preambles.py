@@ -49,11 +49,11 @@ def find_speed(run: Run) -> Procedure[None]:
 
 
 def _seen(run: Run, state: State) -> Procedure[bool | None]:
-    """Whether a homed robot is seen moving in a state; None where it may not have been told to."""
+    """Whether a homed robot moves in a state; None where it was not seen, or perhaps not told."""
     ready = yield from set_up(run, state)
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from home(run)
-    return bool(seen.look.moving) or (None if ready.missing else False)
+    return None if ready.missing and not seen.look.moving else seen.look.moving
 
 
 def was_too_slow(run: Run, case: Case) -> Procedure[bool]:
@@ -76,7 +76,7 @@ def set_up_slowly(run: Run, state: State) -> Procedure[SetUp]:
     if slow is not None and slow < state.speed:
         ready = yield from set_up(run, replace(state, speed=slow))
         seen = yield from watch(run, moving=True, patience=run.timers.deadline)
-        if seen.look.moving:
+        if seen.look.moving is not False:
             return ready
         run.profile.preamble_speed = None
         yield from home(run)

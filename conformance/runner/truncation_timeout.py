@@ -129,7 +129,7 @@ def _drive(run: Run) -> Procedure[None]:
 
 
 def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:
-    """Whether the robot stops in such a silence (ns) after a complete instruction too.
+    """Whether the robot may stop in such a silence (ns) after a complete instruction too.
 
     Leaves the line homed.
     """
@@ -138,7 +138,7 @@ def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:
     yield from listen(None, silent + _JITTER)
     seen = yield from observe()
     yield from home(run)
-    return begun.look.moving is True and seen.look.moving is False
+    return begun.look.moving is not False and seen.look.moving is not True
 
 
 def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int | None, int]]:
@@ -148,7 +148,7 @@ def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int 
     if watched:
         yield from _drive(run)
     sent = yield from send(case.frame)
-    heard, seen_still = yield from _wait(run, sent, watched)
+    heard, seen_still, moving = yield from _wait(run, sent, watched)
     stopped = seen_still if stop_tells else None
     moment = next((t for t, _ in heard.answers if t >= sent), stopped)
     # The answer is due when the time-out is over, which only a stop shows.
@@ -180,7 +180,7 @@ def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int 
     elif seen_still is not None:
         reason = "stops by itself while the line is silent, which hides the time-out"
         axes["stop"] = Axis(Verdict.INCONCLUSIVE, "stopped", "stopped", reason, "R-watchdog")
-    elif watched:
+    elif moving:
         reason = "never timed out and kept driving"
         axes["stop"] = Axis(Verdict.FAIL, "stopped", "moving", reason, case.reading)
     else:
@@ -194,13 +194,17 @@ def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int 
     return timeout, stopped - sent if stopped is not None and alone else 0
 
 
-def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int | None]]:
+def _wait(
+    run: Run, sent: int, watched: bool
+) -> Procedure[tuple[Received, int | None, bool | None]]:
     """Listen, observing the robot if `watched`, until an answer comes or `never` ns are over.
 
-    Returns the answers, and when (ns) the robot was seen stopped, None if it was not.
+    Returns the answers, when (ns) the robot was seen stopped, None if it was not, and whether it
+    moved in the last look.
     """
     heard = Received((), sent)
     stopped: int | None = None
+    moving: bool | None = watched
     until = sent + run.timers.never
     while heard.now < until and not heard.answers:
         step = min(_COARSEST, max(_FINEST, (heard.now - sent) // 2))
@@ -208,10 +212,11 @@ def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int |
         heard = Received(heard.answers + more.answers, more.now)
         if watched and stopped is None and not heard.answers:
             seen = yield from observe()
-            if seen.look.moving is False:
+            moving = seen.look.moving
+            if moving is False:
                 stopped = seen.now
     more = yield from listen(None, run.timers.silence)
-    return Received(heard.answers + more.answers, more.now), stopped
+    return Received(heard.answers + more.answers, more.now), stopped, moving
 
 
 def _in_limits(run: Run, timeout: int) -> Axis:

@@ -156,6 +156,7 @@ class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     took_s: float
     host: str
     versions: dict[str, str]
+    unseen: list[str]
 
 
 def report_of(data: bytes) -> ReportForm:

@@ -9,7 +9,7 @@ from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
 from bilprov.conformance.dut.link import Observability, drive
-from bilprov.conformance.dut.operations import Procedure
+from bilprov.conformance.dut.operations import Procedure, followed
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
@@ -91,4 +91,4 @@ def run_once(
         homed = yield from home_after(run, trial)
         return Walked(run, trial, found, trial.end(homed), line)
 
-    return drive(script(), line, lambda: False)
+    return drive(followed(script(), run.sight), line, lambda: False)

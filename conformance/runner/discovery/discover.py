@@ -91,7 +91,7 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
     ):
         found = yield from experiment.make(run)
         yield from home(run)
-        shown[found] += 1
+        _count(shown, found)
         if len(_told(shown)) > 1 or found.fault:
             once = _AGREE + 1  # findings differ, or a fault: one more, to rule out noise
     best, _ = shown.most_common(1)[0]
@@ -138,6 +138,13 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
     run.conclude(case, {axis: judged}, best.heard)
 
 
+def _count(shown: Counter[Finding], found: Finding) -> None:
+    """Count a finding, together with one that differs only in what could not be told."""
+    alike = next((known for known in shown if known.fits(found)), found)
+    times = shown.pop(alike, 0)
+    shown[max(alike, found, key=lambda finding: finding.told)] = times + 1
+
+
 def _second(shown: Counter[Finding]) -> int:
     """How often the second most common finding was shown."""
     return shown.most_common(2)[1][1] if len(shown) > 1 else 0
@@ -167,6 +174,7 @@ def _judged(run: Run, best: Finding, case: Case) -> Axis:
     worst = Axis(Verdict.PASS, best.expected, best.actual)
     for point, word in best.words:
         if word == "":
+            run.profile.choices.hidden.add(point)
             if worst.verdict < Verdict.INCONCLUSIVE:
                 reason = f"not observable: the probe does not tell ({point})"
                 worst = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason)

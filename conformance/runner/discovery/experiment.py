@@ -25,6 +25,17 @@ class Finding:
     heard: tuple[tuple[int, int], ...] = field(default=(), compare=False)
     coarse: str = ""
 
+    def fits(self, other: Finding) -> bool:
+        """Whether both show the same, as far as both could tell."""
+        pairs = zip(self.words, other.words, strict=True)
+        alike = all(a == b or (a[0] == b[0] and "" in (a[1], b[1])) for a, b in pairs)
+        return alike and (self.fault, self.coarse) == (other.fault, other.coarse)
+
+    @property
+    def told(self) -> int:
+        """How many choices could be told."""
+        return sum(word != "" for _, word in self.words)
+
 
 @dataclass(frozen=True, slots=True)
 class Experiment:

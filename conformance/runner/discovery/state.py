@@ -230,7 +230,7 @@ def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     begun = yield from watch(run, moving=True, patience=run.timers.deadline)
     point, expected = "R-watchdog", "keeps driving, says nothing"
     if begun.look.moving is not True:
-        fault = lost or "does not move"
+        fault = lost or ("does not move" if begun.look.moving is False else "")
         return Finding(((point, ""),), expected, look_words(begun.look), fault)
     heard = yield from listen(None, 0)
     seen, came, stopped = begun, heard.answers, 0
@@ -238,6 +238,8 @@ def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
         heard = yield from listen(None, _LOOK)
         came += heard.answers
         seen = yield from observe()
+        if seen.look.moving is None:
+            return Finding(((point, ""),), expected, look_words(seen.look), "", came)
         if not stopped and seen.look.moving is False:
             stopped = seen.now
             run.profile.watchdog = stopped - begun.now

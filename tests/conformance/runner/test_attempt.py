@@ -9,7 +9,7 @@ import pytest
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
 from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import Ended, Procedure
+from bilprov.conformance.dut.operations import Ended, Procedure, followed
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
@@ -37,7 +37,9 @@ def tried(run: Run, device: Any, case: Any, stop_at: int | None = None) -> Attem
     drive(home(run), link, lambda: False)
     start = link.asks
     return drive(
-        attempt(run, case), link, lambda: stop_at is not None and link.asks - start >= stop_at
+        followed(attempt(run, case), run.sight),
+        link,
+        lambda: stop_at is not None and link.asks - start >= stop_at,
     )
 
 
