@@ -236,4 +236,5 @@ def _port_target(
             port, probe, stopper.fileno(), listener, power, reconnect
         ),
         halt=halt,
+        remark=lambda: probe.remark if probe is not None else "",
     )
