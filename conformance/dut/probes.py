@@ -43,8 +43,11 @@ class Probe(ABC):
 
     costly = False
     patience = 1.0
-    remark = ""
-    """What the user should know of it after a run, in one sentence."""
+
+    @property
+    def remark(self) -> str:
+        """What the user should know of it after a run, in one sentence; "" for nothing."""
+        return ""
 
     def ask(self) -> None:  # noqa: B027  # some can be read at any time
         """Begin a look. Raises ProbeError."""
