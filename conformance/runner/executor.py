@@ -17,7 +17,7 @@ from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
 from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
-from bilprov.conformance.runner.probe_check import first_looks, settle_failures
+from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
 from bilprov.conformance.runner.retry import judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings

@@ -20,7 +20,7 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
-from bilprov.conformance.runner.looks import Looks
+from bilprov.conformance.runner.probe_trust.looks import Looks
 from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
