@@ -25,6 +25,7 @@ REQUEST_LIMIT = 1024
 UNREAD_LIMIT = 1 << 15
 """Most bytes of answers kept for a probe client that does not read them."""
 
+_DIGITS = 15  # of the number of a question
 _LINGER = 3_000_000_000  # ns: for so long what is left is sent to a client before it is closed
 
 
@@ -274,10 +275,13 @@ class Server:
         return now
 
     def _answer(self, request: bytes, now: int) -> bytes:
-        if request == b"state":
-            return self.device.probe(now)
+        word, _, number = request.partition(b" ")
+        number = number or b"0"
+        if word == b"state" and number.isdigit() and len(number) <= _DIGITS:
+            look = json.loads(self.device.probe(now))
+            return json.dumps(look | {"number": int(number)}, separators=(",", ":")).encode()
         came = request.decode("ascii", "backslashreplace")[:80]
-        return _error(f"the request is {came!r}, allowed is 'state'")
+        return _error(f"the request is {came!r}, allowed is 'state', or 'state 7' with any number")
 
     def _let_go(self, now: int) -> None:
         """Close ended connections; a client that only ended its sending gets its last answers."""

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from bilprov.conformance.cases.levels import AnyCase
 
 CONDITIONAL_CASES = (
+    "line/probe",
     "line/unsolicited",
     "line/lost",
     "line/pipelining",

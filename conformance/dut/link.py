@@ -23,12 +23,14 @@ HELD_ANSWERS = 1 << 13
 class Observability(msgspec.Struct, frozen=True, rename={"available": "open", "costly": "sparse"}):
     """What a probe can see: nothing (`available` false), everything, or a few looks (`costly`).
 
-    `why` says why something is not observable. Recordings keep the fields under older names.
+    `why` says why something is not observable. A `foreign` probe is not the kit's own: single looks
+    through it may be wrong. Recordings keep the fields under older names.
     """
 
     available: bool
     costly: bool = False
     why: str = "no probe; see --probe"
+    foreign: bool = False
 
 
 class Environment(msgspec.Struct, frozen=True, rename={"observability": "eyes"}):

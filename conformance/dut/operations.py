@@ -6,7 +6,7 @@ on the link's clock, virtual or real.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -125,8 +125,12 @@ class Follower(Protocol):
         """Take note of an operation that was done."""
 
 
-def followed(procedure: Procedure[T], *followers: Follower) -> Procedure[T]:
-    """The procedure, every operation of which the followers take note of."""
+def followed(
+    procedure: Procedure[T],
+    *followers: Follower,
+    look: Callable[[], Procedure[Observation]] = observe,
+) -> Procedure[T]:
+    """The procedure, every operation of which the followers take note of; `look` does its looks."""
     reply: Reply | None = None
     error: Ended | None = None
     while True:
@@ -136,7 +140,7 @@ def followed(procedure: Procedure[T], *followers: Follower) -> Procedure[T]:
             return end.value  # type: ignore[no-any-return]  # what the generator's type says
         error = None
         try:
-            reply = yield operation
+            reply = (yield from look()) if isinstance(operation, Observe) else (yield operation)
         except Ended as ended:
             error = ended
         else:

@@ -21,9 +21,10 @@ import msgspec
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.errors import UserError
 
+_LONGEST = 1 << 16  # bytes of a line of the tcp probe
 _LOOKS = 5  # to measure how long one takes
 
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
@@ -42,6 +43,11 @@ class Probe(ABC):
 
     costly = False
     patience = 1.0
+
+    @property
+    def remark(self) -> str:
+        """What the user should know of it after a run, in one sentence; "" for nothing."""
+        return ""
 
     def ask(self) -> None:  # noqa: B027  # some can be read at any time
         """Begin a look. Raises ProbeError."""
@@ -72,6 +78,7 @@ class _Facets(msgspec.Struct):
     led: _Number | None = None
     left: _Number | None = None
     right: _Number | None = None
+    number: int | None = None
 
 
 def _whole(value: float | None) -> int | None:
@@ -84,14 +91,21 @@ def _whole(value: float | None) -> int | None:
 
 def parse_look(line: bytes, now: int) -> Look:
     """A line of JSON as a Look. Raises ProbeError unless it is an object of known facets."""
+    return _look(_facets(line), now)
+
+
+def _facets(line: bytes) -> _Facets:
     try:
-        facets = msgspec.json.decode(line.decode(), type=_Facets)
+        return msgspec.json.decode(line.decode(), type=_Facets)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProbeError(
             f"the probe answered {printable(line.decode(errors='replace'))!r}, "
             "which is not a line of "
             f'JSON such as {{"moving": true}} ({error})'
         ) from error
+
+
+def _look(facets: _Facets, now: int) -> Look:
     numbers = {
         name: _whole(getattr(facets, name))
         for name in ("speed", "steering", "led", "left", "right")
@@ -103,7 +117,10 @@ def parse_look(line: bytes, now: int) -> Look:
 class TcpProbe(Probe):
     """A program on a TCP port: it gets `state` and a newline and returns one line of JSON.
 
-    There is one connection for the whole run.
+    There is one connection for the whole run. A program whose lines hold a `number` gets one behind
+    `state` and repeats it (0 where it got none): a line with another number is dropped. From one
+    without numbers the next line may be the reply to an earlier question, once it has sent a line
+    more than it was asked for: from then on its looks are unknown.
     """
 
     def __init__(self, address: str) -> None:
@@ -121,11 +138,33 @@ class TcpProbe(Probe):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
         self._held = b""
+        self._number = 0
+        self._numbered = False
+        self._surplus = 0
+
+    @property
+    def remark(self) -> str:
+        """How many lines came that were not asked for, and what that means for the looks."""
+        if not self._surplus:
+            return ""
+        said = f"the probe sent {quantity(self._surplus, 'line')} more than it was asked for"
+        if self._numbered:
+            return f"{said}; they were dropped by their numbers"
+        return (
+            f"{said}, so what it sent from then on was not believed: let it send one line for each "
+            "question, or repeat the number of the question"
+        )
 
     def ask(self) -> None:
-        """Ask for the state."""
+        """Ask for the state; what has come unasked is dropped and counted."""
+        self._receive()
+        while self._line() is not None:
+            self._surplus += 1
+        if self._numbered:
+            self._number += 1
+        request = f"state {self._number}\n" if self._numbered else "state\n"
         try:
-            self._socket.sendall(b"state\n")
+            self._socket.sendall(request.encode())
         except OSError as error:
             raise self._hung_up(f" ({error.strerror})") from error
 
@@ -135,21 +174,39 @@ class TcpProbe(Probe):
 
     def take(self, now: int) -> Look | None:
         """The look, once the line of the reply is complete. Raises ProbeError."""
+        self._receive()
+        while (line := self._line()) is not None:
+            if self._surplus and not self._numbered:
+                return Look(t=now, moving=None)
+            facets = _facets(line)
+            self._numbered = self._numbered or facets.number is not None
+            if not self._numbered or facets.number == self._number:
+                return _look(facets, now)
+            self._surplus += 1
+        if len(self._held) > _LONGEST:
+            raise ProbeError(f"the probe at {self._name} sends no end of line")
+        return None
+
+    def _receive(self) -> None:
+        """Read what is there, without waiting."""
         try:
-            data = self._socket.recv(4096)
+            while len(self._held) <= _LONGEST:
+                data = self._socket.recv(4096)
+                if not data:
+                    raise self._hung_up()
+                self._held += data
         except BlockingIOError:
-            return None
+            return
         except OSError as error:
             raise self._hung_up(f" ({error.strerror})") from error
-        if not data:
-            raise self._hung_up()
-        line, newline, self._held = (self._held + data).partition(b"\n")
+
+    def _line(self) -> bytes | None:
+        """The next complete line of what was read, None if there is none."""
+        line, newline, rest = self._held.partition(b"\n")
         if not newline:
-            self._held = line
-            if len(line) > 1 << 16:
-                raise ProbeError(f"the probe at {self._name} sends no end of line")
             return None
-        return parse_look(line, now)
+        self._held = rest
+        return line
 
     def _hung_up(self, why: str = "") -> ProbeError:
         return ProbeError(

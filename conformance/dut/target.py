@@ -213,7 +213,8 @@ def _port_target(
     observability = Observability(available=False)
     if probe is not None:
         why = f"{probe_name} is asked only about a few cases"
-        observability = Observability(True, probe.costly, why)
+        foreign = probe_name != QEMU
+        observability = Observability(True, probe.costly, why, foreign)
     line = port.settings
     about = {
         "kind": "port",
@@ -236,4 +237,5 @@ def _port_target(
             port, probe, stopper.fileno(), listener, power, reconnect
         ),
         halt=halt,
+        remark=lambda: probe.remark if probe is not None else "",
     )

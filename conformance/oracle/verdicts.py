@@ -59,6 +59,13 @@ class Axis(msgspec.Struct, frozen=True):
         reason = f"{self.reason}; not tried again: {why}"
         return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
 
+    def doubted(self, why: str) -> Axis:
+        """This axis, inconclusive if it failed: its probe is not believed, and why."""
+        if self.verdict is not Verdict.FAIL:
+            return self
+        reason = f"{self.reason}; not believed: {why}"
+        return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
+
     def seldom(self, met: int, tries: int) -> Axis:
         """This axis, still failed: it failed only so often in so many tries, but not by noise."""
         times = "once" if met == 1 else f"{met} times"

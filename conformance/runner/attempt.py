@@ -25,7 +25,7 @@ class Attempt:
 
     `stopped` is what ended the run, or why it is to be ended, None if nothing. `started` is how
     many frames there were before it since power-on, `cycles` how many power cycles
-    (`runner.tally`).
+    (`runner.tally`). `looks` is how many looks were made in it.
     """
 
     result: CaseResult
@@ -33,6 +33,7 @@ class Attempt:
     stopped: Ended | GaveUp | None = None
     started: int = 0
     cycles: int = 0
+    looks: int = 0
 
     @property
     def failed(self) -> bool:
@@ -63,7 +64,7 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     so far is then no pass.
     """
     trial, mismatch, tally = Trial(run, case), None, run.tally
-    started, cycles = tally.frames, tally.cycles
+    started, cycles, looks = tally.frames, tally.cycles, run.looks.made
     try:
         if isinstance(case, SequenceCase):
             mismatch = yield from run_sequence(trial, case)
@@ -81,4 +82,4 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         if mismatch and mismatch.burst >= 0 and isinstance(case, SequenceCase):
             first = over - len(case.bursts[mismatch.burst].steps) + 1
         tally.places.append(Place(first, tally.frames if only_late else over))
-    return Attempt(result, mismatch, homed.stopped, started, cycles)
+    return Attempt(result, mismatch, homed.stopped, started, cycles, run.looks.made - looks)

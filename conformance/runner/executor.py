@@ -17,6 +17,7 @@ from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
 from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
+from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
 from bilprov.conformance.runner.retry import judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
@@ -63,7 +64,9 @@ class Runner:
 
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
-        yield from followed(self._execute(), self.run.tally, self.run.limit, self.run.sight)
+        run = self.run
+        followers = (run.tally, run.limit, run.sight)
+        yield from followed(self._execute(), *followers, look=run.looks.observe)
 
     def _execute(self) -> Procedure[None]:
         run = self.run
@@ -74,10 +77,13 @@ class Runner:
             if ended.error and self._left and not self._charged():
                 self._result(Verdict.ERROR, "not judged", str(ended))
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
+        run.release(str(self.ended or ""))
         run.strays.close(keeps_all=run.keeps_all)
         if self.ended is None or self.ended.line_works:
             stopped = yield from leave(run)
             self.ended = self.ended or stopped
+        run.release(str(self.ended or ""))
+        run.tell_doubt()
 
     def _judge_all(self) -> Procedure[None]:
         run = self.run
@@ -91,6 +97,7 @@ class Runner:
             yield from calibrate(run)
             self._tell_slow()
             yield from home(run)
+            yield from first_looks(run)
             yield from see_motions(run)
             if run.profile.moves == set():
                 motion = yield from other_settings(run)
@@ -100,6 +107,7 @@ class Runner:
                 yield from measure_timeout(run)
             if self._discover:
                 yield from discover(run)
+            yield from settle_failures(run)
             self._fit()
             while self._left and not self._enough():
                 case = self._left[0]
@@ -112,6 +120,8 @@ class Runner:
                 judged = yield from self._judged(case)
                 self._left.pop(0)
                 run.publish(judged.result)
+                if not judged.stopped:
+                    yield from settle_failures(run)
                 if isinstance(judged.stopped, Reconnected):
                     label = judged.result.verdict.label
                     run.note(f"{judged.stopped}; {case.id}: {label}, and the run goes on")

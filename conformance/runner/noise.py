@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import comb
+
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.runner.attempt import Attempt
@@ -10,13 +12,22 @@ from bilprov.conformance.runner.run import Run
 
 _SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
 _FRAME = 3  # bytes on the line for a frame, its answer included, at least
+_ENOUGH = 20  # failures: more make nothing surer
 _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 
 
 def is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
     """Whether so many of so many tries failed that noise on `size` bytes does not explain it."""
     # A spoilt byte shows in an answer: a missed stop beside right answers is none.
-    return first.axis == "stop" or is_no_chance(run, size, failed, tries)
+    if first.axis == "stop":
+        return not run.config.observability.foreign or is_no_lie(run, first.looks, failed, tries)
+    return is_no_chance(run, size, failed, tries)
+
+
+def is_no_lie(run: Run, looks: int, failed: int, tries: int) -> bool:
+    """Whether wrong looks, among so many in a try, do not explain that so many tries failed."""
+    wrong, enough = 1 - (1 - run.looks.wrong) ** looks, min(failed, _ENOUGH)
+    return comb(tries, enough) * wrong**enough < _UNLIKELY
 
 
 def is_no_chance(run: Run, size: int, differed: int, tries: int) -> bool:

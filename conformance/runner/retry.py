@@ -22,7 +22,7 @@ from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
-from bilprov.conformance.runner.noise import burst_bytes, case_bytes, is_no_noise
+from bilprov.conformance.runner.noise import burst_bytes, case_bytes, is_no_lie, is_no_noise
 from bilprov.conformance.runner.prediction import find_rhythm
 from bilprov.conformance.runner.rhythm import Rhythm
 from bilprov.conformance.runner.run import Run, result_of
@@ -176,7 +176,10 @@ def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
     if answer.verdict >= Verdict.INCONCLUSIVE or stop.verdict is not Verdict.FAIL:
         return False
     run.counters.missed_stops += 1
-    return run.counters.missed_stops > 1
+    missed = run.counters.missed_stops
+    if run.config.observability.foreign and not is_no_lie(run, 1, missed, run.looks.made):
+        return False
+    return missed > 1
 
 
 def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:

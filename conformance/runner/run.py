@@ -6,18 +6,21 @@ A case that is under way has a state of its own (`runner.trial`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
+import msgspec
+
 from bilprov.conformance.cases.adaptation import on_the_wire
-from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, Sight
+from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, SEEN_AXES, Sight
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
+from bilprov.conformance.runner.probe_trust.looks import Looks
 from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
@@ -105,6 +108,15 @@ class Counters:
         return case.thorough and self._held.setdefault(key, case.id) == case.id
 
 
+def _doubted(result: CaseResult, why: str) -> CaseResult:
+    """The result without the failures that rest on looks: these are inconclusive, and why."""
+    axes = {
+        name: axis.doubted(why) if name in SEEN_AXES else axis for name, axis in result.axes.items()
+    }
+    verdict = worst(axis.verdict for axis in axes.values())
+    return msgspec.structs.replace(result, axes=axes, verdict=verdict)
+
+
 SPARE_ANSWERS = 256
 """Answers that a result keeps beyond two for each frame."""
 
@@ -178,6 +190,11 @@ class Run:
             lossless=config.lossless,
             frames=lambda: self.tally.frames,
         )
+        sees = config.observability
+        self._trusted = not sees.foreign
+        self.looks = Looks(confirmed=sees.foreign and not sees.costly)
+        self.doubt = ""
+        self.waiting_failures: list[CaseResult] = []
         self.note = note
         self._begin = begin
         self._report = report
@@ -220,10 +237,53 @@ class Run:
         self._begin(ident)
 
     def publish(self, result: CaseResult) -> None:
-        """Record a final result and report it; what its looks did not show makes it no pass."""
+        """Record a final result and report it; what its looks did not show makes it no pass.
+
+        A failure that rests on a foreign probe waits until the probe has been checked (`release`).
+        """
         result = self.sight.judged(result)
+        if self.looks.contradictory and not self.doubt:
+            self.distrust(self.looks.words)
+        seen = (result.axes[name] for name in SEEN_AXES if name in result.axes)
+        if any(axis.verdict is Verdict.FAIL for axis in seen):
+            if self.doubt:
+                result = _doubted(result, self.doubt)
+            elif not self._trusted:
+                self.waiting_failures.append(result)
+                return
         self.results.append(result)
         self._report(result)
+
+    def distrust(self, why: str) -> None:
+        """Believe no look any more, and why: what rests on looks is not observable from here on."""
+        self.doubt = why
+        self.note(f"{why}; what rests on looks is inconclusive from here on")
+        sees = Observability(available=False, why=why, foreign=True)
+        self.config = replace(self.config, observability=sees)
+        if self.profile.truncation_answered is False:
+            self.profile.truncation_timeout = None  # its stop alone has told it
+
+    def release(self, ended: str = "") -> None:
+        """Publish the failures that waited for the check of the probe.
+
+        `ended` says what ended the run before it could be made, "" if nothing did: then the probe
+        was checked, and is believed unless there is doubt.
+        """
+        waiting, self.waiting_failures = self.waiting_failures, []
+        if waiting and not ended:
+            self._trusted = True
+        for result in waiting:
+            self.publish(_doubted(result, ended) if ended else result)
+
+    def tell_doubt(self) -> None:
+        """Publish, at the run's end, that the probe contradicted itself or was not believed."""
+        why = self.doubt or self.looks.words
+        if not why:
+            return
+        clause, requirement = self.protocol.clauses.safety, "the probe shows what the robot does"
+        case = runner_case(self.protocol, "line/probe", clause, requirement, b"")
+        axis = Axis(Verdict.INCONCLUSIVE, "looks that agree", "looks that do not", why)
+        self.conclude(case, {"state": axis})
 
     def conclude(
         self,

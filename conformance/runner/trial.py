@@ -8,6 +8,7 @@ from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Received, Reconnected
 from bilprov.conformance.oracle.judge import matching
+from bilprov.conformance.oracle.sight import SEEN_AXES
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.run import Run, result_of
@@ -87,12 +88,21 @@ class Trial:
 
     def end(self, homed: Homed) -> CaseResult:
         """The result of the attempt, after the homing that followed it."""
-        for late in homed.late:
+        for late in () if self._cut_by_look else homed.late:
             self._came_late(late)
         if isinstance(homed.stopped, Ended):
             self._cut_short(homed.stopped)
         self._keep_to_choice()
         return result_of(self.case, self.axes, self.heard, self.sent)
+
+    @property
+    def _cut_by_look(self) -> bool:
+        """Whether a look through a foreign probe ended a sequence, with answers still to come."""
+        failed = any(
+            self.axes[name].verdict is Verdict.FAIL for name in SEEN_AXES if name in self.axes
+        )
+        foreign = self.run.config.observability.foreign
+        return foreign and failed and isinstance(self.case, SequenceCase)
 
     def _came_late(self, late: Late) -> None:
         """Count late or missing answers against the case."""

@@ -28,6 +28,7 @@ from bilprov.spec.motion import State
 # Between two looks: half of the time since the header, within these limits.
 _FINEST, _COARSEST = MS, 10 * MS
 _JITTER = 20 * MS  # of the link; times that differ by less count as equal
+_PATIENCE = 500 * MS  # for a probe to show that it moves
 _TWICE, _TRIES = 2, 6
 
 
@@ -147,6 +148,8 @@ def _once(trial: Trial, case: Case, *, stop_tells: bool) -> Procedure[tuple[int 
     watched = run.config.observable and bool(run.profile.moves)
     if watched:
         yield from _drive(run)
+        if run.config.observability.foreign:  # it may lag: what it shows now may be the rest before
+            yield from watch(run, moving=True, patience=_PATIENCE)
     sent = yield from send(case.frame)
     heard, seen_still, moving = yield from _wait(run, sent, watched)
     stopped = seen_still if stop_tells else None

@@ -236,7 +236,7 @@ def test_a_look_sees_every_byte_that_the_host_wrote_before_it(served: Start) -> 
     with open_port(room.lines[0]) as port, room.probe() as probe:
         for count in range(1, 200):
             port.write(b"\x10")
-            assert ask(probe) == {"moving": False, "received": count}
+            assert ask(probe) == {"moving": False, "received": count, "number": 0}
 
 
 def test_a_look_after_an_answer_sees_what_was_answered_on_a_pty_too(served: Start) -> None:
@@ -256,10 +256,19 @@ def test_any_number_of_probes_may_look(served: Start) -> None:
             assert ask(probe)["moving"] is False
 
 
+def test_a_probe_repeats_the_number_of_the_question(served: Start) -> None:
+    with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
+        asked = (b"state\n", b"state 0\n", b"state 12\n", b"state 999999999999999\n")
+        assert [ask(probe, one)["number"] for one in asked] == [0, 0, 12, 999999999999999]
+        for wrong in (b"state x\n", b"state -1\n", b"state 1 2\n", b"state " + b"9" * 99 + b"\n"):
+            assert "allowed is 'state'" in str(ask(probe, wrong)["error"])
+
+
 def test_requests_that_a_probe_does_not_know_get_an_error(served: Start) -> None:
     with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
         assert ask(probe, b"ju\xffmp\r\n") == {
-            "error": "the request is 'ju\\\\xffmp', allowed is 'state'"
+            "error": "the request is 'ju\\\\xffmp', allowed is 'state', or 'state 7' with any "
+            "number"
         }
         probe.sendall(b"sta")
         assert ask(probe, b"te\n")["moving"] is False

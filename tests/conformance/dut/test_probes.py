@@ -176,6 +176,55 @@ def test_an_answer_may_come_in_pieces() -> None:
         probe.close()
 
 
+STOPPED, MOVING = b'{"moving": false}\n', b'{"moving": true}\n'
+
+
+def settled_looks(probe: TcpProbe, count: int) -> list[bool | None]:
+    """Looks, each asked for when all that the probe has sent for the last one is there."""
+    looks = []
+    for _ in range(count):
+        looks.append(look_of(probe).moving)
+        select.select([probe.fileno()], [], [], 0.05)  # a line too many, if there is one
+    return looks
+
+
+def test_a_probe_without_numbers_is_not_believed_after_a_line_too_many() -> None:
+    """The line too many may come after the next question: then it would be its answer."""
+    with ProbeServer(STOPPED, MOVING * 2, STOPPED, MOVING) as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        assert settled_looks(probe, 4) == [False, True, None, None]
+        assert "sent 1 line more than it was asked for" in probe.remark
+        assert "not believed" in probe.remark
+        probe.close()
+
+    assert set(server.requests) == {b"state\n"}
+
+
+def test_lines_with_another_number_than_the_question_are_dropped() -> None:
+    """Each line comes twice, and the second copy of the first only after the next question."""
+    lines = [
+        b'{"moving": %s, "number": %d}\n' % (b"true" if n % 2 else b"false", n) for n in range(5)
+    ]
+    late = [lines[0], lines[0] + lines[1] * 2, lines[2] * 2, lines[1] + lines[3], lines[4]]
+    with ProbeServer(*late) as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        assert [look_of(probe).moving for _ in range(5)] == [False, True, False, True, False]
+        assert probe.remark == (
+            "the probe sent 4 lines more than it was asked for; they were dropped by their numbers"
+        )
+        probe.close()
+
+    assert server.requests == [b"state\n", *(b"state %d\n" % n for n in range(1, 5))]
+
+
+def test_a_probe_that_answers_as_it_was_asked_is_no_remark() -> None:
+    with ProbeServer(STOPPED, MOVING) as server:
+        probe = TcpProbe(server.name.removeprefix("tcp:"))
+        assert settled_looks(probe, 3) == [False, True, True]
+        assert probe.remark == ""
+        probe.close()
+
+
 def test_a_line_without_end_is_refused() -> None:
     with ProbeServer(b"x" * (1 << 17)) as server:
         probe = TcpProbe(server.name.removeprefix("tcp:"))
