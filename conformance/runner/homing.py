@@ -237,7 +237,7 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
         expected = run.model.after(expected, frame_effect_of(run.protocol, frame))
         heard = yield from run.waiting.answers(1)
         answered += len(heard.answers)
-        run.profile.measured(heard, sent)
+        run.answered(run.wire(frame), heard, sent)
     expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
         return SetUp("", expected)

@@ -91,7 +91,7 @@ def calibrate(run: Run) -> Procedure[None]:
             run.strays.unexpected(stray.answers, "came although nothing was asked")
         sent = yield from send(stop)
         heard = yield from run.waiting.answers(1)
-        run.profile.measured(heard, sent)
+        run.answered(stop, heard, sent)
         run.strays.missing(not heard.answers)
         times += [t - sent for t, _ in heard.answers[:1]]
     if times:

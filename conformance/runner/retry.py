@@ -64,6 +64,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first
+    if run.line.explains(first.result):  # over such a line it would not tell more another time
+        return Attempt(_named(case, first))
     answer = first.result.axes.get("answer")
     # How fast the wheels turn explains no wrong answer.
     if isinstance(case, Case) and (answer is None or answer.verdict < Verdict.INCONCLUSIVE):

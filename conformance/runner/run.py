@@ -13,11 +13,13 @@ from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.judge import NOT_OBSERVABLE
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
+from bilprov.conformance.runner.coarse_line import CoarseLine
 from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
@@ -164,6 +166,7 @@ class Run:
         self.profile = profile or Profile()
         timeout = config.protocol.timing.truncation_timeout
         self.waiting = Waiting(config.timers, self.profile, timeout)
+        self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
         self.limit = TimeLimit(config.announced)
@@ -208,12 +211,19 @@ class Run:
         loses = any(choices.differs(point) for point in (*FLUSH_POINTS, "R-answer-point"))
         return not loses and self.profile.truncation_answered is not False
 
+    def answered(self, frame: bytes, heard: Received, sent: int) -> None:
+        """Take note of how soon the answer to a valid frame came, which had gone at `sent` (ns)."""
+        self.profile.measured(heard, sent)
+        if heard.answers and not self.config.virtual:
+            self.profile.delays_by_frame[frame].append(heard.answers[0][0] - sent)
+
     def wire(self, frame: bytes) -> bytes:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""
         return on_the_wire(self.protocol, self.profile.choices, frame)
 
     def publish(self, result: CaseResult) -> None:
-        """Record a final result and report it."""
+        """Record a final result and report it; one that the line explains is no failure."""
+        result = self.line.judged(result)
         self.results.append(result)
         self._report(result)
 

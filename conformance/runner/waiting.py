@@ -7,6 +7,7 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 
+_PAUSE = 4 * MS  # the longest inside a frame
 _NEVER = 5  # answers missing in succession, until `patience` becomes as short as `usual`
 
 
@@ -64,14 +65,37 @@ class Waiting:
         return self._profile.truncation_timeout or self._usual_timeout
 
     @property
+    def pause(self) -> int:
+        """How long (ns) a pause inside a frame lasts that a device must not take for its end."""
+        return min(self.timeout // 8, _PAUSE)
+
+    @property
+    def finest(self) -> int:
+        """The shortest time-out (ns) that this line lets judge.
+
+        It may tear two bytes apart by its unsteadiness, and a time-out was measured wrongly by as
+        much.
+        """
+        return 2 * self._profile.unsteadiness + self.pause
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the line may make the device time out inside a frame that was sent at once."""
+        return self.finest > self.timeout
+
+    @property
     def idle(self) -> int:
         """The silence (ns) after which a device that discards what follows a fault listens."""
         return max(self.timeout, self._profile.flushes_for or 0) + self._timers.settle
 
     @property
     def silence(self) -> int:
-        """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out."""
-        return self.timeout + self.timeout // 4 + self._timers.settle
+        """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out.
+
+        On a line that is too coarse for it, it is longer by what the line is unsteady both ways.
+        """
+        unsteady = 2 * self._profile.unsteadiness if self.coarse else 0
+        return self.timeout + self.timeout // 4 + self._timers.settle + unsteady
 
     def left_alone(self, heard: Received, sent: int, watched: int = 0) -> Procedure[Received]:
         """Wait for the rest of the silence after a truncated frame that had gone at `sent` (ns).
