@@ -11,6 +11,9 @@ from __future__ import annotations
 import msgspec
 
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.waiting import Waiting
@@ -24,6 +27,11 @@ class CoarseLine:
         self._codes = protocol.codes
         self._waiting = waiting
         self._profile = profile
+        self._beyond: set[str] = set()
+
+    def forbids(self, case: AnyCase) -> bool:
+        """Whether a sequence was too fine for this line, and this is another of its set."""
+        return isinstance(case, SequenceCase) and group(case.id) in self._beyond
 
     def explains(self, result: CaseResult) -> bool:
         """Whether the line may be why a case failed."""
@@ -35,6 +43,7 @@ class CoarseLine:
         """The result, inconclusive where the line may be why it failed."""
         if not self.explains(result):
             return result
+        self._beyond.add(group(result.id))
         axes = {name: self._unsure(axis) for name, axis in result.axes.items()}
         verdict = worst(axis.verdict for axis in axes.values())
         return msgspec.structs.replace(result, axes=axes, verdict=verdict)

@@ -106,6 +106,9 @@ class Runner:
                 if self._spare and self._spare(case.id, run.results):
                     self._result(Verdict.SKIPPED, "not run", "spared")
                     continue
+                if run.line.forbids(case):
+                    self._result(Verdict.INCONCLUSIVE, "not run", run.line.sentence)
+                    continue
                 run.begin(case.id)
                 run.waiting.require_budget()
                 run.limit.require()

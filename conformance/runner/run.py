@@ -182,6 +182,7 @@ class Run:
         self.begin = begin
         self.note = note
         self._report = report
+        self._told_coarse = False
 
     @property
     def protocol(self) -> Protocol:
@@ -221,9 +222,16 @@ class Run:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""
         return on_the_wire(self.protocol, self.profile.choices, frame)
 
-    def publish(self, result: CaseResult) -> None:
-        """Record a final result and report it; one that the line explains is no failure."""
-        result = self.line.judged(result)
+    def publish(self, result: CaseResult, *, certain: bool = False) -> None:
+        """Record a final result and report it; one that the line explains is no failure.
+
+        `certain` if no line explains it.
+        """
+        if self.waiting.coarse and not self._told_coarse:
+            self._told_coarse = True
+            self.note(self.line.sentence)
+        if not certain:
+            result = self.line.judged(result)
         self.results.append(result)
         self._report(result)
 
@@ -233,6 +241,8 @@ class Run:
         axes: dict[str, Axis],
         heard: Iterable[tuple[int, int]] = (),
         sent: int = 0,
+        *,
+        certain: bool = False,
     ) -> None:
-        """Publish the result of a case with these axes; see `result_of`."""
-        self.publish(result_of(case, axes, heard, sent))
+        """Publish the result of a case with these axes; see `result_of` and `publish`."""
+        self.publish(result_of(case, axes, heard, sent), certain=certain)

@@ -120,7 +120,7 @@ class _SequenceRun:
             return found
         watched = 0
         if taken[-1].truncated and burst.looks and not self._blind:
-            heard, found = yield from watch_time_out(trial, taken[-1], before)
+            heard, found = yield from watch_time_out(trial, taken[-1], before, sent)
             if found:
                 return found
             early.append((len(burst.data), heard.answers))

@@ -76,7 +76,7 @@ def judge_burst(
     left = max(0, due - len(before))
     if last.truncated:
         # Nothing is sent during its time-out.
-        pause = run.waiting.silence - watched
+        pause = max(0, run.waiting.silence - watched)
         answers = run.waiting.all_answers(left, pause + run.waiting.usual)
         heard = yield from answers if left else listen(None, pause)
         heard = yield from run.waiting.left_alone(heard, sent, watched)
