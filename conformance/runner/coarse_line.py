@@ -4,6 +4,9 @@ Such a line may tear a frame apart, and a good robot then rightly times out insi
 that the frame was cut short, stops, and takes the other bytes for instructions of their own. Any
 answer that the protocol knows may come of that, none may, and any motion: it is inconclusive. An
 answer that no device gives does not come of it.
+
+A robot that discards what follows a fault until the line is idle takes it where the line lets the
+next byte come a little later.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.waiting import Waiting
+from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
 
 
@@ -35,9 +39,22 @@ class CoarseLine:
 
     def explains(self, result: CaseResult) -> bool:
         """Whether the line may be why a case failed."""
-        if result.verdict is not Verdict.FAIL or not self._waiting.coarse:
+        if result.verdict is not Verdict.FAIL or not self.coarse:
             return False
         return all(int(answer.hex, 16) in self._codes for answer in result.received)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the line changes what this device hears, as far as times go."""
+        return self._waiting.coarse or (
+            self._loses and 2 * self._profile.unsteadiness > self._waiting.pause
+        )
+
+    @property
+    def _loses(self) -> bool:
+        """Whether the device discards what follows a fault."""
+        profile = self._profile
+        return profile.flushes or any(map(profile.choices.differs, FLUSH_POINTS))
 
     def judged(self, result: CaseResult) -> CaseResult:
         """The result, inconclusive where the line may be why it failed."""
@@ -58,7 +75,8 @@ class CoarseLine:
     def sentence(self) -> str:
         """What the line does, and what cannot be judged over it."""
         late, finest = self._profile.unsteadiness / MS, self._waiting.finest / MS
+        behind = ", nor what is sent right behind a fault" if self._loses else ""
         return (
             f"the line delays bytes by up to {late:.0f} ms: pauses inside a frame and time-outs "
-            f"below {finest:.0f} ms cannot be judged"
+            f"below {finest:.0f} ms cannot be judged{behind}"
         )

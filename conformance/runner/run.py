@@ -164,8 +164,10 @@ class Run:
     ) -> None:
         self.config = config
         self.profile = profile or Profile()
-        timeout = config.protocol.timing.truncation_timeout
-        self.waiting = Waiting(config.timers, self.profile, timeout)
+        timing = config.protocol.timing
+        self.waiting = Waiting(
+            config.timers, self.profile, timing.truncation_timeout, timing.truncation_shortest
+        )
         self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
@@ -227,7 +229,7 @@ class Run:
 
         `certain` if no line explains it.
         """
-        if self.waiting.coarse and not self._told_coarse:
+        if self.profile.truncation_timeout and self.line.coarse and not self._told_coarse:
             self._told_coarse = True
             self.note(self.line.sentence)
         if not certain:

@@ -217,7 +217,7 @@ def _wait(run: Run, sent: int, watched: bool) -> Procedure[tuple[Received, int |
 def _in_limits(run: Run, timeout: int) -> Axis:
     timing = run.protocol.timing
     expected = f"{timing.truncation_shortest:g} ms to {timing.truncation_longest:g} ms"
-    unsteady = run.profile.unsteadiness if run.waiting.coarse else 0
+    unsteady = run.profile.unsteadiness if run.line.coarse else 0
     if unsteady and not (
         timing.truncation_shortest <= (timeout - unsteady) / MS
         and (timeout + unsteady) / MS <= timing.truncation_longest

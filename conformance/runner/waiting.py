@@ -18,15 +18,19 @@ class GaveUp(Exception):
 class Waiting:
     """How long a run waits for answers, by its timers and by what the device has shown so far.
 
-    `truncation_timeout` is the grammar's (ms), used until the device's is measured.
+    `truncation_timeout` is the grammar's (ms), used until the device's is measured, `shortest` the
+    shortest that a device may have (ms).
     `answer_pending` is true while an answer that was due may still come; `timeouts` is the time
     (ns) spent waiting for truncation time-outs.
     """
 
-    def __init__(self, timers: Timers, profile: Profile, truncation_timeout: float) -> None:
+    def __init__(
+        self, timers: Timers, profile: Profile, truncation_timeout: float, shortest: float
+    ) -> None:
         self._timers = timers
         self._profile = profile
         self._usual_timeout = int(truncation_timeout * MS)
+        self._shortest = int(shortest * MS)
         self._never_came = 0
         self._wasted = 0
         self.answer_pending = False
@@ -81,7 +85,7 @@ class Waiting:
     @property
     def coarse(self) -> bool:
         """Whether the line may make the device time out inside a frame that was sent at once."""
-        return self.finest > self.timeout
+        return self.finest > (self._profile.truncation_timeout or self._shortest)
 
     @property
     def idle(self) -> int:
