@@ -54,6 +54,10 @@ def first_bytes(run: Run) -> Procedure[str]:
         first = len(outcomes) == 1
         boot = run.timers.boot if first else 0
         heard, sent = yield from _exchange(run, case, boot)
+        if first and not run.config.virtual and not set(heard.codes) <= set(run.protocol.codes):
+            # The rest of a banner may come late.
+            more = yield from listen(None, run.timers.deadline)
+            heard = Received(heard.answers + more.answers, more.now)
         if first and _chatter(case, heard):
             # A board that was reset by opening its port sends a banner: send the instruction again.
             outcomes[0][1]["answer"] = _banner(run, heard)

@@ -96,10 +96,10 @@ class Waiting:
     def silence(self) -> int:
         """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out.
 
-        On a line that is too coarse for it, it is longer by what the line is unsteady both ways.
+        An unsteady line may bring the bytes around it closer together.
         """
-        unsteady = 2 * self._profile.unsteadiness if self.coarse else 0
-        return self.timeout + self.timeout // 4 + self._timers.settle + unsteady
+        more = max(self.timeout // 4, 2 * self._profile.unsteadiness)
+        return self.timeout + more + self._timers.settle
 
     def left_alone(self, heard: Received, sent: int, watched: int = 0) -> Procedure[Received]:
         """Wait for the rest of the silence after a truncated frame that had gone at `sent` (ns).
