@@ -19,12 +19,11 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
-from bilprov.conformance.runner.coarse_line import CoarseLine
 from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.time_limit import TimeLimit
-from bilprov.conformance.runner.waiting import Waiting
+from bilprov.conformance.runner.waiting import CoarseLine, Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol

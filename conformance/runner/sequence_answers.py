@@ -79,7 +79,7 @@ def judge_burst(
         pause = max(0, run.waiting.silence - watched)
         answers = run.waiting.all_answers(left, pause + run.waiting.usual)
         heard = yield from answers if left else listen(None, pause)
-        heard = yield from run.waiting.left_alone(heard, sent, watched)
+        heard = yield from run.waiting.left_alone(heard, sent, watched, silent=silent)
     else:
         heard = yield from run.waiting.all_answers(left, run.waiting.patience)
         if len(heard.answers) < left:
