@@ -9,7 +9,14 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable
-from bilprov.conformance.cases.budget import Pace, before_the_cases, dropped, seconds, within
+from bilprov.conformance.cases.budget import (
+    Pace,
+    before_the_cases,
+    dropped,
+    emptied,
+    seconds,
+    within,
+)
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
     INDEPENDENT_GROUPS,
@@ -276,6 +283,7 @@ def run_suite(
         measure=asked,
         discover=not options.profile,
         spare=skip,
+        left_out=_left_out(grammar, options, target.line),
     )
     try:
         drive(runner.execute(), link, interrupted)
@@ -329,6 +337,15 @@ def _dropped(
     if options.budget is None:
         return {}
     return dropped(select_cases(grammar, replace(options, budget=None, shard=None), line), cases)
+
+
+def _left_out(grammar: Grammar, options: Options, line: LineSettings) -> tuple[str, ...]:
+    """The groups of which the budget has left no case, to any shard."""
+    if options.budget is None:
+        return ()
+    every = replace(options, shard=None)
+    whole = select_cases(grammar, replace(every, budget=None), line)
+    return emptied(whole, select_cases(grammar, every, line))
 
 
 def estimated_seconds(

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from bilprov.analyzer.cli.completion import Item, beginning, ports
-from bilprov.analyzer.cli.options import line_options, note
+from bilprov.analyzer.cli.options import Finite, line_options, note
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.ends import SERVED, End, open_end, require_two_ends
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
@@ -45,8 +45,7 @@ def _in_ns(ctx: click.Context, param: click.Parameter, value: str) -> int:
 
 
 def _rate(name: str, text: str, default: float = 0.0) -> Callable[[Command], Command]:
-    kind = click.FloatRange(0, 1)
-    return click.option(name, metavar="RATE", type=kind, default=default, help=text)
+    return click.option(name, metavar="RATE", type=Finite(0, 1), default=default, help=text)
 
 
 def _time(name: str, text: str) -> Callable[[Command], Command]:

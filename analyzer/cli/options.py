@@ -26,9 +26,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Finite(click.FloatRange):
-    """A range of numbers up to 1e10, which as seconds still fit into a capture.
+    """A range of numbers, the type of every option that takes one; without a `max` up to 1e10.
 
-    It leaves out nan, which click's own lets pass.
+    That many seconds still fit into a capture. It leaves out nan, which click's own lets pass.
     """
 
     def convert(
@@ -37,8 +37,13 @@ class Finite(click.FloatRange):
         """The number of an option's value."""
         number: float = super().convert(value, param, ctx)
         if not abs(number) <= 1e10:
-            self.fail(f"{value} is not a number up to 1e10", param, ctx)
+            most = 1e10 if self.max is None else self.max
+            self.fail(f"{value} is not a number up to {most:g}", param, ctx)
         return number
+
+
+# Times in ms that something is divided by, or that mean nothing where they are 0 ns.
+milliseconds = Finite(0.001, 60_000)
 
 
 class RotateAt(click.ParamType):  # type: ignore[type-arg]  # takes arguments since click 8.5
@@ -206,7 +211,7 @@ def asked_here(parameter: str) -> bool:
 timeout_option = click.option(
     "--truncation-timeout",
     metavar="MS",
-    type=Finite(0, min_open=True, max=60_000),
+    type=milliseconds,
     help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
 )
 

@@ -56,23 +56,31 @@ def within(
 ) -> tuple[AnyCase, ...]:
     """The cases that fit into `budget` s and together exercise the most, in the order given.
 
-    The next case chosen is always the one that adds the most facts (see `coverage`) per second;
-    cases that add none are chosen last, as long as there is time.
+    First one of each group is chosen, the cheapest groups first. The next case is always the one
+    that adds the most facts (see `coverage`) per second; cases that add none are chosen last, as
+    long as there is time.
     """
     told = {case.id: frozenset(facts(protocol, case)) for case in cases}
     cost = {case.id: max(seconds(case), 1e-4) for case in cases}
     order = {case.id: index for index, case in enumerate(cases)}
     met: set[Fact] = set()
     chosen: set[str] = set()
-    # A case adds fewer facts as others are chosen, never more: an old estimate is never too low.
-    heap = [(-len(told[case.id]) / cost[case.id], order[case.id], case.id) for case in cases]
-    heapq.heapify(heap)
     left = budget
+    worth = {case.id: len(told[case.id]) / cost[case.id] for case in cases}
+    best = {group(c.id): c.id for c in sorted(cases, key=lambda c: (worth[c.id], -order[c.id]))}
+    for ident in sorted(best.values(), key=lambda ident: (cost[ident], order[ident])):
+        if cost[ident] <= left:
+            chosen.add(ident)
+            met |= told[ident]
+            left -= cost[ident]
+    # A case adds fewer facts as others are chosen, never more: an old estimate is never too low.
+    heap = [(-worth[c.id], order[c.id], c.id) for c in cases if c.id not in chosen]
+    heapq.heapify(heap)
     while heap:
         _, index, ident = heapq.heappop(heap)
-        worth = -len(told[ident] - met) / cost[ident]
-        if heap and worth > heap[0][0]:
-            heapq.heappush(heap, (worth, index, ident))
+        adds = -len(told[ident] - met) / cost[ident]
+        if heap and adds > heap[0][0]:
+            heapq.heappush(heap, (adds, index, ident))
         elif cost[ident] <= left:
             chosen.add(ident)
             met |= told[ident]
@@ -84,6 +92,12 @@ def dropped(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> dict[str, in
     """How many cases of each group were left out."""
     kept = {case.id for case in chosen}
     return dict(Counter(group(case.id) for case in cases if case.id not in kept))
+
+
+def emptied(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> tuple[str, ...]:
+    """The groups of which no case was chosen, in order."""
+    left = {group(case.id) for case in chosen}
+    return tuple(name for name in dict.fromkeys(group(c.id) for c in cases) if name not in left)
 
 
 def group(ident: str) -> str:

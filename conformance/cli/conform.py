@@ -16,9 +16,11 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.options import (
+    Finite,
     asked_here,
     confirm_motion,
     line_options,
+    milliseconds,
     note,
     note_hindrances,
     note_suspension,
@@ -125,8 +127,7 @@ class RobotOptions:
 
 
 def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
-    kind = click.FloatRange(0, 60_000, min_open=True)
-    return click.option(name, metavar="MS", type=kind, help=text)
+    return click.option(name, metavar="MS", type=milliseconds, help=text)
 
 
 @click.command()
@@ -177,7 +178,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.option(
     "--budget",
     metavar="S",
-    type=click.FloatRange(1, 86_400),
+    type=Finite(1, 86_400),
     help="Drop the cases that add least a second, and say which; fill time left with random ones.",
 )
 @click.option(
@@ -219,7 +220,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 @click.option(
     "--reconnect",
     metavar="S",
-    type=click.FloatRange(0, 86_400, min_open=True),
+    type=Finite(0, 86_400, min_open=True),
     help="Wait so long for a port that is unplugged, then go on: the case is inconclusive.",
 )
 @click.option(

@@ -7,6 +7,7 @@ keep to it.
 from __future__ import annotations
 
 import tomllib
+from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -32,6 +33,14 @@ _FLAGS = {
 }
 
 
+_RECENT = 100  # answers to an instruction that tell how far its answers vary
+_FEWEST = 10  # that tell it
+
+
+def _recent() -> defaultdict[bytes, deque[int]]:
+    return defaultdict(lambda: deque(maxlen=_RECENT))
+
+
 @dataclass
 class Profile:
     """What was measured on the device; times in ns, None where it was not.
@@ -41,7 +50,8 @@ class Profile:
     `whole_frame` is true for one whose time-out counts over the whole frame. `stop_latency` is how
     late it was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the
     time to the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
-    `slowest` is the longest time to an answer, `delays` the three longest.
+    `slowest` is the longest time to an answer, `delays` the three longest, `delays_by_frame` those
+    of the last answers to each instruction that set a robot up, on a real line.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
     probe told each time, `wheels` the curves of its wheels' speeds, `preamble_speed` the speed at
     which most faults are tried.
@@ -55,6 +65,7 @@ class Profile:
     latencies: list[int] = field(default_factory=list)
     slowest: int = 0
     delays: list[int] = field(default_factory=list)
+    delays_by_frame: defaultdict[bytes, deque[int]] = field(default_factory=_recent)
     flushes: bool = False
     flushes_for: int | None = None
     whole_frame: bool = False
@@ -79,6 +90,17 @@ class Profile:
     def all_but_two(self) -> int:
         """Within what time (ns) all answers came but two, which a busy host may have taken late."""
         return self.delays[2] if len(self.delays) > 2 else 0
+
+    @property
+    def unsteadiness(self) -> int:
+        """By how much (ns) the line delays one byte more than another, for nine bytes in ten or so.
+
+        It is how far the answers to one and the same frame vary, without the tenth that came first
+        and the tenth that came last: a busy host is late now and then, a line that jitters always.
+        """
+        told = [sorted(delays) for delays in self.delays_by_frame.values()]
+        tenths = [(delays, len(delays) // 10) for delays in told if len(delays) >= _FEWEST]
+        return max((delays[-1 - tenth] - delays[tenth] for delays, tenth in tenths), default=0)
 
     def delayed(self, delay: int) -> None:
         """Note how late (ns) an answer came."""

@@ -35,7 +35,7 @@ def stays_stopped(
     most = case.kind is not FrameClass.VALID if short else case.kind in _MANY
     many = most and not case.thorough
     brief = many and run.counters.next_check() % 8
-    window = run.timers.settle if brief else run.timers.silence
+    window = run.timers.settle if brief else max(run.timers.silence, run.timers.settle)
     costly = run.config.observability.costly
     long = case.thorough and not costly and (not short or run.counters.holds(case))
     rounds = max(1, run.timers.hold // window) if long else 1

@@ -41,6 +41,11 @@ class Attempt:
         return self.result.verdict is Verdict.FAIL
 
     @property
+    def held_up(self) -> bool:
+        """Whether line or device stood still for a moment where it failed."""
+        return self.mismatch is not None and self.mismatch.held_up
+
+    @property
     def axis(self) -> str:
         """The axis that failed."""
         return self.how.partition(":")[0]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds, within
+from bilprov.conformance.cases.budget import Pace, before_the_cases, emptied, seconds, within
+from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected, followed
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
@@ -39,7 +40,8 @@ class Runner:
 
     `measure` has the truncation time-out measured even if no case needs it, `discover` has the
     device's choices found out. `spare` is called before each case with its id and the results so
-    far, and returns whether to skip it. `unusable` says why the line could not be used at all,
+    far, and returns whether to skip it. `left_out` are the groups of which a budget left no case.
+    `unusable` says why the line could not be used at all,
     `ended` what ended the run early.
     """
 
@@ -52,8 +54,10 @@ class Runner:
         measure: bool = False,
         discover: bool = True,
         spare: SkipPolicy | None = None,
+        left_out: Sequence[str] = (),
     ) -> None:
         self._spare = spare
+        self._left_out = tuple(left_out)
         self.run = run
         self.unusable = ""
         self.ended: Ended | None = None
@@ -109,10 +113,14 @@ class Runner:
                 yield from discover(run)
             yield from settle_failures(run)
             self._fit()
+            self._require_each_group()
             while self._left and not self._enough():
                 case = self._left[0]
                 if self._spare and self._spare(case.id, run.results):
                     self._result(Verdict.SKIPPED, "not run", "spared")
+                    continue
+                if run.line.forbids(case):
+                    self._result(Verdict.INCONCLUSIVE, "not run", run.line.sentence)
                     continue
                 run.begin(case.id)
                 run.waiting.require_budget()
@@ -216,7 +224,18 @@ class Runner:
         )
         for case in [case for case in self._left if case.id not in kept]:
             run.conclude(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)})
-        self._left = [case for case in self._left if case.id in kept]
+        whole_suite, self._left = self._left, [case for case in self._left if case.id in kept]
+        self._left_out += emptied(whole_suite, self._left)
+
+    def _require_each_group(self) -> None:
+        """Conclude that a run does not show conformance where a budget left no case of a group."""
+        if not self._left_out:
+            return
+        clause, requirement = self.run.protocol.clauses.instructions, "each group has a case"
+        case = runner_case(self.run.protocol, "level/left-out", clause, requirement, b"")
+        names = ", ".join(self._left_out)
+        reason = f"left out for the budget: {names}; this run does not show conformance"
+        self.run.conclude(case, {"answer": Axis(Verdict.INCONCLUSIVE, "", "not run", reason)})
 
     def _charged(self) -> bool:
         """Whether a case already has the verdict that the kit, the port or the probe failed."""

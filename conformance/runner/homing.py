@@ -112,19 +112,23 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     settled = trial is not None and trial.settled and run.config.short_homing
     settle = 0 if settled else run.timers.settle
     between_frames = in_step or trial is None
-    lost = 0
+    lost = owed = 0
     for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience, settle)
-        if len(got) > count:
-            yield from _too_many(run, got[: len(got) - count], late)
+        # What is owed to the stops before is late, and neither lost nor unasked.
+        belated = min(owed, max(0, len(got) - count))
+        owed, lost = owed - belated, max(0, lost - belated)
+        if len(got) > count + belated:
+            yield from _too_many(run, got[: len(got) - count - belated], late)
         if len(got) >= count:
             run.strays.missing(lost)
             return
-        lost += (count - len(got)) * between_frames
         # It waited for data, or discards bytes until the line is idle: a pause ends both.
         more = yield from listen(None, pause)
-        if len(got) + len(more.answers) >= count:
+        short = max(0, count - len(got) - len(more.answers))
+        owed, lost = owed + short, lost + short * between_frames
+        if not short:
             run.strays.missing(lost)
             return
     # A device that loses instructions sent ahead still takes one at a time. It may take the first
@@ -217,7 +221,9 @@ def _leave(run: Run) -> Procedure[Ended | None]:
     verdict, reason = Verdict.FAIL, "THE ROBOT STILL MOVES"
     if seen.look.moving is None:
         verdict, reason = Verdict.INCONCLUSIVE, f"{NOT_OBSERVABLE}: it may still move"
-    run.conclude(case, {"stop": Axis(verdict, "stopped", look_words(seen.look), reason)})
+    run.conclude(
+        case, {"stop": Axis(verdict, "stopped", look_words(seen.look), reason)}, certain=True
+    )
     return None
 
 
@@ -241,7 +247,7 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
         expected = run.model.after(expected, frame_effect_of(run.protocol, frame))
         heard = yield from run.waiting.answers(1)
         answered += len(heard.answers)
-        run.profile.measured(heard, sent)
+        run.answered(run.wire(frame), heard, sent)
     expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
         return SetUp("", expected)

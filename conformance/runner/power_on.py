@@ -55,6 +55,10 @@ def first_bytes(run: Run) -> Procedure[str]:
         first = len(outcomes) == 1
         boot = run.timers.boot if first else 0
         heard, sent = yield from _exchange(run, case, boot)
+        if first and not run.config.virtual and not set(heard.codes) <= set(run.protocol.codes):
+            # The rest of a banner may come late.
+            more = yield from listen(None, run.timers.deadline)
+            heard = Received(heard.answers + more.answers, more.now)
         if first and _chatter(case, heard):
             # A board that was reset by opening its port sends a banner: send the instruction again.
             outcomes[0][1]["answer"] = _banner(run, heard)
@@ -77,29 +81,38 @@ def first_bytes(run: Run) -> Procedure[str]:
     exchanges = [(case.frame, heard) for case, _, heard, _ in outcomes[1:]]
     unusable = _line_fault(run, exchanges) or (yield from _other_device(run, exchanges))
     if not unusable:
+        failed = any(a.verdict is Verdict.FAIL for _, axes, _, _ in outcomes for a in axes.values())
+        if failed and not run.config.virtual:
+            yield from _time_answers(run)  # the line may be why
         for case, axes, heard, sent in outcomes:
-            run.conclude(case, axes, heard.answers, sent)
+            run.conclude(case, axes, heard.answers, sent, certain=case is still)
         yield from _second_power_on(run)
     return unusable
 
 
 def calibrate(run: Run) -> Procedure[None]:
     """Measure how long an answer takes on this line and how much that varies, by single stops."""
-    stop, times = bytes([run.protocol.pad_byte]), []
+    times = yield from _time_answers(run)
+    if times:
+        times.sort()
+        run.profile.round_trip = times[len(times) // 2]
+        run.profile.jitter = times[-1] - times[0]
+        yield from _ahead(run)
+
+
+def _time_answers(run: Run) -> Procedure[list[int]]:
+    """How long (ns) the answers to single stops take."""
+    stop, times = bytes([run.protocol.pad_byte]), list[int]()
     for _ in range(_CALIBRATION):
         stray = yield from listen(None, 0)
         if stray.answers:
             run.strays.unexpected(stray.answers, "came although nothing was asked")
         sent = yield from send(stop)
         heard = yield from run.waiting.answers(1)
-        run.profile.measured(heard, sent)
+        run.answered(stop, heard, sent)
         run.strays.missing(not heard.answers)
         times += [t - sent for t, _ in heard.answers[:1]]
-    if times:
-        times.sort()
-        run.profile.round_trip = times[len(times) // 2]
-        run.profile.jitter = times[-1] - times[0]
-        yield from _ahead(run)
+    return times
 
 
 def _ahead(run: Run) -> Procedure[None]:

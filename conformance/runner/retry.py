@@ -64,6 +64,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first
+    if run.line.explains(first.result):  # over such a line it would not tell more another time
+        return Attempt(_named(case, first))
     answer = first.result.axes.get("answer")
     # How fast the wheels turn explains no wrong answer.
     if isinstance(case, Case) and (answer is None or answer.verdict < Verdict.INCONCLUSIVE):
@@ -75,7 +77,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             return replace(first, stopped=stopped)
         if too_slow:
             return (yield from judge_case(run, case))
-    if run.counters.reproduced >= _TRUSTED and not run.counters.flaky:
+    trusted = run.counters.reproduced >= _TRUSTED and not run.counters.flaky
+    if trusted and not first.held_up:
         return Attempt(_named(case, first))
     known = _named(case, first) if run.config.lossless else first.result
     confirmed = False
@@ -151,12 +154,16 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
             more += 1
             same_place += again.where == first.where
             same_kind += again.how == first.how
-        if same_place >= _TWICE and is_no_noise(
-            run, first, burst_bytes(case, first), same_place, tries
+        # What stands still now and then fails now and then, in any place, and for long.
+        seldom = first.held_up and 2 * more <= tries
+        if (
+            not seldom
+            and same_place >= _TWICE
+            and is_no_noise(run, first, burst_bytes(case, first), same_place, tries)
         ):
             return True, tries, more
         # Noise hits a long sequence more often than a short one, and in any place.
-        if same_kind >= needed and is_no_noise(run, first, size, same_kind, tries):
+        if not seldom and same_kind >= needed and is_no_noise(run, first, size, same_kind, tries):
             return True, tries, more
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break

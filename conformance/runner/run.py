@@ -15,6 +15,7 @@ from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, SEEN_AXES, Sight
 from bilprov.conformance.oracle.state_model import Model
@@ -25,7 +26,7 @@ from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
 from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.time_limit import TimeLimit
-from bilprov.conformance.runner.waiting import Waiting
+from bilprov.conformance.runner.waiting import CoarseLine, Waiting
 from bilprov.spec.codec import spaced
 from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
@@ -175,8 +176,11 @@ class Run:
     ) -> None:
         self.config = config
         self.profile = profile or Profile()
-        timeout = config.protocol.timing.truncation_timeout
-        self.waiting = Waiting(config.timers, self.profile, timeout)
+        timing = config.protocol.timing
+        self.waiting = Waiting(
+            config.timers, self.profile, timing.truncation_timeout, timing.truncation_shortest
+        )
+        self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
         self.tally = Tally(config.protocol, self.waiting)
         self.sight = Sight()
@@ -198,6 +202,7 @@ class Run:
         self.note = note
         self._begin = begin
         self._report = report
+        self._told_coarse = False
 
     @property
     def protocol(self) -> Protocol:
@@ -227,6 +232,12 @@ class Run:
         loses = any(choices.differs(point) for point in (*FLUSH_POINTS, "R-answer-point"))
         return not loses and self.profile.truncation_answered is not False
 
+    def answered(self, frame: bytes, heard: Received, sent: int) -> None:
+        """Take note of how soon the answer to a valid frame came, which had gone at `sent` (ns)."""
+        self.profile.measured(heard, sent)
+        if heard.answers and not self.config.virtual:
+            self.profile.delays_by_frame[frame].append(heard.answers[0][0] - sent)
+
     def wire(self, frame: bytes) -> bytes:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""
         return on_the_wire(self.protocol, self.profile.choices, frame)
@@ -236,11 +247,18 @@ class Run:
         self.sight.begin(ident)
         self._begin(ident)
 
-    def publish(self, result: CaseResult) -> None:
-        """Record a final result and report it; what its looks did not show makes it no pass.
+    def publish(self, result: CaseResult, *, certain: bool = False) -> None:
+        """Record a final result and report it.
 
-        A failure that rests on a foreign probe waits until the probe has been checked (`release`).
+        What its looks did not show makes it no pass, and what the line explains no failure, unless
+        it is `certain` that no line does. A failure that rests on a foreign probe waits until the
+        probe has been checked (`release`).
         """
+        if self.profile.truncation_timeout and self.line.coarse and not self._told_coarse:
+            self._told_coarse = True
+            self.note(self.line.sentence)
+        if not certain:
+            result = self.line.judged(result)
         result = self.sight.judged(result)
         if self.looks.contradictory and not self.doubt:
             self.distrust(self.looks.words)
@@ -273,7 +291,7 @@ class Run:
         if waiting and not ended:
             self._trusted = True
         for result in waiting:
-            self.publish(_doubted(result, ended) if ended else result)
+            self.publish(_doubted(result, ended) if ended else result, certain=True)
 
     def tell_doubt(self) -> None:
         """Publish, at the run's end, that the probe contradicted itself or was not believed."""
@@ -291,6 +309,8 @@ class Run:
         axes: dict[str, Axis],
         heard: Iterable[tuple[int, int]] = (),
         sent: int = 0,
+        *,
+        certain: bool = False,
     ) -> None:
-        """Publish the result of a case with these axes; see `result_of`."""
-        self.publish(result_of(case, axes, heard, sent))
+        """Publish the result of a case with these axes; see `result_of` and `publish`."""
+        self.publish(result_of(case, axes, heard, sent), certain=certain)

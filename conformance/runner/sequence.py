@@ -129,12 +129,12 @@ class _SequenceRun:
             yield from self._forget()
             return None
         before, taken = self._take(chosen)
-        found = answered_early(trial, chosen, early, self._pause)
+        found = answered_early(trial, chosen, early, run.waiting.pause)
         if found:
             return found
         watched = 0
         if taken[-1].truncated and burst.looks and not self._blind:
-            heard, found = yield from watch_time_out(trial, taken[-1], before)
+            heard, found = yield from watch_time_out(trial, taken[-1], before, sent)
             if found:
                 return found
             early.append((len(burst.data), heard.answers))
@@ -164,17 +164,12 @@ class _SequenceRun:
         usable, last = True, 0
         for start, end in zip([0, *places], [*places, len(data)], strict=True):
             if start:
-                heard = yield from listen(None, self._pause)
+                heard = yield from listen(None, run.waiting.pause)
                 trial.hear(heard)
                 early.append((start, heard.answers))
                 usable = usable and heard.now - last < run.waiting.timeout // 2
             last = yield from send(data[start:end])
         return last, early, usable
-
-    @property
-    def _pause(self) -> int:
-        """How long (ns) a pause inside a frame lasts."""
-        return min(self._run.waiting.timeout // 8, 4 * MS)
 
     def _forget(self) -> Procedure[None]:
         """Wait until a frame the device may have truncated is over; then the state is unknown."""

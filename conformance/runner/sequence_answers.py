@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
@@ -76,10 +76,10 @@ def judge_burst(
     left = max(0, due - len(before))
     if last.truncated:
         # Nothing is sent during its time-out.
-        pause = run.waiting.silence - watched
+        pause = max(0, run.waiting.silence - watched)
         answers = run.waiting.all_answers(left, pause + run.waiting.usual)
         heard = yield from answers if left else listen(None, pause)
-        heard = yield from run.waiting.left_alone(heard, sent, watched)
+        heard = yield from run.waiting.left_alone(heard, sent, watched, silent=silent)
     else:
         heard = yield from run.waiting.all_answers(left, run.waiting.patience)
         if len(heard.answers) < left:
@@ -90,10 +90,11 @@ def judge_burst(
         more = yield from listen(None, run.waiting.idle)
         heard = Received(heard.answers + more.answers, more.now)
         trial.hear(more)
+    held_up = _held_up(run, taken, heard, sent)
     for step, code in zip(taken, (*heard.codes, *[None] * len(taken)), strict=False):
         found = _judge(trial, step, code)
         if found:
-            return found
+            return replace(found, held_up=held_up)
     if len(heard.answers) > due:
         came = quantity(len(heard.answers), "answer")
         reason = f"{came} came, {due} {'were' if due > 1 else 'was'} due"
@@ -101,8 +102,17 @@ def judge_burst(
             run.protocol, tuple(step.accepted[0].codes[0] for step in taken[:due])
         )
         flood = "R-unsolicited" if len(heard.answers) > 2 * due + _FEW else ""
-        return _wrong(run, last, wanted, heard.codes, reason, flood)
+        return replace(_wrong(run, last, wanted, heard.codes, reason, flood), held_up=held_up)
     return _soon(trial, taken, heard, sent)
+
+
+def _held_up(run: Run, taken: list[Step], heard: Received, sent: int) -> bool:
+    """Whether an answer came so late that line or device stood still for most of a time-out."""
+    if run.config.virtual or not heard.answers:
+        return False
+    waited = run.waiting.timeout if taken[-1].truncated else 0
+    late = heard.answers[-1][0] - sent - waited - (run.profile.round_trip or 0)
+    return 2 * late > run.waiting.timeout
 
 
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
@@ -182,7 +192,8 @@ def _losing_point(run: Run, step: Step) -> str:
 class Mismatch:
     """Where a sequence failed: the step, the axis with its name, and the clause that it breaks.
 
-    `burst` is the burst's index, below 0 in the preamble.
+    `burst` is the burst's index, below 0 in the preamble. `held_up` if an answer came late, which
+    may have torn a frame apart.
     """
 
     step: Step
@@ -190,3 +201,4 @@ class Mismatch:
     axis: Axis
     clause: str
     burst: int = 0
+    held_up: bool = False

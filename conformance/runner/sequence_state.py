@@ -87,13 +87,14 @@ def watch_idle(
 
 
 def watch_time_out(
-    trial: Trial, step: Step, before: ExpectedState
+    trial: Trial, step: Step, before: ExpectedState, sent: int
 ) -> Procedure[tuple[Received, Mismatch | None]]:
     """Look at a robot that stood before a truncated frame, half-way through its time-out.
 
     What the frame before may do by itself shows there. Returns what was heard (at time 0 where it
     moved before, and is not looked at), and the mismatch where it moves. `before` is the expected
-    state before the truncated frame.
+    state before the truncated frame, which had gone at `sent` (ns). Bytes may be on a slow line for
+    as long as the slowest answer took: so long it may still move.
     """
     run, half = trial.run, trial.run.waiting.timeout // 2
     if not before.still or run.profile.stop_latency > half:
@@ -101,6 +102,12 @@ def watch_time_out(
     heard = yield from listen(None, half)
     trial.hear(heard)
     seen = yield from observe()
+    arrived = 0 if run.config.virtual else sent + run.profile.slowest
+    while seen.look.moving and seen.now < arrived:
+        more = yield from listen(None, 2 * MS)
+        trial.hear(more)
+        heard = Received(heard.answers + more.answers, more.now)
+        seen = yield from observe()
     if seen.look.moving:
         found = ("moving", False, True)
         return heard, _by_itself(trial, step, before, found, seen.look)

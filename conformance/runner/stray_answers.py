@@ -81,7 +81,7 @@ class StrayAnswers:
         clause, requirement = self._protocol.clauses.responses, "answers between the cases too"
         case = runner_case(self._protocol, "line/lost", clause, requirement, b"")
         axis = Axis(verdict, "each instruction answered once", "no answer", reason)
-        self._conclude(case, {"answer": axis})
+        self._conclude(case, {"answer": axis}, certain=True)
 
     def _end_strays(self, verdict: Verdict) -> None:
         if self._stray:

@@ -225,6 +225,15 @@ def _wait(
 def _in_limits(run: Run, timeout: int) -> Axis:
     timing = run.protocol.timing
     expected = f"{timing.truncation_shortest:g} ms to {timing.truncation_longest:g} ms"
+    unsteady = run.profile.unsteadiness if run.line.coarse else 0
+    if unsteady and not (
+        timing.truncation_shortest <= (timeout - unsteady) / MS
+        and (timeout + unsteady) / MS <= timing.truncation_longest
+    ):
+        words = f"{timeout / MS:.0f} ms, give or take {unsteady / MS:.0f} ms"
+        return Axis(
+            Verdict.INCONCLUSIVE, expected, words, run.line.sentence, "R-truncation-timeout"
+        )
     inside = timing.truncation_shortest <= timeout / MS <= timing.truncation_longest
     verdict = Verdict.PASS if inside else Verdict.NON_STRICT
     reason = "" if inside else f"the time-out is {timeout / MS:.0f} ms"

@@ -1,12 +1,21 @@
-"""The waiting policy of a run: how long it waits for answers, and how much of that was in vain."""
+"""The waiting policy of a run: how long it waits, and what cannot be told for the line's delays."""
 
 from __future__ import annotations
 
+import msgspec
+
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
+from bilprov.spec.open_points import FLUSH_POINTS
+from bilprov.spec.protocol import Protocol
 
+_PAUSE = 4 * MS  # the longest inside a frame
 _NEVER = 5  # answers missing in succession, until `patience` becomes as short as `usual`
 
 
@@ -17,15 +26,19 @@ class GaveUp(Exception):
 class Waiting:
     """How long a run waits for answers, by its timers and by what the device has shown so far.
 
-    `truncation_timeout` is the grammar's (ms), used until the device's is measured.
+    `truncation_timeout` is the grammar's (ms), used until the device's is measured, `shortest` the
+    shortest that a device may have (ms).
     `answer_pending` is true while an answer that was due may still come; `timeouts` is the time
     (ns) spent waiting for truncation time-outs.
     """
 
-    def __init__(self, timers: Timers, profile: Profile, truncation_timeout: float) -> None:
+    def __init__(
+        self, timers: Timers, profile: Profile, truncation_timeout: float, shortest: float
+    ) -> None:
         self._timers = timers
         self._profile = profile
         self._usual_timeout = int(truncation_timeout * MS)
+        self._shortest = int(shortest * MS)
         self._never_came = 0
         self._wasted = 0
         self.answer_pending = False
@@ -64,25 +77,51 @@ class Waiting:
         return self._profile.truncation_timeout or self._usual_timeout
 
     @property
+    def pause(self) -> int:
+        """How long (ns) a pause inside a frame lasts that a device must not take for its end."""
+        return min(self.timeout // 8, _PAUSE)
+
+    @property
+    def finest(self) -> int:
+        """The shortest time-out (ns) that this line lets judge.
+
+        It may tear two bytes apart by its unsteadiness, and a time-out was measured wrongly by as
+        much.
+        """
+        return 2 * self._profile.unsteadiness + self.pause
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the line may make the device time out inside a frame that was sent at once."""
+        return self.finest > (self._profile.truncation_timeout or self._shortest)
+
+    @property
     def idle(self) -> int:
         """The silence (ns) after which a device that discards what follows a fault listens."""
         return max(self.timeout, self._profile.flushes_for or 0) + self._timers.settle
 
     @property
     def silence(self) -> int:
-        """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out."""
-        return self.timeout + self.timeout // 4 + self._timers.settle
+        """How long (ns) nothing is sent after a truncated frame: a bit more than its time-out.
 
-    def left_alone(self, heard: Received, sent: int, watched: int = 0) -> Procedure[Received]:
+        An unsteady line may bring the bytes around it closer together.
+        """
+        more = max(self.timeout // 4, 2 * self._profile.unsteadiness)
+        return self.timeout + more + self._timers.settle
+
+    def left_alone(
+        self, heard: Received, sent: int, watched: int = 0, *, silent: bool = False
+    ) -> Procedure[Received]:
         """Wait for the rest of the silence after a truncated frame that had gone at `sent` (ns).
 
-        Of its time-out `watched` ns were a silence of their own. Returns what was `heard`, and what
-        came after it.
+        Of its time-out `watched` ns were a silence of their own; `silent` if no answer shows its
+        end. Returns what was `heard`, and what came after it.
         """
         self.timeouts += max(0, self.timeout - watched) if heard.answers else 0
-        if heard.now - sent < self.timeout // 2:
+        left = sent + self.silence - heard.now
+        if heard.now - sent < self.timeout // 2 or (silent and left > 0):
             # Answered at its header: bytes sent now would still be taken for its data.
-            more = yield from listen(None, sent + self.silence - heard.now)
+            more = yield from listen(None, left)
             heard = Received(heard.answers + more.answers, more.now)
         return heard
 
@@ -112,3 +151,70 @@ class Waiting:
         budget = self._timers.waiting_budget
         if budget is not None and self._wasted > budget:
             raise GaveUp(f"{self._wasted / 1e9:.0f} s went into waiting for what did not come")
+
+
+class CoarseLine:
+    """Decides what of a run may be due to a line that delays bytes by different times.
+
+    Such a line may tear a frame apart, and a good robot then rightly times out inside it: it
+    answers that the frame was cut short, stops, and takes the other bytes for instructions of their
+    own. Any answer that the protocol knows may come of that, none may, and any motion: it is
+    inconclusive. An answer that no device gives does not come of it.
+
+    A robot that discards what follows a fault until the line is idle takes it where the line lets
+    the next byte come a little later.
+    """
+
+    def __init__(self, protocol: Protocol, waiting: Waiting, profile: Profile) -> None:
+        self._codes = protocol.codes
+        self._waiting = waiting
+        self._profile = profile
+        self._beyond: set[str] = set()
+
+    def forbids(self, case: AnyCase) -> bool:
+        """Whether a sequence was too fine for this line, and this is another of its set."""
+        return isinstance(case, SequenceCase) and group(case.id) in self._beyond
+
+    def explains(self, result: CaseResult) -> bool:
+        """Whether the line may be why a case failed."""
+        if result.verdict is not Verdict.FAIL or not self.coarse:
+            return False
+        return all(int(answer.hex, 16) in self._codes for answer in result.received)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the line changes what this device hears, as far as times go."""
+        return self._waiting.coarse or (
+            self._loses and 2 * self._profile.unsteadiness > self._waiting.pause
+        )
+
+    @property
+    def _loses(self) -> bool:
+        """Whether the device discards what follows a fault."""
+        profile = self._profile
+        return profile.flushes or any(map(profile.choices.differs, FLUSH_POINTS))
+
+    def judged(self, result: CaseResult) -> CaseResult:
+        """The result, inconclusive where the line may be why it failed."""
+        if not self.explains(result):
+            return result
+        self._beyond.add(group(result.id))
+        axes = {name: self._unsure(axis) for name, axis in result.axes.items()}
+        verdict = worst(axis.verdict for axis in axes.values())
+        return msgspec.structs.replace(result, axes=axes, verdict=verdict)
+
+    def _unsure(self, axis: Axis) -> Axis:
+        if axis.verdict is not Verdict.FAIL:
+            return axis
+        reason = f"{self.sentence}: {axis.reason}"
+        return msgspec.structs.replace(axis, verdict=Verdict.INCONCLUSIVE, reason=reason)
+
+    @property
+    def sentence(self) -> str:
+        """What the line does, and what cannot be judged over it."""
+        late, finest = self._profile.unsteadiness / MS, self._waiting.finest / MS
+        behind = ", nor what is sent right behind a fault" if self._loses else ""
+        return (
+            f"the line delays bytes by up to {late:.0f} ms: pauses inside a frame and time-outs "
+            f"below {finest:.0f} ms cannot be judged{behind}"
+        )

@@ -1,0 +1,130 @@
+"""Lines that jitter, and devices that stand still now and then, fail no good robot.
+
+A faulty one does not pass over them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
+from tests.support.unsteady_lines import JitteryDevice, Notes, StoppedDevice, run_on_line
+
+pytestmark = pytest.mark.slow
+
+MS = 1_000_000
+JITTERS = (10, 20, 30, 40, 50)  # ms
+GOOD = (
+    "",
+    "R-truncation-timeout=3-ms",
+    "R-truncation-timeout=500-ms",
+    "R-truncation-timeout=whole-frame",
+    "R-answer-point=header",
+    "R-answer-deadline=150-ms-after-faults",
+    "R-pipelining=lost-after-a-fault",
+    "R-drain-known=flushed",
+    "R-truncated-known=silent",
+    "R-stop-latency=50-ms",
+    "R-watchdog=stops",
+    "R-unsolicited=banner",
+)
+FAULTY = (
+    "ok-to-unknown-id",
+    "no-stop-on-too-many",
+    "never-times-out",
+    "split-fault-does-not-stop",
+    "sent-ahead-valid-lost",
+    "left-is-signed",
+    "restarts-on-led-after-a-fault",
+    "every-16th-fault-missed",
+)
+
+
+def robot(protocol: Protocol, name: str) -> Simulator:
+    """The reference, a legal variant, or a faulty device."""
+    if not name:
+        return Simulator(protocol)
+    legal = variants(protocol).get(name)
+    return Simulator(protocol, legal.fault if legal else fault_bank(protocol)[name])
+
+
+def failed(report: Report) -> list[tuple[str, str]]:
+    return [(r.id, r.reason) for r in report.results if r.verdict is Verdict.FAIL]
+
+
+@pytest.mark.sample(24)
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("jitter", JITTERS)
+@pytest.mark.parametrize("name", GOOD)
+def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, seed: int) -> None:
+    device = JitteryDevice(robot(protocol, name), jitter * MS, seed)
+    report, _ = run_on_line(protocol, device, level="smoke", seed=seed)
+    assert failed(report) == []
+    assert report.exit in (0, 3)
+
+
+@pytest.mark.sample(10)
+@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("jitter", JITTERS)
+@pytest.mark.parametrize("name", FAULTY)
+def test_jitter_lets_no_faulty_robot_pass(
+    protocol: Protocol, name: str, jitter: int, seed: int
+) -> None:
+    device = JitteryDevice(robot(protocol, name), jitter * MS, seed)
+    report, _ = run_on_line(protocol, device, level="smoke", seed=seed, fail_fast=True)
+    assert report.exit in (1, 3)
+
+
+@pytest.mark.parametrize("delay", [30, 60, 90])
+def test_a_line_that_is_slow_both_ways_fails_no_good_robot(protocol: Protocol, delay: int) -> None:
+    """A look inside a time-out comes before the bytes of the stop are there."""
+    device = JitteryDevice(Simulator(protocol), 0, 2, delay * MS)
+    report, _ = run_on_line(protocol, device, level="smoke", seed=2)
+    assert failed(report) == []
+    assert report.exit == 0
+
+
+def test_what_a_line_is_too_coarse_for_is_said_once(protocol: Protocol) -> None:
+    notes = Notes()
+    device = JitteryDevice(Simulator(protocol), 150 * MS, 1)
+    report, took = run_on_line(protocol, device, notes, level="smoke")
+    told = [sentence for sentence in notes.told if "cannot be judged" in sentence]
+    assert len(told) == 1
+    assert told[0].startswith("the line delays bytes by up to 1")
+    assert report.exit == 3
+    assert took < 200  # s; each set of cases ends where it cannot be judged
+
+
+def test_an_answer_that_no_device_gives_fails_over_any_line(protocol: Protocol) -> None:
+    device = JitteryDevice(robot(protocol, "unused-code-for-valid"), 50 * MS, 1)
+    report, _ = run_on_line(protocol, device, level="smoke", fail_fast=True)
+    assert report.exit == 1
+
+
+def test_a_steady_line_leaves_failures_failures(protocol: Protocol) -> None:
+    for name in FAULTY:
+        notes = Notes()
+        report, _ = run_on_line(
+            protocol, robot(protocol, name), notes, level="smoke", fail_fast=True
+        )
+        assert report.exit == 1, name
+        assert not [sentence for sentence in notes.told if "cannot be judged" in sentence]
+
+
+@pytest.mark.sample(6)
+@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize(
+    ("stop", "period"), [(300, 1000), (300, 1013), (200, 977), (100, 700), (50, 1000), (50, 333)]
+)
+def test_a_device_that_stands_still_now_and_then_does_not_fail(
+    protocol: Protocol, stop: int, period: int, seed: int
+) -> None:
+    device = StoppedDevice(Simulator(protocol), stop * MS, period * MS)
+    report, _ = run_on_line(protocol, device, level="smoke", seed=seed)
+    assert failed(report) == []
+    assert report.exit in (0, 3)
