@@ -33,6 +33,8 @@ LED = '"rgb"\n        / Ranged(Byte, 0, 7, bits="RGB", reading="R-led-upper-bits
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 STEER = 'Sets(steering=From("strength")),'
 POWER = "POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)"
+FAULTY = "FAULTY = Sets(motion=Motion.STOPPED, steering=0)"
+FRAME = 'FRAME = Struct("header" / HEADER, "data" / Switch(this.header.id, INSTRUCTIONS))'
 IMPORT = "from construct import "
 OK = '0: Answer(\n            "OK", Outcome.VALID,'
 ID = '"id" / BitsInteger(4)'
@@ -163,6 +165,21 @@ WRONG: dict[str, tuple[dict[str, str], str]] = {
     "a name with an escape": ({'NAME = "robot-car"': 'NAME = "\\x1b]0;x\\x07"'}, "NAME holds"),
     "a version that is a number": ({'VERSION = "1.1"': "VERSION = 1.1"}, "VERSION is a float"),
     "a document that turns": ({'DOCUMENT = "': 'DOCUMENT = "\\u202e'}, "DOCUMENT holds"),
+    "a fault that does not stop": ({FAULTY: "FAULTY = Sets(steering=0)"}, "FAULTY does not set"),
+    "a fault that turns on the spot": (
+        {FAULTY: "FAULTY = Sets(motion=Motion.ROTATE_LEFT)"},
+        "a faulty instruction must stop the robot",
+    ),
+    "a power-on that drives": (
+        {POWER: "POWER_ON = Sets(motion=Motion.FORWARD, speed=9)"},
+        "POWER_ON sets motion to forward; a robot must stand still",
+    ),
+    "a frame with a checksum": (
+        {FRAME: FRAME[:-1] + ', "checksum" / Byte)'},
+        "the parts of FRAME are 'header', 'data', 'checksum'; allowed are header and data",
+    ),
+    "a frame that is a byte": ({FRAME: "FRAME = Byte"}, "the parts of FRAME are none"),
+    "no frame": ({FRAME: ""}, "it declares no FRAME"),
     "a call that hides a number": (
         {"POWER_ON = Sets": "X = this(4294967296)\nPOWER_ON = Sets"},
         "there is a Call",

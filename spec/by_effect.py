@@ -1,12 +1,18 @@
-"""Finds the instructions of a protocol by their effect: which motion or variable they set."""
+"""Finds instructions and frames by their effect: which motion or variable they set.
+
+`frames_to` is the search: the fewest frames that bring a robot from one state to another.
+"""
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 from bilprov.spec.codec import build
-from bilprov.spec.motion import Motion
+from bilprov.spec.motion import VARIABLES, Motion, State, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
@@ -15,37 +21,147 @@ def moves(spec: InstructionSpec) -> bool:
     return spec.effect.motion not in (None, Motion.STOPPED)
 
 
-@lru_cache(maxsize=1 << 8)
-def moving_to(protocol: Protocol, motion: Motion) -> InstructionSpec | None:
-    """Return the instruction without data that sets this kind of motion, None if there is none."""
-    return next(
-        (s for s in protocol.instructions if s.effect.motion is motion and not s.fields), None
-    )
+@lru_cache(maxsize=1 << 12)
+def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
+    """Return the frame of an instruction that leads nearest to a state.
+
+    A field that sets nothing has its lowest value.
+    """
+    values = {part.name: part.low for part in spec.fields}
+    limits = {part.name: (part.low, part.high) for part in spec.fields}
+    for variable, source in spec.effect.assignments:
+        if isinstance(source, tuple):
+            field, factor = source
+            values[field] = _nearest(getattr(state, variable), factor, *limits[field])
+    return build(protocol, spec.name, values)
+
+
+def _nearest(wanted: int, factor: int, low: int, high: int) -> int:
+    """The value of `low`..`high` which times the factor is nearest to what is wanted."""
+    return min(max(round(wanted / factor) if factor else 0, low), high)
+
+
+def after(spec: InstructionSpec, frame: bytes, state: State) -> State:
+    """Return the state after a valid frame of the instruction."""
+    return spec.effect.apply(state, spec.decode(frame[1:]))
 
 
 @lru_cache(maxsize=1 << 12)
-def setting(protocol: Protocol, variable: str, value: int) -> bytes:
-    """Return a frame that sets a variable and leaves the motion alone, b"" if there is none."""
+def setting(protocol: Protocol, variable: str, value: int, beside: State | None = None) -> bytes:
+    """Return a frame that sets a variable and leaves the motion alone, b"" if there is none.
+
+    Where it sets others too, they keep their value in `beside` (at power-on, if None) if they can.
+    """
+    state = replace(beside or protocol.power_on, **{variable: value})  # type: ignore[arg-type]
+    found: list[tuple[int, bytes]] = []
     for spec in protocol.instructions:
-        if spec.effect.sets("motion"):
-            continue
-        for name, source in spec.effect.assignments:
-            if name != variable or not isinstance(source, tuple):
-                continue
-            field, factor = source
-            part = next(f for f in spec.fields if f.name == field)
-            wanted = value // factor
-            if wanted * factor == value and part.low <= wanted <= part.high:
-                values = {f.name: f.low for f in spec.fields} | {field: wanted}
-                return build(protocol, spec.name, values)
-    return b""
+        if spec.effect.sets(variable) and not spec.effect.sets("motion"):
+            frame = fitted(protocol, spec, state)
+            changed = _differing(after(spec, frame, state), state)
+            if variable not in changed:
+                found.append((len(changed), frame))
+    return min(found, key=itemgetter(0))[1] if found else b""
+
+
+def _differing(one: State, other: State) -> frozenset[str]:
+    """The variables in which two states differ."""
+    return frozenset(name for name in VARIABLES if getattr(one, name) != getattr(other, name))
+
+
+@lru_cache(maxsize=1 << 12)
+def frames_to(protocol: Protocol, state: State, known: State | None = None) -> tuple[bytes, ...]:
+    """Return the fewest frames that bring a robot as near to a state as they can.
+
+    The robot stands still; of its other variables nothing is known, or they are those of `known`.
+    What no instruction sets is left as it is. Of equally few frames those come first that set speed
+    and LED, then the motion, then the steering: a device may take up a speed only at the next
+    motion (R-speed-moving), and a motion may reset the steering (R-drive-steering,
+    R-rotate-steering). Steering during a rotation may become a curve (R-steer-rotating): there it
+    comes before the motion.
+    """
+    wanted = _settable(protocol, state)
+    frames = _candidates(protocol, wanted)
+    start = frozenset(VARIABLES) - _differing(known, wanted) if known else frozenset()
+    start -= {"motion"}
+    if wanted.motion is Motion.STOPPED:
+        start |= {"motion"}
+    # From the variables that are right already to those that are right after each frame.
+    paths: dict[frozenset[str], tuple[bytes, ...]] = {start: ()}
+    ahead = deque(paths)
+    while ahead:
+        right = ahead.popleft()
+        for frame, sets, spoils in frames:
+            reached = (right - spoils) | sets
+            if reached not in paths:
+                paths[reached] = (*paths[right], frame)
+                ahead.append(reached)
+    best = max(paths, key=lambda right: ("motion" in right, "speed" in right, len(right)))
+    return paths[best]
+
+
+def _candidates(
+    protocol: Protocol, wanted: State
+) -> list[tuple[bytes, frozenset[str], frozenset[str]]]:
+    """Frames with the variables that they set as wanted, and otherwise, in order of preference."""
+    late = ("steering", "motion") if rotates(wanted.motion) else ("motion", "steering")
+    order = ("speed", "led", *late)
+    found = []
+    for spec in protocol.instructions:
+        frame = fitted(protocol, spec, wanted)
+        touched = {name for name, _ in spec.effect.assignments}
+        spoils = _differing(after(spec, frame, wanted), wanted)
+        sets = touched - spoils
+        if sets:
+            rank = min(map(order.index, {"motion"} & touched or touched))
+            last = spec.effect.motion is Motion.STOPPED
+            found.append(((last, rank), (frame, frozenset(sets), spoils)))
+    return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
+
+
+def _settable(protocol: Protocol, state: State) -> State:
+    """The state, each variable with the value nearest to its own that some instruction sets."""
+    values: dict[str, Any] = {}
+    for spec in protocol.instructions:
+        reached = after(spec, fitted(protocol, spec, state), state)
+        for name, _ in spec.effect.assignments:
+            if name != "motion":
+                values.setdefault(name, []).append(getattr(reached, name))
+    for name, ends in values.items():
+        own = getattr(state, name)
+        values[name] = min(ends, key=lambda value: abs(value - own))
+    return replace(state, **values)
+
+
+def reached(protocol: Protocol, state: State) -> State:
+    """Return the state to which `frames_to` leads a stopped robot that was just switched on."""
+    found = protocol.stop.effect.apply(protocol.power_on)
+    for frame in frames_to(protocol, state):
+        found = after(protocol.by_id[protocol.headers[frame[0]][0]], frame, found)
+    return found
+
+
+@lru_cache(maxsize=1 << 4)
+def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
+    """Return the instructions that set the robot moving: for each motion those without data.
+
+    Where each instruction that sets a motion takes data, these.
+    """
+    found = [spec for spec in protocol.instructions if moves(spec)]
+    short = {spec.effect.motion for spec in found if not spec.fields}
+    return tuple(s for s in found if not s.fields or s.effect.motion not in short)
 
 
 @lru_cache(maxsize=1 << 4)
 def moving_motions(protocol: Protocol) -> tuple[Motion, ...]:
-    """Return the kinds of motion, except stopped, that an instruction without data sets."""
-    found = {spec.effect.motion for spec in protocol.instructions if not spec.fields}
-    return tuple(m for m in Motion if m in found and m is not Motion.STOPPED)
+    """Return the kinds of motion, except stopped, that an instruction sets."""
+    found = {spec.effect.motion for spec in movers(protocol)}
+    return tuple(m for m in Motion if m in found)
+
+
+def moving_to(protocol: Protocol, state: State) -> bytes:
+    """Return the frame that sets a robot into the motion of a state, b"" if there is none."""
+    found = (spec for spec in movers(protocol) if spec.effect.motion is state.motion)
+    return next((fitted(protocol, spec, state) for spec in found), b"")
 
 
 def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
@@ -55,12 +171,6 @@ def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
         for s in protocol.instructions
         if s.fields and s.effect.assignments and not s.effect.sets("motion")
     )
-
-
-@lru_cache(maxsize=1 << 4)
-def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
-    """Return the instructions without data that set the robot moving."""
-    return tuple(s for s in protocol.instructions if not s.fields and moves(s))
 
 
 def variable_of(spec: InstructionSpec) -> str:

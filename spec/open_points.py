@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Moment
+from bilprov.spec.motion import Effect, Moment
 from bilprov.spec.protocol import Protocol
 
 SILENCE_READING = "R-truncated-known"
@@ -159,6 +159,22 @@ FLUSH_POINTS = tuple(
 def points_after(moment: Moment) -> dict[str, OpenPoint]:
     """The open points about the state after frames of a kind, by variable."""
     return {point.variable: point for point in POINTS.values() if moment in point.moments}
+
+
+@cache
+def open_after(effect: Effect, moment: Moment) -> dict[str, OpenPoint]:
+    """The open points about the state after frames of a kind that have this effect, by variable.
+
+    A point is open where the grammar says what the kit's own choice does. A grammar whose effect is
+    another has decided the point, and a device is held to it.
+    """
+    given = dict(effect.assignments)
+    own = {Behaviour.KEPT: None, Behaviour.RESET: 0}
+    return {
+        variable: point
+        for variable, point in points_after(moment).items()
+        if point.choices[0].does in own and given.get(variable) == own[point.choices[0].does]
+    }
 
 
 class OtherAnswer(NamedTuple):

@@ -195,7 +195,10 @@ class Protocol:
 
     @cached_property
     def limits(self) -> Mapping[str, tuple[int, int]]:
-        """The smallest and largest value that instructions can give each state variable."""
+        """The smallest and largest value that instructions can give each state variable.
+
+        A variable that they only reset to 0 has none.
+        """
         found: dict[str, list[int]] = {}
         for spec in self.instructions:
             ranges = {f.name: (f.low, f.high) for f in spec.fields}
@@ -203,6 +206,8 @@ class Protocol:
                 if isinstance(value, tuple):
                     ends = [end * value[1] for end in ranges[value[0]]]
                     found.setdefault(variable, []).extend(ends)
+                elif value and isinstance(value, int):
+                    found.setdefault(variable, []).append(value)
         return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
 
     @cached_property
@@ -324,6 +329,17 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     if missing:
         raise GrammarError(f"no response stands for {', '.join(missing)}")
     _require_each_name_once("two responses stand for", (o.outcome.value for o in responses))
+    _require_bare_frame(_take(space, "FRAME", Construct))
+    on_fault = _effect(_take(space, "FAULTY", Sets), ())
+    if on_fault.motion is not Motion.STOPPED:
+        raise GrammarError(
+            "FAULTY does not set motion to Motion.STOPPED; a faulty instruction must stop the robot"
+        )
+    power_on = _effect(_take(space, "POWER_ON", Sets), ()).apply(State())
+    if power_on.motion is not Motion.STOPPED:
+        raise GrammarError(
+            f"POWER_ON sets motion to {power_on.motion.value}; a robot must stand still at power-on"
+        )
     return Protocol(
         source=source,
         origin=origin,
@@ -334,8 +350,8 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         responses=responses,
         headers=headers,
         header_bits=header_bits,
-        on_fault=_effect(_take(space, "FAULTY", Sets), ()),
-        power_on=_effect(_take(space, "POWER_ON", Sets), ()).apply(State()),
+        on_fault=on_fault,
+        power_on=power_on,
         timing=_take(space, "TIMING", Timing),
         line=_take(space, "LINE", LineDefaults),
         clauses=_take(space, "CLAUSES", Clauses),
@@ -380,6 +396,18 @@ def _headers(
         raise GrammarError(f"the parts of HEADER have {bits} bits together; they must have 8")
     parsed = [header.parse(bytes([byte])) for byte in range(256)]
     return tuple((one.id, one.length) for one in parsed), parts
+
+
+def _require_bare_frame(frame: Construct) -> None:
+    """Raise GrammarError for a FRAME that is more than header and data: no other part is read."""
+    members: list[Construct] = frame.subcons if isinstance(frame, Struct) else []
+    names = [str(part.name) for part in members]
+    if names != ["header", "data"]:
+        parts = ", ".join(map(shown, names)) if names else "none"
+        raise GrammarError(
+            f"the parts of FRAME are {parts}; allowed are header and data, without a sync or a "
+            "checksum around them"
+        )
 
 
 def _twice(values: Iterable[Hashable]) -> Any:

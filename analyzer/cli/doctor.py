@@ -97,7 +97,7 @@ def doctor(
         rates = rates_of(port, settings.baud) if ask else ()
         if rates:
             what = _what_may_move(protocol, port, rates, longest_time(protocol, rates))
-            confirm_motion(what, yes=yes)
+            confirm_motion(protocol, what, yes=yes)
             if yes:
                 note(what)
         if device is not None:

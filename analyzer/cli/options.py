@@ -272,14 +272,16 @@ class NotConfirmed(click.ClickException):
     exit_code = 2
 
 
-def confirm_motion(what: str, *, yes: bool, option: str = "--yes") -> None:
-    """Ask whether the device may move, and return if it may.
+def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "--yes") -> None:
+    """Ask whether the device may move, and return if it may or no instruction moves it.
 
     `what` says what will move, like `the device at /dev/ttyUSB0 will drive as recorded`; `yes` is
     the value of the command's `--yes` (or of the option named `option`). Raises NotConfirmed if the
     answer is no, or if there is no terminal to ask on.
     """
-    if yes:
+    from bilprov.spec.movement import all_movement
+
+    if yes or not all_movement(protocol).motions:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise NotConfirmed(

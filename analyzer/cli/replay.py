@@ -157,7 +157,8 @@ def replay(
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
         if not yes:  # what moves is in the whole capture
-            confirm_motion(_what_moves(protocol, port, path, capture, timeout, window), yes=False)
+            what = _what_moves(protocol, port, path, capture, timeout, window)
+            confirm_motion(protocol, what, yes=False)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         target, sent = None, 0

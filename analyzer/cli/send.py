@@ -126,7 +126,7 @@ def send(
     with first as opened:
         note_hindrances(port)
         words = movement_words(protocol, movement_of(protocol, frames))
-        confirm_motion(f"the robot at {port} will do what is sent: {words}", yes=yes)
+        confirm_motion(protocol, f"the robot at {port} will do what is sent: {words}", yes=yes)
         with Stopper() as stopper:
 
             def heard(record: Record) -> None:

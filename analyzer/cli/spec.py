@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.output.console import show_as
 from bilprov.analyzer.output.help import Group
+
+if TYPE_CHECKING:
+    from bilprov.spec.protocol import Protocol
 
 _output_option = click.option(
     "-o",
@@ -35,6 +40,18 @@ def spec_show(grammar: str | None, style: str) -> None:
     show_as(style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
 
 
+def _require_document(protocol: Protocol, what: str) -> None:
+    """Refuse a grammar of another document than that of the kit's examples and readings."""
+    from bilprov.analyzer.grammar_file import load_protocol
+
+    known = load_protocol().document
+    if protocol.document != known:
+        raise click.ClickException(
+            f"this grammar has no {what}: they belong to {known}, and its document is "
+            f"{protocol.document}"
+        )
+
+
 def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     from bilprov.spec.readings import READINGS
 
@@ -44,15 +61,18 @@ def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) ->
 @spec.command("readings")
 @click.argument("ids", metavar="[ID]...", nargs=-1, shell_complete=_reading_ids)
 @text_format_option
-def spec_readings(ids: tuple[str, ...], style: str) -> None:
+@click.pass_obj
+def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None:
     """Show how the document is read where it is silent: our default, and what others get.
 
     Example: bilprov spec readings R-led-id
     """
     from bilprov.analyzer.cli.typed_input import meant
+    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_readings, readings_json
     from bilprov.spec.readings import READINGS
 
+    _require_document(load_protocol(grammar), "readings")
     known = {reading.id.lower(): reading for reading in READINGS}
     for name in ids:
         if name.lower() not in known:
@@ -74,6 +94,7 @@ def spec_errata(grammar: str | None, style: str) -> None:
     from bilprov.spec.errata import check
 
     protocol = load_protocol(grammar)
+    _require_document(protocol, "examples")
     findings = check(protocol)
     show_as(style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 

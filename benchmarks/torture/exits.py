@@ -37,8 +37,8 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
-from bilprov.conformance.cases.preamble import frames_to, full_state
-from bilprov.spec.by_effect import movers
+from bilprov.conformance.cases.preamble import full_state
+from bilprov.spec.by_effect import frames_to, movers
 from bilprov.spec.fields import Outcome
 
 _PATIENCE = 90.0  # s until a command that was ended must have ended

@@ -22,7 +22,6 @@ from bilprov.conformance.cases.covering_array import (
     feasible_combinations,
 )
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import (
     Step,
@@ -30,7 +29,7 @@ from bilprov.conformance.cases.steps import (
     valid_frame,
     valid_frames,
 )
-from bilprov.spec.by_effect import moving_motions, setting
+from bilprov.spec.by_effect import frames_to, moving_motions, setting
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from bilprov.conformance.cases.combinations import MARKED, state_classes
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import (
     FrameClass,
@@ -28,7 +27,7 @@ from bilprov.conformance.cases.steps import (
     valid_frame,
     valid_frames,
 )
-from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.by_effect import frames_to, moving_motions
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 
@@ -330,8 +329,7 @@ class _Walk:
             # Steering while it rotates may make a curve of it (R-steer-rotating).
             if rotates(state.motion):
                 steps.append(self.took(valid_frame(protocol, protocol.stop, {})))
-            now = frames_to(protocol, replace(known, motion=Motion.STOPPED)) if known else ()
-            some = (frame for frame in frames_to(protocol, wanted) if frame not in now)
+            some = frames_to(protocol, wanted, known)
             steps += (self.took(complete_frame(protocol, f[0], f[1:])) for f in some)
         return (*steps, self.took(self.inputs.next(kind)))
 

@@ -113,5 +113,5 @@ class Inputs:
 def fill(protocol: Protocol, length: int, turn: int) -> bytes:
     """Data of a faulty frame: Stop bytes, a motion that is seen if it is run, or all bits set."""
     mover = next(iter(movers(protocol)), protocol.stop)
-    fills = (protocol.pad_byte, protocol.header_bytes[mover.id, 0], 0xFF)
+    fills = (protocol.pad_byte, protocol.header_bytes[mover.id, mover.length], 0xFF)
     return bytes([fills[turn % FILLS]]) * length

@@ -7,10 +7,10 @@ from itertools import chain
 
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.opening import motion_first
-from bilprov.conformance.cases.preamble import frames_to, full_state
+from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
-from bilprov.spec.by_effect import link_check, movers
+from bilprov.spec.by_effect import frames_to, link_check, movers
 from bilprov.spec.movement import Movement, movement_of
 from bilprov.spec.protocol import Protocol
 

@@ -22,8 +22,8 @@ from bilprov.conformance.cases.steps import (
     wrong_length_frame,
 )
 from bilprov.conformance.cases.wheel_sweeps import evenly
-from bilprov.spec.by_effect import moving_motions
-from bilprov.spec.codec import raw_frame, spaced
+from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
+from bilprov.spec.codec import spaced
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 
@@ -47,19 +47,21 @@ class _Setups:
                 limits.get("led", (0, 0)),
             )
         )
+        self._protocol = protocol
         self._power_on = protocol.power_on
 
     def next(self, motion: Motion | None = None) -> State:
         motion = motion or next(self._motions)
         # Steering in a rotation may become a curve (R-steer-rotating): a case tests it, no set-up.
         steers = not rotates(motion)
-        return replace(
+        state = replace(
             self._power_on,
             motion=motion,
             speed=next(self._speeds),
             steering=next(self._steers) if steers else self._power_on.steering,
             led=next(self._leds),
         )
+        return reached(self._protocol, state)
 
 
 def _motions(protocol: Protocol) -> tuple[Motion, ...]:
@@ -187,12 +189,9 @@ def _truncated(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Itera
 def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     """After each class of fault, in each kind of motion, the next valid instruction works."""
     for name, step in _one_of_each(protocol).items():
-        for spec in protocol.instructions:
-            motion = spec.effect.motion
-            if spec.fields or motion in (None, Motion.STOPPED):
-                continue
-            setup = setups.next(motion)
-            after = protocol.on_fault.apply(setup)
+        for spec in movers(protocol):
+            setup = setups.next(spec.effect.motion)
+            then = fitted(protocol, spec, setup)
             what = f"after a fault ({name}) {spec.name} works again"
             case = _faulty(protocol, setup, f"{name}/{spec.name}", step, what)
             yield replace(
@@ -200,8 +199,8 @@ def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 id=f"{FrameClass.RECOVERY}/{name}/{spec.name}",
                 clause=protocol.clauses.safety,
                 kind=FrameClass.RECOVERY,
-                then=raw_frame(protocol, spec.id, 0),
-                after_then=spec.effect.apply(after),
+                then=then,
+                after_then=after(spec, then, protocol.on_fault.apply(setup)),
             )
 
 

@@ -163,16 +163,19 @@ def open_frames(protocol: Protocol) -> dict[str, Step]:
     """A frame for each open point about the answer to a single frame, by the point's id."""
     fill = bytes([protocol.pad_byte])
     steps: list[Step] = []
+    longest = protocol.data_lengths[-1]
     if protocol.unused_ids:
-        steps.append(unused_id_frame(protocol, protocol.unused_ids[0], 2, fill * 2))
-    first_bad = next(((s, d) for s in protocol.instructions for d in bad_data(s)), None)
+        length = min(2, longest)
+        steps.append(unused_id_frame(protocol, protocol.unused_ids[0], length, fill * length))
+    shorter = (s for s in protocol.instructions if s.length < longest)
+    first_bad = next(((s, d) for s in shorter for d in bad_data(s)), None)
     if first_bad:
         spec, data = first_bad
         steps.append(wrong_length_frame(protocol, spec, spec.length + 1, data + fill))
     carrying = next((s for s in protocol.instructions if s.length), None)
     if carrying:
         steps.append(truncated_frame(protocol, carrying.id, carrying.length, b""))
-        if carrying.length < protocol.data_lengths[-1]:
+        if carrying.length < longest:
             steps.append(truncated_frame(protocol, carrying.id, carrying.length + 1, b""))
     if protocol.unused_ids:
         steps.append(truncated_frame(protocol, protocol.unused_ids[0], 1, b""))

@@ -7,7 +7,6 @@ from itertools import cycle, islice
 from typing import TypeVar
 
 from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import (
     Step,
@@ -16,7 +15,7 @@ from bilprov.conformance.cases.steps import (
     valid_frame,
     valid_frames,
 )
-from bilprov.spec.by_effect import moving_motions, moving_to, setting
+from bilprov.spec.by_effect import frames_to, moving_motions, moving_to, setting
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -41,13 +40,12 @@ def data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
 def bad_data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     """Every value that is out of range, in each kind of motion; each stops the robot."""
     for motion in moving_motions(protocol):
-        mover = moving_to(protocol, motion)
+        go = _moving(protocol, motion)
         for spec in protocol.instructions:
             steps = bad_data_frames(protocol, spec.name)
-            if steps and mover is not None:
+            if steps:
                 what = f"{spec.name} refuses what is out of range, and stops ({motion.value})"
                 name = f"sequence/bad-data/{spec.name}-{motion.value}"
-                go = valid_frame(protocol, mover, {})
                 yield from _sequences(protocol, name, what, motion, list(_driven(go, steps)))
 
 
@@ -59,8 +57,7 @@ def header_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     for turn in range(FILLS):
         for number, headers in enumerate(_chunks(range(len(protocol.headers)), 32)):
             motion = motions[(turn + number) % len(motions)] if motions else Motion.STOPPED
-            mover = moving_to(protocol, motion)
-            go = valid_frame(protocol, mover or protocol.stop, {})
+            go = _moving(protocol, motion)
             lengths = protocol.lengths
             steps = [complete_frame(protocol, h, fill(protocol, lengths[h], turn)) for h in headers]
             what = "every header with the data it announces gets its answer, and stops if faulty"
@@ -125,6 +122,12 @@ def _driven(go: Step, steps: Sequence[Step], again: Step | None = None) -> Itera
         yield Burst((step,))
         if again and step.frame_effect.effect and step.frame_effect.effect.sets("speed"):
             yield Burst((again,), looks=False)
+
+
+def _moving(protocol: Protocol, motion: Motion) -> Step:
+    """The frame that sets a robot into a motion, the stop for the motion `stopped`."""
+    frame = moving_to(protocol, State(motion, _speed(protocol))) or bytes([protocol.pad_byte])
+    return complete_frame(protocol, frame[0], frame[1:])
 
 
 def _speed(protocol: Protocol) -> int:

@@ -11,9 +11,9 @@ import random
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, complete_frame
+from bilprov.spec.by_effect import frames_to
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 

@@ -53,15 +53,18 @@ def wheel_sweeps(protocol: Protocol) -> tuple[WheelSweep, ...]:
 
     Steering comes first, whose curve shows whether a probe tells graded speeds at all.
     """
-    drive = next((s for s in movers(protocol) if moment_of(s.effect) is Moment.DRIVE), None)
+    short = (s for s in movers(protocol) if not s.fields)
+    drive = next((s for s in short if moment_of(s.effect) is Moment.DRIVE), None)
     if drive is None:
         return ()
-    speeds = [values for spec in setters(protocol) for values in _sides(protocol, spec, "speed")]
+    # One that sets another variable too would change what is compared.
+    alone = [spec for spec in setters(protocol) if len(spec.effect.assignments) == 1]
+    speeds = [values for spec in alone for values in _sides(protocol, spec, "speed")]
     if not speeds:
         return ()
     found: dict[str, WheelSweep] = {}
     fast = speeds[0][-1][0]
-    for spec in setters(protocol):
+    for spec in alone:
         for values in _sides(protocol, spec, "steering"):
             sweep = _sweep(protocol, drive, "steering", values, fast)
             found.setdefault(sweep.id, sweep)

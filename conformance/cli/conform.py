@@ -350,7 +350,7 @@ def _tested(
             )
             words = movement_words(target.protocol, movement)
             what = f"the robot at {robot.target} will move for about {_time(seconds)}: {words}"
-            confirm_motion(what, yes=robot.yes)
+            confirm_motion(target.protocol, what, yes=robot.yes)
             look = target.look_time
             slow = f"a look takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
             note(

@@ -185,7 +185,7 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
     )
     words = movement_words(target.protocol, all_movement(target.protocol))
     what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
-    confirm_motion(what, yes=robot.yes)
+    confirm_motion(target.protocol, what, yes=robot.yes)
     note(f"about {seconds:.0f} s; what is not expected is sent again and adds to it")
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.spec.motion import MOTIONS, Effect, Moment, Motion, State, moment_of, rotates
-from bilprov.spec.open_points import Behaviour, OpenPoint, points_after
+from bilprov.spec.open_points import Behaviour, OpenPoint, open_after
 from bilprov.spec.protocol import Protocol
 
 VARIABLES = ("speed", "steering", "led")
@@ -94,7 +94,7 @@ class Model:
             speed = replace(expected_state.state, speed=before.pending_speed)
             known = expected_state.unknown - {"speed"}
             expected_state = replace(expected_state, state=speed, unknown=known, pending_speed=None)
-        for point in points_after(moment).values():
+        for point in open_after(effect, moment).values():
             if self.choices.unknown(point.id):
                 open_now = expected_state.unknown | {point.variable}
                 expected_state = replace(expected_state, unknown=open_now)

@@ -124,7 +124,8 @@ class RobotSession:
         if capture is not None:
             capture.suspend_global_capture(in_=True)
         try:
-            confirm_motion(what, yes=self._config.getoption("robot_yes"), option="--robot-yes")
+            yes = self._config.getoption("robot_yes")
+            confirm_motion(self.bench.protocol, what, yes=yes, option="--robot-yes")
         finally:
             if capture is not None:
                 capture.resume_global_capture()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.operations import Procedure, Received, listen, observe, send
 from bilprov.conformance.oracle.judge import differences, judge_state
-from bilprov.conformance.oracle.state_model import FrameEffect
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.homing import watch
@@ -61,7 +61,7 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     settings = [
         frame
         for variable in ("speed", "led", "steering")
-        if run.wire(frame := setting(run.protocol, variable, getattr(expected, variable)))
+        if run.wire(frame := setting(run.protocol, variable, getattr(expected, variable), expected))
     ]
     if settings and case.kind is not FrameClass.VALID:
         # After each fault one of them, in turn; after a Stop, which has few cases, all of them.
@@ -69,16 +69,16 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     for frame in settings:
         name = judge(run.protocol, frame).describe()
         yield from _step(trial, run.wire(frame), name)
+        trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, frame))
         if looks:
             seen = yield from observe()
             if seen.look.moving:
                 reason = f"{name} restarted it, no motion instruction came"
                 trial.worsen("stop", Verdict.FAIL, look_words(seen.look), reason)
-    mover = moving_to(run.protocol, case.setup.motion)
-    if mover is not None and case.setup.moving and case.kind is not FrameClass.VALID:
-        frame = bytes([run.protocol.header_bytes[mover.id, 0]])
-        yield from _step(trial, frame, mover.name)
-        trial.expected = run.model.after(trial.expected, FrameEffect(mover.effect))
+    frame = moving_to(run.protocol, case.setup)
+    if frame and case.setup.moving and case.kind is not FrameClass.VALID:
+        yield from _step(trial, frame, judge(run.protocol, frame).name)
+        trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, frame))
         if looks:
             yield from _moves_again(trial, frame)
 
@@ -86,10 +86,8 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
 def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that the valid instruction right after a fault is answered and takes effect."""
     run = trial.run
-    judged = judge(run.protocol, case.then)
-    yield from _step(trial, case.then, judged.name)
-    assert judged.instruction is not None
-    trial.expected = run.model.after(trial.expected, FrameEffect(judged.instruction.effect))
+    yield from _step(trial, case.then, judge(run.protocol, case.then).name)
+    trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, case.then))
     if looks and run.config.observable:
         yield from _moves_again(trial, case.then)
 

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import runner_case
-from bilprov.conformance.cases.preamble import full_state
+from bilprov.conformance.cases.preamble import frame_effect_of, full_state
 from bilprov.conformance.cases.steps import code_of
 from bilprov.conformance.dut.operations import Procedure, Received, listen, send
-from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
-from bilprov.spec.by_effect import moves, moving_to
+from bilprov.spec.by_effect import movers, moving_to
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Moment, State, moment_of
-from bilprov.spec.open_points import Behaviour, points_after
+from bilprov.spec.motion import Effect, State, moment_of
+from bilprov.spec.open_points import Behaviour, open_after
 
 _CASE = "the first frames after power-on"
 
@@ -32,7 +31,7 @@ def first_choices(run: Run) -> Procedure[None]:
     Only unambiguous observations count: every answer right, the robot in the state set up before.
     """
     protocol = run.protocol
-    mover = next((s for s in protocol.instructions if moves(s) and not s.length), None)
+    mover = next(iter(movers(protocol)), None)
     if mover is None or not run.config.observable:
         return
     full = full_state(protocol, mover)
@@ -40,21 +39,22 @@ def first_choices(run: Run) -> Procedure[None]:
     stop = protocol.header_bytes[protocol.stop.id, 0]
     if fault is not None and run.config.power and "pipelining" not in run.profile.choices.allowed:
         yield from _sent_ahead(run, bytes([fault, stop, stop]))
-    rows = [(stop, code_of(protocol, Outcome.VALID), Moment.STOP)]
+    ok = code_of(protocol, Outcome.VALID)
+    rows: list[tuple[int, int, Effect | None]] = [(stop, ok, protocol.stop.effect)]
     if fault is not None:
-        rows.insert(0, (fault, code_of(protocol, Outcome.UNKNOWN_ID), Moment.FAULT))
+        rows.insert(0, (fault, code_of(protocol, Outcome.UNKNOWN_ID), None))
     if not (yield from _drives_on(run, full)):
         return
-    for frame, code, moment in rows:
-        heard = yield from _sent_in(run, full, frame)
+    for frame, code, effect in rows:
+        heard = yield from _sent_in(run, full, bytes([frame]))
         if heard is None or heard.codes != (code,):
             return
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
-        if seen.look.moving and moment is Moment.FAULT:
+        if seen.look.moving and effect is None:
             _missed(run, bytes([frame]), seen.look)
         if seen.look.moving is not False:
             return
-        _settle(run.profile.choices, moment, full, seen.look)
+        _settle(run, effect, full, seen.look)
         yield from listen(None, run.timers.settle)
 
 
@@ -69,28 +69,28 @@ def _sent_ahead(run: Run, burst: bytes) -> Procedure[None]:
 
 def _drives_on(run: Run, full: State) -> Procedure[bool]:
     """Record what a motion instruction leaves of the steering; false where that is ambiguous."""
-    mover = moving_to(run.protocol, full.motion)
-    if mover is None:
+    frame = moving_to(run.protocol, full)
+    if not frame:
         return False
-    heard = yield from _sent_in(run, full, run.protocol.header_bytes[mover.id, 0])
+    heard = yield from _sent_in(run, full, frame)
     if heard is None:
         return False
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
-    _settle(run.profile.choices, moment_of(mover.effect), full, seen.look)
+    _settle(run, frame_effect_of(run.protocol, frame).effect, full, seen.look)
     return True
 
 
-def _sent_in(run: Run, full: State, frame: int) -> Procedure[Received | None]:
-    """The answers to a frame of one byte that is sent in this state, None where it is not seen."""
+def _sent_in(run: Run, full: State, frame: bytes) -> Procedure[Received | None]:
+    """The answers to a frame that is sent in this state, None where it is not seen."""
     ready = yield from set_up(run, full)
     if ready.missing:
         return None
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if differences(run.model, ready.expected, seen.look):
         return None
-    yield from send(bytes([frame]))
+    yield from send(frame)
     return (yield from run.waiting.answers(1))
 
 
@@ -107,9 +107,11 @@ def _missed(run: Run, frame: bytes, look: Look) -> None:
     run.conclude(case, {"stop": fault})
 
 
-def _settle(choices: Choices, moment: Moment, full: State, look: Look) -> None:
-    for variable, point in points_after(moment).items():
+def _settle(run: Run, effect: Effect | None, full: State, look: Look) -> None:
+    """Record what a frame of this effect, None for a fault, leaves open and does."""
+    points = open_after(effect or run.protocol.on_fault, moment_of(effect))
+    for variable, point in points.items():
         seen, was = getattr(look, variable), getattr(full, variable)
         if seen in (0, was) and was:
             does = Behaviour.KEPT if seen == was else Behaviour.RESET
-            choices.record(point.id, point.word_of(does), _CASE)
+            run.profile.choices.record(point.id, point.word_of(does), _CASE)

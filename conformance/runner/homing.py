@@ -12,7 +12,7 @@ from typing import NamedTuple
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.cases.preamble import frame_effect_of, frames_to
+from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.dut.operations import (
     Ended,
     Observation,
@@ -29,6 +29,7 @@ from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Homed, Late, Trial
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.spec.by_effect import frames_to, movers
 from bilprov.spec.motion import VARIABLES, Motion, State
 
 # A flood has this many times more answers than were due; after so many the run is given up.
@@ -285,10 +286,9 @@ def see_motions(run: Run) -> Procedure[None]:
     moves: set[Motion] = set()
     told: list[frozenset[str]] = []
     _, fast = run.protocol.limits.get("speed", (0, 0))
-    for spec in run.protocol.instructions:
+    for spec in movers(run.protocol):
         motion = spec.effect.motion
-        if motion is None or motion is Motion.STOPPED or spec.fields:
-            continue
+        assert motion is not None
         for _ in range(_TRIES):
             yield from set_up(run, State(motion=motion, speed=fast))
             seen = yield from watch(run, moving=True, patience=run.timers.deadline)

@@ -14,7 +14,6 @@ from dataclasses import replace
 import msgspec
 
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.preamble import frames_to
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import complete_frame
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
@@ -30,6 +29,7 @@ from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.slow_preambles import was_too_slow
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.conformance.runner.wheel_sweep import sweep_wheels
+from bilprov.spec.by_effect import frames_to
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2

@@ -15,8 +15,8 @@ from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, s
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
 from bilprov.conformance.runner.run import Run
-from bilprov.spec.by_effect import movers, setting
-from bilprov.spec.motion import Motion
+from bilprov.spec.by_effect import fitted, movers, reached, setting
+from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
 IDENT = "motion/settings"
@@ -41,11 +41,13 @@ def settings(protocol: Protocol) -> Iterator[Setting]:
     mover = next(iter(movers(protocol)), None)
     if mover is None:
         return
-    motion = bytes([protocol.header_bytes[mover.id, 0]])
+    assert mover.effect.motion is not None
     _, fast = protocol.limits.get("speed", (0, 0))
+    state = reached(protocol, State(mover.effect.motion, fast))
+    motion = fitted(protocol, mover, state)
 
     def at(variable: str, value: int) -> bytes:
-        return setting(protocol, variable, value)
+        return setting(protocol, variable, value, state)
 
     full = at("speed", fast)
     yield Setting(f"speed {fast}", (full, motion))

@@ -70,13 +70,11 @@ MUTATIONS = {
     "Stop keeps steering": {STOP: "effect=Sets(motion=Motion.STOPPED),  #"},
     "Stop zeroes the speed": {STOP: "effect=Sets(motion=Motion.STOPPED, steering=0, speed=0),  #"},
     "Stop puts out the LED": {STOP: "effect=Sets(motion=Motion.STOPPED, steering=0, led=0),  #"},
-    "a fault does not stop": {FAULTY: "FAULTY = Sets(steering=0)"},
     "a fault keeps steering": {FAULTY: "FAULTY = Sets(motion=Motion.STOPPED)"},
     "a fault zeroes the speed": {
         FAULTY: "FAULTY = Sets(motion=Motion.STOPPED, steering=0, speed=0)"
     },
     "a fault puts out the LED": {FAULTY: "FAULTY = Sets(motion=Motion.STOPPED, steering=0, led=0)"},
-    "a fault turns on the spot": {FAULTY: "FAULTY = Sets(motion=Motion.ROTATE_LEFT, steering=0)"},
     "too many and too few are exchanged": {
         "Outcome.TOO_MANY": "Outcome.TOO_FEW",
         "Outcome.TOO_FEW": "Outcome.TOO_MANY",
@@ -125,7 +123,6 @@ MUTATIONS = {
     "an unused ID is used": {
         "INSTRUCTIONS = {": 'INSTRUCTIONS = {12: "X" / Instruction(document=""),'
     },
-    "it drives at power-on": {POWER: "POWER_ON = Sets(motion=Motion.FORWARD, speed=9)"},
     "it has a speed at power-on": {POWER: "POWER_ON = Sets(speed=127)"},
     "it steers at power-on": {POWER: "POWER_ON = Sets(steering=1)"},
     "the LED is lit at power-on": {POWER: "POWER_ON = Sets(led=7)"},

@@ -90,7 +90,7 @@ def shell(
         if target != SIM:
             note_hindrances(port)
             words = movement_words(protocol, all_movement(protocol))
-            confirm_motion(f"the robot at {port} will do what is typed: {words}", yes=yes)
+            confirm_motion(protocol, f"the robot at {port} will do what is typed: {words}", yes=yes)
         output = stream_output("lines")
         stopper = stack.enter_context(Stopper())
         driving = Driving(protocol, opened, timeout, stopper, output, eye, max_drive)

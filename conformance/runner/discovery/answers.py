@@ -33,7 +33,8 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
     yield from _led_experiments(protocol)
     fill = bytes([protocol.pad_byte])
     some, frames = _setting(protocol), open_frames(protocol)
-    many = wrong_length_frame(protocol, protocol.stop, 2, fill * 2)
+    length = min(2, protocol.data_lengths[-1])
+    many = wrong_length_frame(protocol, protocol.stop, length, fill * length)
     yield _burst("R-drain-known", (many, some))
     if protocol.unused_ids:
         nobody = protocol.unused_ids[0]
@@ -178,7 +179,7 @@ def _answer_point(run: Run, many: Step, some: Step) -> Procedure[Finding]:
         yield from send(step.frame[1:])
         rest = yield from listen(1 - len(first.answers), run.waiting.usual)
         more = yield from listen(None, run.timers.silence)
-        early.append(len(first.answers))
+        early.append(len(first.answers) if len(step.frame) > 1 else 0)
         heard += first.answers + rest.answers + more.answers
     actual = "at the header" if early[1] else "after the data"
     fault = ""

@@ -42,8 +42,9 @@ def reading_cases(protocol: Protocol) -> tuple[Case, ...]:
 
 
 def _experiments(protocol: Protocol) -> Iterator[Experiment]:
-    yield from answer_experiments(protocol)
-    yield from state_experiments(protocol)
+    every = (*answer_experiments(protocol), *state_experiments(protocol))
+    # Without points are those on what the grammar has decided, or has no variable for.
+    yield from (experiment for experiment in every if experiment.points)
 
 
 def _case(protocol: Protocol, experiment: Experiment) -> Case:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 
 from bilprov.captures.schemas import MS, Look
@@ -14,9 +15,9 @@ from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import set_up_slowly
-from bilprov.spec.by_effect import setting
-from bilprov.spec.motion import Moment, State, moment_of
-from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, points_after
+from bilprov.spec.by_effect import fitted, movers, setting
+from bilprov.spec.motion import Effect, Moment, State, moment_of
+from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, open_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _LOOK = 50 * MS  # between two looks while the line is silent
@@ -25,29 +26,31 @@ _AGAIN = 500 * MS  # how long a robot that stopped by itself is observed
 
 def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
     """Every experiment that needs looks."""
-    short = [s for s in protocol.instructions if not s.length]
-    straight = [s for s in short if moment_of(s.effect) is Moment.DRIVE]
-    turning = [s for s in short if moment_of(s.effect) is Moment.ROTATION]
+    able = [spec for spec in movers(protocol) if full_state(protocol, spec).moving]
+    straight = [s for s in able if moment_of(s.effect) is Moment.DRIVE]
+    turning = [s for s in able if moment_of(s.effect) is Moment.ROTATION]
     if not straight:
         return
     first = straight[0]
-    for moment, kind in ((Moment.DRIVE, straight), (Moment.ROTATION, turning)):
-        point = _points(protocol, moment).get("steering")
-        if point and kind:
-            last = kind[-1]
+    full = full_state(protocol, first)
+    for kind in filter(None, (straight, turning)):
+        last = kind[-1]
+        point = _points(protocol, last.effect, full).get("steering")
+        if point:
             yield _probe(
                 point.id.removeprefix("R-"),
                 (point,),
                 f"{last.name} keeps the steering",
                 partial(_move_on, first=first, last=last, point=point),
-                protocol.header_bytes[last.id, 0],
+                protocol.header_bytes[last.id, last.length],
             )
     stop = bytes([protocol.header_bytes[protocol.stop.id, 0]])
+    points = _points(protocol, protocol.stop.effect, full)
     yield _probe(
         "after-stop",
-        _points(protocol, Moment.STOP).values(),
+        points.values(),
         f"{protocol.stop.name} resets the directions and keeps speed and LED",
-        partial(_after, first=first, frame=stop, moment=Moment.STOP),
+        partial(_after, first=first, frame=stop, points=points),
         stop[0],
     )
     fill = bytes([protocol.pad_byte])
@@ -56,35 +59,36 @@ def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
         if protocol.unused_ids
         else wrong_length_frame(protocol, protocol.stop, 1, fill)
     ).frame
+    points = _points(protocol, None, full)
     yield _probe(
         "after-fault",
-        _points(protocol, Moment.FAULT).values(),
+        points.values(),
         "a fault resets what a stop does and keeps speed and LED",
-        partial(_after, first=first, frame=fault, moment=Moment.FAULT),
+        partial(_after, first=first, frame=fault, points=points),
         fault[0],
     )
-    if setting(protocol, "speed", 0):
+    if setting(protocol, "speed", 0, full):
         yield _probe(
             "speed-moving",
             (POINTS["R-speed-moving"],),
             "a speed takes effect at once",
             partial(_speed_moving, first=first),
-            setting(protocol, "speed", 0)[0],
+            setting(protocol, "speed", 0, full)[0],
         )
-    if turning and "steering" in protocol.limits:
+    if turning and _steers(protocol, turning[0]):
         yield _probe(
             "steer-rotating",
             (POINTS["R-steer-rotating"],),
             "steering during a rotation does not end it",
             partial(_steer_rotating, turning=turning[0]),
-            protocol.header_bytes[turning[0].id, 0],
+            protocol.header_bytes[turning[0].id, turning[0].length],
         )
     yield Experiment(
         "watchdog",
         ("R-watchdog",),
         "keeps driving while the line is silent, and sends nothing by itself",
         partial(_watchdog, first=first),
-        bytes([protocol.header_bytes[first.id, 0]]),
+        bytes([protocol.header_bytes[first.id, first.length]]),
         sees=True,
         safety=True,
         long=True,
@@ -102,10 +106,23 @@ def _probe(
     return Experiment(name, ids, requirement, make, bytes([header]), sees=True, safety=True)
 
 
-def _points(protocol: Protocol, moment: Moment) -> dict[str, OpenPoint]:
-    """The points about variables that the protocol sets, in the order in which they are judged."""
-    points = points_after(moment)
-    judged = [name for name in ("steering", "speed", "led") if name in protocol.limits]
+def _steers(protocol: Protocol, turning: InstructionSpec) -> bytes:
+    """The frame that steers a robot that rotates at full speed, b"" if there is none."""
+    full = full_state(protocol, turning)
+    return setting(protocol, "steering", full.steering, full)
+
+
+def _points(protocol: Protocol, effect: Effect | None, full: State) -> dict[str, OpenPoint]:
+    """The points that an effect, None for a fault, leaves open, in the order of their judgement.
+
+    They are about variables that the protocol sets, and that are not 0 in the state before.
+    """
+    points = open_after(effect or protocol.on_fault, moment_of(effect))
+    judged = [
+        name
+        for name in ("steering", "speed", "led")
+        if name in protocol.limits and getattr(full, name)
+    ]
     return {name: points[name] for name in judged if name in points}
 
 
@@ -137,23 +154,31 @@ def _move_on(
     """Find out what another motion instruction, `last`, leaves of the steering."""
     full = full_state(run.protocol, first)
     lost = (yield from set_up(run, full)).missing
-    yield from _send(run, bytes([run.protocol.header_bytes[last.id, 0]]))
+    yield from _send(run, fitted(run.protocol, last, full))
     look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
     actual, blind = look_words(look), False
     if look.steering is None and moment_of(last.effect) is Moment.ROTATION:
         # The wheels of a rotation do not show the steering: it shows when the robot drives again.
-        yield from _send(run, bytes([run.protocol.header_bytes[first.id, 0]]))
+        yield from _send(run, fitted(run.protocol, first, full))
         look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(look)}"
-        blind = run.profile.choices.differs("R-drive-steering")
+        blind = _straightens(run, first)
     word = "" if blind else point.word_of(_steering(look, full))
     return Finding(((point.id, word),), "steering kept", actual, lost)
 
 
-def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) -> Procedure[Finding]:
+def _straightens(run: Run, first: InstructionSpec) -> bool:
+    """Whether driving again with this instruction does not show what the steering was."""
+    return run.profile.choices.differs("R-drive-steering") or first.effect.sets("steering")
+
+
+def _after(
+    run: Run, *, first: InstructionSpec, frame: bytes, points: Mapping[str, OpenPoint]
+) -> Procedure[Finding]:
     """Find out what a frame that stops the robot leaves of steering, speed and LED."""
     protocol = run.protocol
     full = full_state(protocol, first)
+    again_frame = fitted(protocol, first, full)
     lost = (yield from set_up(run, full)).missing
     yield from watch(run, moving=True, patience=run.timers.deadline)
     yield from _send(run, frame)
@@ -164,17 +189,17 @@ def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) ->
     again = look
     if look.speed is None or look.steering is None:
         # What the probe does not tell shows when the robot drives again.
-        yield from _send(run, bytes([protocol.header_bytes[first.id, 0]]))
+        yield from _send(run, again_frame)
         again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(again)}"
     speed_again = again
-    if again.moving is False and look.steering is None and full.speed:
+    speed_frame = setting(protocol, "speed", full.speed, full)
+    if again.moving is False and look.steering is None and speed_frame:
         # Its speed was zeroed; with a new one its steering shows.
-        yield from _send(run, setting(protocol, "speed", full.speed))
-        yield from _send(run, bytes([protocol.header_bytes[first.id, 0]]))
+        yield from _send(run, speed_frame)
+        yield from _send(run, again_frame)
         again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
-    straight = run.profile.choices.differs("R-drive-steering")
-    blind = look.steering is None and straight
+    blind = look.steering is None and _straightens(run, first)
     steering = "" if blind else _steering(look if look.steering is not None else again, full)
     if look.speed is not None:
         speed = _compared("speed is", look.speed, full.speed)
@@ -182,22 +207,24 @@ def _after(run: Run, *, first: InstructionSpec, frame: bytes, moment: Moment) ->
         speed = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[speed_again.moving]
     led = _compared("LED is", look.led, full.led)
     seen_now = {"steering": steering, "speed": speed, "led": led}
-    points = _points(protocol, moment)
-    if not run.wire(setting(protocol, "led", full.led)):
-        # A device that does not know the LED's instruction has no light to switch off.
-        points.pop("led", None)
-    words = tuple((point.id, point.word_of(seen_now[name])) for name, point in points.items())
+    # A device that does not know the LED's instruction has no light to switch off.
+    dark = not run.wire(setting(protocol, "led", full.led, full))
+    words = tuple(
+        (point.id, point.word_of(seen_now[name]))
+        for name, point in points.items()
+        if not (dark and name == "led")
+    )
     return Finding(words, "stopped", actual, fault)
 
 
 def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     full = full_state(run.protocol, first)
     lost = (yield from set_up(run, full)).missing
-    yield from _send(run, setting(run.protocol, "speed", 0))
+    yield from _send(run, setting(run.protocol, "speed", 0, full))
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     word, fault = "at-once", lost
     if seen.look.moving:
-        yield from _send(run, bytes([run.protocol.header_bytes[first.id, 0]]))
+        yield from _send(run, fitted(run.protocol, first, replace(full, speed=0)))
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         word = "next-motion"
         if seen.look.moving:
@@ -209,7 +236,7 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
 def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]:
     full = full_state(run.protocol, turning)
     lost = (yield from set_up(run, State(full.motion, full.speed, 0, full.led))).missing
-    yield from _send(run, setting(run.protocol, "steering", full.steering))
+    yield from _send(run, _steers(run.protocol, turning))
     yield from listen(None, run.timers.silence)
     look = (yield from observe()).look
     words, fault = look_words(look), lost

@@ -18,6 +18,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.readings import ERRATA, READINGS
 from tests.support.commands import command
+from tests.support.drawn_grammars import drawn as drawn_grammar
 
 PROTOCOL = load_protocol()
 
@@ -182,6 +183,15 @@ def test_spec_errata_finds_two_by_itself_and_lists_the_others() -> None:
     told = json.loads(text("spec", "errata", "--format", "json"))
     assert [finding["id"] for finding in told["found"]] == ["E3", "E5"]
     assert len(told["all"]) == len(ERRATA)
+
+
+@pytest.mark.parametrize(("name", "what"), [("errata", "examples"), ("readings", "readings")])
+def test_the_documents_examples_and_readings_are_of_no_other_document(
+    tmp_path: Path, name: str, what: str
+) -> None:
+    other = tmp_path / "other.py"
+    other.write_text(drawn_grammar(1).text, encoding="utf-8")
+    assert f"this grammar has no {what}" in sentence("--grammar", str(other), "spec", name)
 
 
 # another grammar

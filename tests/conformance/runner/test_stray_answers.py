@@ -20,7 +20,7 @@ class Told:
         self.reasons: list[str] = []
         self.state = StrayAnswers(protocol, self._conclude)
 
-    def _conclude(self, case: Case, axes: dict[str, Axis], *_: object) -> None:
+    def _conclude(self, case: Case, axes: dict[str, Axis], *_: object, **__: object) -> None:
         self.results.append((case.id, axes["answer"].verdict))
         self.reasons.append(axes["answer"].reason)
 

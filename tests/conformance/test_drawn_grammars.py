@@ -1,0 +1,149 @@
+"""For every grammar that the loader accepts the simulator conforms, or the loader refuses it.
+
+The grammars are drawn by seed: a hundred of them in each run, a thousand with --whole. All that
+load must conform; only those that declare what the kit cannot hold are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.hostile_grammars import use
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.codec import all_data, build, judge
+from bilprov.spec.emit.c import c_header
+from bilprov.spec.emit.python_stub import python_stub
+from bilprov.spec.emit.wireshark import lua_dissector
+from bilprov.spec.motion import Effect, Motion, State
+from bilprov.spec.protocol import GrammarError, Protocol, load
+from tests.support.drawn_grammars import Drawn, drawn
+
+Value = int | Motion | tuple[str, int]
+
+CHUNK = 25
+CHUNKS = [range(start, start + CHUNK) for start in range(0, 1000, CHUNK)]
+
+
+def smoke(protocol: Protocol, device: Simulator | None = None) -> Report:
+    return conform(device, grammar=protocol, options=Options(level="smoke"), logged=False)
+
+
+def loaded(one: Drawn) -> Protocol | str:
+    """The protocol of a drawn grammar, or the sentence that refuses it."""
+    try:
+        return load(one.text, f"drawn-{one.seed}.py")
+    except GrammarError as error:
+        return str(error)
+
+
+def protocols(seeds: range) -> Iterator[Protocol]:
+    """Those of these seeds that load."""
+    yield from (p for p in map(loaded, map(drawn, seeds)) if isinstance(p, Protocol))
+
+
+def frames(protocol: Protocol) -> list[bytes]:
+    """Each instruction with its lowest and its highest data."""
+    return [
+        build(protocol, spec.name, {f.name: getattr(f, end) for f in spec.fields})
+        for spec in protocol.instructions
+        for end in ("low", "high")
+    ]
+
+
+def can_move(protocol: Protocol) -> bool:
+    """Whether two instructions set it moving, from a stop after power-on and after a fault."""
+    stop, fault = protocol.stop.effect, protocol.on_fault
+    return all(
+        _moves_from(protocol, stop.apply(state))
+        for state in (protocol.power_on, fault.apply(protocol.power_on))
+    )
+
+
+def _moves_from(protocol: Protocol, start: State) -> bool:
+    states = {start}
+    for _ in range(2):
+        states |= {moved(protocol, state, frame) for state in states for frame in frames(protocol)}
+    return any(state.moving for state in states)
+
+
+def moved(protocol: Protocol, state: State, frame: bytes) -> State:
+    judged = judge(protocol, frame)
+    assert judged.instruction is not None
+    return judged.instruction.effect.apply(state, dict(judged.fields))
+
+
+@pytest.mark.sample(4)
+@pytest.mark.parametrize("seeds", CHUNKS, ids=str)
+def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
+    conforming = 0
+    for seed in seeds:
+        one = drawn(seed)
+        protocol = loaded(one)
+        if isinstance(protocol, str):
+            assert one.refused, protocol
+            assert f": {one.refused} " in protocol or f" {one.refused} are" in protocol
+            continue
+        assert not one.refused, seed
+        report = smoke(protocol)
+        # Nothing fails, and where it moves everything can be judged.
+        assert report.exit in ((0,) if can_move(protocol) else (0, 3)), (seed, report.counts)
+        conforming += report.exit == 0
+    assert conforming > CHUNK // 2
+
+
+def never_stops(protocol: Protocol) -> Protocol:
+    """The protocol of a robot that a faulty instruction does not stop."""
+    return replace(protocol, on_fault=Effect())
+
+
+def doubles(protocol: Protocol, variable: str) -> Protocol | None:
+    """The protocol of a robot that doubles what it is told; None if it can be told nothing."""
+    if not any(protocol.limits.get(variable, ())):
+        return None
+    instructions = tuple(
+        replace(
+            spec, effect=Effect(tuple(_doubled(variable, *one) for one in spec.effect.assignments))
+        )
+        for spec in protocol.instructions
+    )
+    return replace(protocol, instructions=instructions)
+
+
+def _doubled(variable: str, name: str, value: object) -> tuple[str, object]:
+    if name == variable and isinstance(value, tuple):
+        return name, (value[0], 2 * value[1])
+    return name, 2 * value if name == variable and isinstance(value, int) else value
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("seeds", CHUNKS, ids=str)
+def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
+    tried = 0
+    for protocol in protocols(seeds[:12]):
+        if not can_move(protocol):
+            continue
+        for faulty in (never_stops(protocol), doubles(protocol, "speed"), doubles(protocol, "led")):
+            if faulty is not None:
+                tried += 1
+                assert smoke(protocol, Simulator(faulty)).exit == 1, protocol.version
+    assert tried
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("seeds", CHUNKS, ids=str)
+def test_a_drawn_grammar_is_explained_encoded_and_emitted(seeds: range) -> None:
+    for protocol in protocols(seeds):
+        use(protocol, range(0, 256, 5))
+        assert protocol.name in c_header(protocol)
+        assert python_stub(protocol)
+        assert lua_dissector(protocol, 1.0)
+        for spec in protocol.instructions:
+            for data in list(all_data(spec))[:3]:
+                frame = build(protocol, spec.name, spec.decode(data))
+                judged = judge(protocol, frame)
+                assert (judged.valid, judged.fields) == (True, tuple(spec.decode(data).items()))
