@@ -47,8 +47,8 @@ def _check(run: Run) -> Procedure[str]:
     """Why the probe cannot be believed, "" if nothing speaks against it."""
     protocol = run.protocol
     _, fast = protocol.limits.get("speed", (0, 0))
-    movers = [moving_to(protocol, motion) for motion in sorted(run.profile.moves or ())][:2]
-    starts = [bytes([protocol.header_bytes[mover.id, 0]]) for mover in movers if mover]
+    states = [State(motion=motion, speed=fast) for motion in sorted(run.profile.moves or ())]
+    starts = [frame for frame in (moving_to(protocol, state) for state in states) if frame][:2]
     lags: list[int] = []
     fresh: list[bool] = []
     for start in starts * _ROUNDS:
