@@ -8,6 +8,7 @@ come before all of them. Docs: docs/settings.md.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +29,45 @@ COMMON = ("grammar", *LINE, "probe", "time", "columns", "yes")
 DEVICE_KEYS = (PORT, *LINE, "probe", "power", "yes")
 """The keys of a named device."""
 
+FORMER = {
+    "browse": ("replay",),
+    "info": ("capture", "info"),
+    "cut": ("capture", "cut"),
+    "join": ("capture", "join"),
+    "recover": ("capture", "repair"),
+    "convert": ("capture", "decode"),
+    "compare": ("capture", "diff"),
+    "doctor": ("ports",),
+    "shell": ("send",),
+    "emulate": ("simulate", "--firmware"),
+    "score": ("lab", "score"),
+    "learn": ("lab", "learn"),
+    "line": ("lab", "line"),
+}
+"""What commands are called now, by their former names."""
+
 # What a project's file may not set: it would run a program, allow a motion, or overwrite a file.
 _ANSWERS = ("power", "grammar", "yes", "force")
 _PORTS = (PORT, "probe", "to", "bridge")  # the only paths that may lead out of the working folder
 _RUNS = ("exec:",)
 _WRITES = ("spy:", "alt:")  # pyserial's URLs that write a file or load a class
 _MOST = 1 << 20  # bytes of a file
+
+
+def former_name(name: str, arguments: Sequence[str] = ()) -> str:
+    """A sentence with what a command is called now, and its arguments; "" if it is no former name.
+
+    >>> former_name("cut", ["a.mcap", "b.mcap"])
+    'bilprov cut is now bilprov capture cut: bilprov capture cut a.mcap b.mcap'
+    """
+    new = FORMER.get(name)
+    if new is None:
+        return ""
+    if name == "doctor" and any(word.endswith(".mcap") for word in arguments):
+        new = ("capture", "check")
+    words = [*new, *(word for word in arguments if word != "--decoded")]
+    example = f": bilprov {shlex.join(words)}" if arguments else ""
+    return f"bilprov {name} is now bilprov {' '.join(new)}{example}"
 
 
 class SettingsError(UserError):
@@ -171,14 +205,33 @@ class _Reader:
         """The layer of a file's tables."""
         common = {key: value for key, value in tables.items() if not isinstance(value, dict)}
         self._require(common, COMMON, "", "a setting of all commands")
-        commands, devices = {}, {}
+        commands = {name: table for name, table in tables.items() if isinstance(table, dict)}
+        devices = commands.pop(DEVICE, {})
+        return Layer(
+            self._values(common, ""),
+            dict(self._tables(commands, "")),
+            dict(self._devices(devices)),
+        )
+
+    def _tables(
+        self, tables: Mapping[str, Any], group: str
+    ) -> Iterator[tuple[str, dict[str, Value]]]:
+        """Yield the name and the values of each command; the tables of a group's are below it."""
+        known = [name[len(group) :] for name in self._commands if name.startswith(group)]
+        known = [name for name in known if " " not in name]
         for name, table in tables.items():
-            if name == DEVICE and isinstance(table, dict):
-                devices = dict(self._devices(table))
-            elif isinstance(table, dict):
-                self._require([name], [*self._commands, DEVICE], "", "a command")
-                commands[name] = self._values(table, f"[{name}]")
-        return Layer(self._values(common, ""), commands, devices)
+            full = f"{group}{name}"
+            where = f"[{full.replace(' ', '.')}]"
+            if not group and (renamed := former_name(name)):
+                raise SettingsError(f"{self._at(where)}: {renamed}")
+            above = f"[{group.strip().replace(' ', '.')}]" if group else ""
+            self._require([name], [*known, *([] if group else [DEVICE])], above, "a command")
+            below = {}
+            if any(one.startswith(f"{full} ") for one in self._commands):
+                below = {key: value for key, value in table.items() if isinstance(value, dict)}
+                yield from self._tables(below, f"{full} ")
+            own = {key: value for key, value in table.items() if key not in below}
+            yield full, self._values(own, where)
 
     def _devices(self, table: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Value]]]:
         for name, values in table.items():
@@ -235,9 +288,12 @@ def _environment(commands: Mapping[str, object], environ: Mapping[str, str]) -> 
         if not name.startswith(PREFIX):
             continue
         key = name.removeprefix(PREFIX).lower().replace("_", "-")
-        command, _, rest = key.partition("-")
+        begun = [one for one in commands if key.startswith(f"{one.replace(' ', '-')}-")]
         if key in COMMON:
             common[key] = Value(value, name)
-        elif command in commands and rest:
-            own.setdefault(command, {})[rest] = Value(value, name)
+        elif begun:
+            command = max(begun, key=len)  # of a group, the command below it
+            own.setdefault(command, {})[key[len(command) + 1 :]] = Value(value, name)
+        elif renamed := former_name(key.partition("-")[0]):
+            raise SettingsError(f"{name}: {renamed}")
     return Layer(common, own, {})

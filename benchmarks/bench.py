@@ -55,7 +55,7 @@ WORKS = (
     Work("replay-statistics", "capture to statistics", captures.to_statistics),
     Work("replay-jsonl", "capture to `jsonl`", captures.to_jsonl),
     Work("seek", "`replay --start` near the end, to the first line", first_lines.seek),
-    Work("browse", "`browse` to its first page", browse.browse),
+    Work("browse", "`replay` on a screen to its first page", browse.browse),
     Work(
         "line-jsonl",
         "a full line, `jsonl`",

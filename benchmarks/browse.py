@@ -1,4 +1,4 @@
-"""How fast the screen of `browse` is on the big capture: first page, keys, a filter, its memory.
+"""How fast the screen of `replay` is on the big capture: first page, keys, a filter, its memory.
 
 As a program it looks through a capture with Textual's pilot, and prints the figures as JSON.
 """

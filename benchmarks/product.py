@@ -21,7 +21,9 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.indexed import open_indexed
 from bilprov.captures.reader import open_capture
@@ -161,13 +163,14 @@ def statistics(path: Path) -> Words:
 
 
 def browsing(path: Path) -> Browser:
-    """The screen of `browse` over a capture."""
+    """The screen of `replay` over a capture."""
     from bilprov.analyzer.screen.browser import Browser, Told
     from bilprov.analyzer.screen.feeds import capture_feed
 
     capture, protocol = open_indexed(path) or open_capture(path), bilprov.load_protocol()
+    opened = Opened(capture, capture_decoder(capture, protocol), capture.events)
     byte_time = line_settings(protocol).byte_time
-    return Browser(capture_feed(capture, protocol), Told(path.name, capture.start, byte_time))
+    return Browser(capture_feed(opened, protocol), Told(path.name, capture.start, byte_time))
 
 
 def replayed(path: Path) -> Words:

@@ -163,8 +163,8 @@ def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
     if topics.HISTORY in evidence.capture.metadata:
         raise CaptureError(
-            f"{printable(path)} is no recording as it was made, but an edited one (bilprov info "
-            "says how): judge the recording itself again"
+            f"{printable(path)} is no recording as it was made, but an edited one (bilprov capture "
+            "info shows how): judge the recording itself again"
         )
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(

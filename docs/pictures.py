@@ -1,4 +1,4 @@
-"""Draws the README's pictures: a drive live and as a plot, a faulty robot's report, the doctor.
+"""Draws the README's pictures: a drive live and as a plot, a faulty robot's report, a port.
 
 Pages are taken by Chromium (apt-get install chromium); the same browser and fonts give the same
 picture again.
@@ -81,7 +81,7 @@ def drive_parts(protocol: Protocol) -> list[Part]:
 
 
 def browse_picture(protocol: Protocol) -> str:
-    """The screen of `browse` over that drive, as SVG: the last fault is chosen."""
+    """The screen of `replay` over that drive, as SVG: the last fault is chosen."""
     recording = Recording(protocol)
     for part in drive_parts(protocol):
         recording.add(part)
@@ -93,13 +93,13 @@ def browse_picture(protocol: Protocol) -> str:
         async with screen.run_test(size=_SCREEN) as pilot:
             await pilot.press("end", "N", "enter", "down", "escape")
             await pilot.pause()
-            return screen.export_screenshot(title="bilprov browse", simplify=True)
+            return screen.export_screenshot(title="bilprov replay", simplify=True)
 
     return asyncio.run(taken())
 
 
 def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[RenderableType]:
-    """What the doctor says of an adapter whose device answers at another rate than expected."""
+    """What `ports` reports of an adapter whose device answers at another rate than expected."""
     rates = rates_of(port, line_settings(protocol).baud)
     answered = Answered(57600, Reply.ANSWERS)
     opened = Finding("opening", Grade.FINE, f"opened with {line_settings(protocol)}")
@@ -176,7 +176,7 @@ def draw(folder: Path) -> None:
         machine = FakeMachine(Path(place))
         machine.run(812, "ModemManager")
         console.print(*doctor_picture(protocol, machine, machine.adapter()), sep="\n")
-    console.save_svg(str(folder / "doctor.svg"), title="bilprov doctor", unique_id="doctor")
+    console.save_svg(str(folder / "doctor.svg"), title="bilprov ports", unique_id="doctor")
     fault = fault_bank(protocol)["restarts-by-itself"]
     options = Options(only=("bad-data/*", "unused-id/9/*"))
     report = conform(Simulator(protocol, fault), options=options, fault=fault.name)

@@ -117,7 +117,7 @@ def demo(folder: Path) -> int:
         time.sleep(_ANSWER)
         sniffer.send_signal(signal.SIGINT)
         sniffer.wait(10)
-        words = ("info", str(capture))
+        words = ("capture", "info", str(capture))
         _say("3. What the capture holds", *words)
         subprocess.run(_bilprov(*words), check=True)
     finally:

@@ -176,8 +176,8 @@ JUDGING = {
     "report, shown": Judging("report {runs}/{robot}.json", faulty=0),
     "replay": Judging("replay {runs}/{robot}.mcap --rate 0 --judge"),
     "replay, jsonl": Judging("replay {runs}/{robot}.mcap --rate 0 --judge --format jsonl"),
-    "compare": Judging("compare {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json"),
-    "compare, json": Judging("compare {runs}/good.mcap {runs}/{robot}.mcap --json -"),
+    "compare": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json"),
+    "compare, json": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json -"),
 }
 
 
@@ -205,7 +205,7 @@ def whole(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
     return ended
 
 
-LEARNING = {"learn": Judging("learn sim {fault} --json {new}/a.json")}  # seconds each
+LEARNING = {"learn": Judging("lab learn sim {fault} --json {new}/a.json")}  # seconds each
 ROWS, SLOW_ROWS = (
     [
         (name, robot, stream, how)
@@ -271,7 +271,7 @@ DRIVING = {
     "send": "send {port} 'Speed 255' Forward 90",
     "send, expecting": "send {port} 'Speed 255' Forward 90 --expect OK,OK,BAD_HEADER",
     "replay": "replay {runs}/good.mcap --to {port} --rate 0 --duration 0.1",
-    "shell": "shell {port} --probe {probe}",
+    "shell": "send {port} --probe {probe}",
 }
 
 
@@ -308,8 +308,8 @@ QUIET = [
     ("encode", "Stop"),
     ("conform", "sim", "--list"),
     ("simulate", "--list-faults"),
-    ("score", "--only", "always-1", "--level", "smoke", "--jobs", "1"),
-    ("doctor", "/dev/null"),
+    ("lab", "score", "--only", "always-1", "--level", "smoke", "--jobs", "1"),
+    ("ports", "/dev/null"),
     ("--help",),
 ]
 
@@ -360,7 +360,7 @@ def test_sniffing_ends_when_nobody_reads_and_its_file_is_whole(tmp_path: Path) -
 # What takes long enough for the terminal to go away while the robot moves.
 LONG = {
     "conform": "conform {port} --probe {probe} --json {new}/a.json",
-    "learn": "learn {port} --probe {probe} --json {new}/a.json",
+    "learn": "lab learn {port} --probe {probe} --json {new}/a.json",
     "send": "send {port} 'Speed 255' Forward pause=60000",
     "replay": "replay {runs}/good.mcap --to {port} --rate 0.01",
 }

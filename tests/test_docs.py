@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
 
-from bilprov import __main__ as front_door
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.storage import messages, records, recovery
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
+from tests.support.commands import parsed
 
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
 _PATIENCE = 60  # s
@@ -73,20 +71,7 @@ def test_a_python_snippet_runs_as_it_stands(name: str, text: str, folder: Path) 
 
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_a_command_line_is_one_that_exists(page: str, line: str) -> None:
-    words = shlex.split(line.split(" | ")[0], comments=True)
-    context = click.Context(front_door.front_door, resilient_parsing=True)
-    group: click.Command = front_door.front_door
-    while isinstance(group, click.Group):
-        parsed = group.make_parser(context)
-        parsed.allow_interspersed_args = False
-        _, words, _ = parsed.parse_args(words)
-        if not words:
-            return
-        name, command, words = group.resolve_command(context, words)
-        assert command is not None, f"{page}: there is no command {name}"
-        group, context = command, click.Context(command, context, name, resilient_parsing=True)
-    if "--help" not in words:
-        group.make_parser(context).parse_args(words)
+    parsed(line)
 
 
 def test_the_limits_of_a_reader_are_those_that_it_has() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,19 +11,21 @@ import threading
 import tomllib
 from contextlib import closing
 from importlib import import_module
+from inspect import cleandoc
 from pathlib import Path
 
-import click
 import pytest
 
 import bilprov
 from bilprov import __main__ as front_door
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.output.help import examples_in
+from bilprov.analyzer.settings import FORMER
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
-from tests.support.commands import Done, command, process
+from tests.support.commands import Done, command, command_named, parsed, process
 
 HEAVY = {
     "serial",
@@ -52,7 +55,7 @@ UNUSED = {
     },
     "completion fish": HEAVY,
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
-    "shell sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
+    "send sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
     "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
     "replay --rate 0 captures/samples/examples.mcap": {"textual", "bilprov.analyzer.screen"},
     "replay --plain --rate 0 captures/samples/examples.mcap": {"textual"},
@@ -103,7 +106,7 @@ def test_help_fits_80_columns_without_colour_codes_in_a_pipe() -> None:
     assert "\x1b" not in shown
     assert max(map(len, shown.splitlines())) <= 80
     for name, row in front_door.COMMANDS.items():
-        assert name in shown
+        assert bool(re.search(rf"^  {name}  ", shown, re.MULTILINE)) is (" " not in name)
         assert row.panel in shown
 
 
@@ -141,10 +144,14 @@ def test_an_installation_gets_the_version_that_the_command_shows() -> None:
         (["explain", "00", "--format", "xml"], "'xml' is not one of"),
         (["sniff", "--baud", "x"], "'x' is no whole number; see bilprov sniff --help"),
         (["sniff", "--duration", "x"], "'x' is no number; see bilprov sniff --help"),
-        (["explain", "00", "--grammar", "x.py"], "it goes before the subcommand"),
-        (["ports", "extra"], "unexpected extra argument (extra)"),
+        (["explain", "00", "--grammar", "x.py"], "the grammar x.py cannot be read"),
+        (["explain", "00", "--grammar"], "option '--grammar' requires an argument"),
+        (["completion", "bash", "extra"], "unexpected extra argument (extra)"),
+        (["spec", "emit", "rust"], "no bilprov spec emit rust; there are c, wireshark, grammar"),
+        (["help", "frobnicate"], "no such command 'frobnicate'"),
+        (["/nowhere/c.mcap"], "does not exist"),
         (["--grammar", "/nowhere/g.py", "spec", "show"], "cannot be read"),
-        (["info", "/nowhere/c.mcap"], "does not exist"),
+        (["capture", "info", "/nowhere/c.mcap"], "does not exist"),
         (["explain", "\x1b[31mred\u202e"], "is not hex"),
     ],
 )
@@ -269,19 +276,128 @@ def test_a_full_disk_is_one_sentence() -> None:
 
 @pytest.mark.parametrize("name", front_door.COMMANDS)
 def test_every_subcommand_is_where_the_table_says(name: str) -> None:
-    context = click.Context(front_door.front_door)
-    _, command, _ = front_door.front_door.resolve_command(context, [name])
-    assert command is not None
-    assert command.name == name
+    found, _ = command_named(name)
+    if name not in ("merge", "lab score"):  # whose functions' names are words of others
+        assert str(found.name).rpartition("-")[2] == name.rpartition(" ")[2]
 
 
 @pytest.mark.parametrize("name", front_door.COMMANDS)
-def test_every_subcommand_explains_itself(name: str) -> None:
-    result = command(name, "--help")
+def test_every_subcommand_explains_itself_with_an_example_at_its_head(name: str) -> None:
+    words = name.split()
+    result = command(*words, "--help")
     assert (result.returncode, result.stderr) == (0, b"")
     shown = result.stdout.decode()
-    assert f"Usage: bilprov {name}" in shown
+    usage, sentence, examples = shown.split("\n\n")[:3]
+    assert usage.startswith(f"Usage: bilprov {name}")
+    assert sentence.strip()
+    assert examples.startswith(f"  Examples:\n    bilprov {name}")
     assert max(map(len, shown.splitlines())) <= 80
+    for same in ([*words, "-h"], ["help", *words]):
+        assert command(*same).stdout.decode() == shown
+
+
+def test_help_alone_is_the_front_page() -> None:
+    assert command("help").stdout == command("-h").stdout == command("--help").stdout
+
+
+def examples() -> list[tuple[str, str]]:
+    """Each example of each help page, with the command of the page."""
+    found = []
+    for name in ["", *front_door.COMMANDS]:
+        page, _ = command_named(name)
+        found += [(name, line) for line in examples_in(cleandoc(page.help or ""))]
+    return found
+
+
+@pytest.mark.parametrize(("name", "line"), examples())
+def test_an_example_of_a_help_page_is_a_line_that_the_command_takes(name: str, line: str) -> None:
+    program, _, rest = line.partition(" ")
+
+    assert program == "bilprov"
+    assert len(line) <= 76
+    assert parsed(rest)[0] == (name.split() or parsed(rest))[0]
+
+
+def test_a_former_name_and_help_are_no_files(tmp_path: Path) -> None:
+    for name in ("info", "help"):
+        (tmp_path / name).touch()
+    assert "is now bilprov capture info" in said(command("info", cwd=tmp_path))
+    assert command("help", cwd=tmp_path).returncode == 0
+
+
+def test_a_former_name_is_one_sentence_with_the_new_one() -> None:
+    new = {
+        "info x.mcap": "bilprov capture info x.mcap",
+        "cut a.mcap b.mcap --end 3": "bilprov capture cut a.mcap b.mcap --end 3",
+        "join a b -o c": "bilprov capture join a b -o c",
+        "recover a b": "bilprov capture repair a b",
+        "convert --decoded a b": "bilprov capture decode a b",
+        "compare a b": "bilprov capture diff a b",
+        "doctor /dev/ttyUSB0 --ask": "bilprov ports /dev/ttyUSB0 --ask",
+        "doctor x.mcap": "bilprov capture check x.mcap",
+        "browse x.mcap": "bilprov replay x.mcap",
+        "shell sim": "bilprov send sim",
+        "emulate x.elf --pty": "bilprov simulate --firmware x.elf --pty",
+        "score --random 0": "bilprov lab score --random 0",
+        "learn sim": "bilprov lab learn sim",
+        "line a pty": "bilprov lab line a pty",
+    }
+    for old, line in new.items():
+        name = old.partition(" ")[0]
+        sentence = said(command(*old.split()))
+        assert sentence.startswith(f"bilprov: bilprov {name} is now bilprov ")
+        assert sentence.endswith(f": {line}")
+        parsed(line.removeprefix("bilprov "))
+    assert said(command("cut")) == "bilprov: bilprov cut is now bilprov capture cut"
+    assert {old.partition(" ")[0] for old in new} == set(FORMER)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--grammar", "{horn}", "encode", "Horn", "2"],
+        ["encode", "--grammar", "{horn}", "Horn", "2"],
+        ["encode", "Horn", "2", "--grammar", "{horn}"],
+        ["--grammar", "/nowhere/g.py", "encode", "Horn", "2", "--grammar={horn}"],
+        ["spec", "--grammar", "{horn}", "show"],
+        ["spec", "emit", "c", "--grammar", "{horn}"],
+    ],
+)
+def test_another_grammar_is_named_before_the_command_or_behind_it(
+    words: list[str], tmp_path: Path, horn_text: str
+) -> None:
+    horn = tmp_path / "horn.py"
+    horn.write_text(horn_text)
+
+    result = command(*(word.format(horn=horn) for word in words))
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert result.stdout == b"91 02\n" or b"horn" in result.stdout.lower()
+
+
+def test_the_grammar_that_is_written_is_the_one_in_use(tmp_path: Path, horn_text: str) -> None:
+    horn = tmp_path / "horn.py"
+    horn.write_text(horn_text)
+    own = command("spec", "emit", "grammar").stdout
+
+    assert own == (ROOT / "spec" / "grammar.py").read_bytes()
+    assert command("spec", "emit", "grammar", "--grammar", str(horn)).stdout == horn.read_bytes()
+    mine = tmp_path / "mine.py"
+    assert command("spec", "emit", "grammar", "-o", str(mine)).returncode == 0
+    assert command("encode", "Stop", "--grammar", str(mine)).stdout == b"00\n"
+
+
+@pytest.mark.parametrize("words", [[], ["--rate", "0"], ["--rate", "0", "--format", "jsonl"]])
+def test_a_capture_needs_no_command(words: list[str], tmp_path: Path) -> None:
+    sample = ROOT / "captures" / "samples" / "examples.mcap"
+    other = tmp_path / "a-capture"
+    other.write_bytes(sample.read_bytes())
+    words = [*words, "--end", "0.2"]
+    played = command("replay", str(sample), *words)
+    assert (played.returncode, played.stderr) == (0, b"")
+    assert command(str(sample), *words).stdout == played.stdout
+    assert command(str(other), *words).stdout == played.stdout
+    assert command("a-capture", *words, cwd=tmp_path).stdout == played.stdout
 
 
 def test_the_library_hands_on_exactly_what_it_lists() -> None:

@@ -101,7 +101,7 @@ SHOWN = {
     "spec emit c": (("spec", "emit", "c"), "/* [/x][red]Protokoll"),
     "encode": (("encode", SPEED, "sp[/x][red]eed=5"), "11 05"),
     "conform": (("conform", "sim", "--only", "valid/Sp*/[01]", "--verbose"), "[/x][red]"),
-    "shell": (("shell", "sim", "--yes"), f"{SPEED} sp[/x][red]eed=80"),
+    "shell": (("send", "sim", "--yes"), f"{SPEED} sp[/x][red]eed=80"),
 }
 
 

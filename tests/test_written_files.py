@@ -30,8 +30,8 @@ REPORTS = {
     "recheck --json": "recheck {runs}/run.mcap --json",
     "merge --json": "merge {runs}/1.json {runs}/2.json --json",
     "report --html": "report {runs}/1.json --html",
-    "score --json": "score --only always-1 --level smoke --jobs 1 --json",
-    "compare --json": "compare {runs}/run.mcap {runs}/run.mcap --json",
+    "score --json": "lab score --only always-1 --level smoke --jobs 1 --json",
+    "compare --json": "capture diff {runs}/run.mcap {runs}/run.mcap --json",
     "stats --json": "stats {runs}/run.mcap --json",
     "stats --csv": "stats {runs}/run.mcap --csv",
     "plot --html": "plot {runs}/run.mcap --html",
@@ -42,10 +42,11 @@ REPORTS = {
     "export layout": "export --foxglove-layout -o",
     "spec emit c": "spec emit c -o",
     "spec emit wireshark": "spec emit wireshark -o",
+    "spec emit grammar": "spec emit grammar -o",
 }
 CAPTURES = {
-    "cut": "cut --start 0 {runs}/run.mcap",
-    "recover": "recover {runs}/run.mcap",
+    "cut": "capture cut --start 0 {runs}/run.mcap",
+    "recover": "capture repair {runs}/run.mcap",
 }
 RECORDED = {"conform --record": f"conform sim {FEW} --record", "sniff -w": "sniff {port} -w"}
 PROFILE = "conform --profile"  # one that exists is read first: a device is none

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
+from bilprov.analyzer.output.help import command_names
+
 if TYPE_CHECKING:
     from bilprov.spec.protocol import InstructionSpec, Protocol
 
@@ -93,13 +95,16 @@ def _devices(ctx: click.Context) -> list[tuple[str, str]]:
 
 
 def commands(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
-    """The commands."""
-    return beginning(incomplete, ((name, "") for name in _commands(ctx)))
+    """The commands, or those of the group that was named."""
+    root = ctx.find_root()
+    path = "".join(f"{word} " for word in ctx.params.get("words") or ())
+    names = (name[len(path) :] for name in _commands(root) if name.startswith(path))
+    return beginning(incomplete, ((name, "") for name in names if " " not in name))
 
 
 def _commands(ctx: click.Context) -> list[str]:
-    front_door = ctx.find_root().command
-    return front_door.list_commands(ctx) if isinstance(front_door, click.Group) else []
+    root = ctx.find_root()
+    return list(command_names(root.command, root))
 
 
 def files(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:

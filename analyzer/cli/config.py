@@ -7,70 +7,61 @@ from collections.abc import Iterator
 import click
 
 from bilprov.analyzer.cli.options import text_format_option
+from bilprov.analyzer.output.help import command_names
 
 
-@click.group()
-def config() -> None:
-    """Settings: of config.toml in $XDG_CONFIG_HOME/bilprov (or ~/.config/bilprov), of bilprov.toml
-    in the working folder, and of the environment. Options come before all of them."""
-
-
-@config.command()
-@click.argument("name", metavar="[COMMAND]", required=False)
+@click.command()
+@click.argument("words", metavar="[COMMAND]...", nargs=-1)
 @text_format_option
-def show(name: str | None, style: str) -> None:
+def show(words: tuple[str, ...], style: str) -> None:
     """Show every setting and where it is set; of a COMMAND all its options.
 
-    A file has settings for all commands at its top (baud, parity, stopbits, truncation-timeout,
-    probe, grammar, time, columns, yes), a table for each command with any of its options, and named
-    devices, which then stand for their port: [device.car] port = "/dev/ttyUSB0", baud = 9600. The
-    file of the working folder may come with somebody else's project, so it can set nothing that
-    runs code or answers for you.
+    Examples:
+      bilprov config show
+      bilprov config show capture cut
 
-    Example: bilprov config show sniff
+    A file has settings for all commands at its top (baud, parity, stopbits, truncation-timeout,
+    probe, grammar, time, columns, yes), a table for each command with any of its options, like
+    [sniff] and [capture.cut], and named devices, which then stand for their port: [device.car]
+    port = "/dev/ttyUSB0", baud = 9600. The file of the working folder may come with somebody else's
+    project, so it can set nothing that runs code or answers for you.
     """
     from bilprov.analyzer.output import console
     from bilprov.captures.text import printable
 
-    rows = list(_rows(name))
+    rows = list(_rows(" ".join(words)))
     if style == "json":
         keys = ("command", "setting", "value", "source", "used")
         console.show_json([dict(zip(keys, row, strict=True)) for row in rows])
         return
     if not rows:
-        click.echo("nothing is set; bilprov config show --help says where and how")
+        click.echo("nothing is set; bilprov config show --help explains where and how")
         return
-    words = [
+    cells = [
         (command, setting, printable(value), source if used else f"{source} (not used)")
         for command, setting, value, source, used in rows
     ]
-    console.show(console.table(("command", "setting", "value", "from"), words))
+    console.show(console.table(("command", "setting", "value", "from"), cells))
 
 
-def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
+def _rows(name: str) -> Iterator[tuple[str, str, object, str, bool]]:
     """Yield command, setting, value, source and whether it is the one that holds."""
     from bilprov.analyzer.cli.settings import options_of, with_settings
     from bilprov.analyzer.settings import read_settings
 
     ctx = click.get_current_context().find_root()
-    front_door = ctx.command
-    assert isinstance(front_door, click.Group)
     grammar = ctx.params.get("grammar")
-    names = {one: one for one in front_door.list_commands(ctx)}
+    names = dict.fromkeys(command_names(ctx.command, ctx))
     settings = read_settings(names)
     for one in names:  # a value that its command would refuse is refused here too
-        _, command, _ = front_door.resolve_command(ctx, [one])
-        if command is not None:
-            with_settings(command, one, settings, [], grammar)
-    if name is not None:
-        _, command, _ = front_door.resolve_command(ctx, [name])
-        assert command is not None
+        with_settings(_loaded(ctx, one), one, settings, [], grammar)
+    if name:
         values = settings.values_of(name)
-        for key, option in options_of(command).items():
+        for key, option in options_of(_loaded(ctx, name)).items():
             if key in values:
                 yield name, key, values[key].value, values[key].source, True
             else:
-                default = option.get_default(click.Context(command), call=True)
+                default = option.get_default(click.Context(click.Command(name)), call=True)
                 shown = default if isinstance(default, str | int | float | tuple) else ""
                 yield name, key, shown, "the command's default", True
         return
@@ -87,3 +78,15 @@ def _rows(name: str | None) -> Iterator[tuple[str, str, object, str, bool]]:
             for key, value in table.items():
                 used = settings.devices[device].get(key) is value
                 yield f"device {device}", key, value.value, value.source, used
+
+
+def _loaded(ctx: click.Context, name: str) -> click.Command:
+    """The command of that name. Raises UsageError where there is none."""
+    command = ctx.command
+    for word in name.split():
+        if not isinstance(command, click.Group):
+            raise click.UsageError(f"there is no command {name}")
+        _, below, _ = command.resolve_command(ctx, [word])
+        assert below is not None
+        command = below
+    return command

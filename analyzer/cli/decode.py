@@ -46,6 +46,10 @@ def decode(
 ) -> None:
     """Decode bytes: hex like 81 05, a file of raw bytes, a capture, or - for standard input.
 
+    Examples:
+      bilprov decode 81 05 20
+      bilprov decode --from device --format jsonl answers.bin
+
     The bytes count as sent in one go: nothing is cut short but what the end leaves incomplete.
     """
     protocol = load_protocol(grammar)

@@ -84,7 +84,7 @@ FORMATS = {
     "style",
     metavar="FORMAT",
     type=click.Choice(list(FORMATS)),
-    help=f"What is written: {', '.join(FORMATS)}.",
+    help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
 )
 @click.option("-o", "--output", metavar="OUT", help="Where to; - is standard output.")
 @filter_option
@@ -114,13 +114,14 @@ def export(
 ) -> None:
     """Write what a capture holds for other programs.
 
-    csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
-    them; docs/times.md says what their columns are. pcapng has a packet for each frame, answer and
-    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
-    grow with the capture. OUT appears when it is whole.
+    Examples:
+      bilprov export drive.mcap -o drive.csv
+      bilprov export drive.mcap --filter faulty --format jsonl -o -
 
-    Examples: bilprov export drive.mcap --format csv -o drive.csv, and bilprov export
-    --foxglove-layout -o bilprov.json
+    csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
+    them; docs/times.md explains their columns. pcapng has a packet for each frame, answer and
+    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
+    grow with the capture. OUT appears when it is complete.
     """
     from bilprov.analyzer.grammar_file import load_protocol
 
@@ -132,10 +133,16 @@ def export(
         with _opened(output or STANDARD_OUTPUT, [], force, text=True) as stream:
             stream.write(foxglove_layout(protocol))
         return
-    if path is None or style is None or output is None:
+    if path is None or output is None:
         raise click.UsageError(
-            "say what to write where: bilprov export FILE.mcap --format "
-            f"{'|'.join(FORMATS)} -o OUT (- is standard output)"
+            "name what to write and where: bilprov export FILE.mcap -o OUT.csv (- is standard "
+            "output)"
+        )
+    style = style or Path(output).suffix.removeprefix(".").lower()
+    if style not in FORMATS:
+        raise click.UsageError(
+            f"-o {output} names no format: let it end in .{', .'.join(FORMATS)}, or add --format "
+            f"{'|'.join(FORMATS)}"
         )
     form = FORMATS[style]
     more = _choices(form, style, row_style(time_style, columns, protocol))

@@ -98,8 +98,6 @@ def _usage(error: click.ClickException) -> str:
     text = plain_words(text)
     if text.startswith(_CLICK_BEGINS):
         text = text[0].lower() + text[1:]
-    if isinstance(error, exceptions.NoSuchOption) and error.option_name == "--grammar":
-        return f"{text} here: it goes before the subcommand, bilprov --grammar FILE.py ..."
     if isinstance(error, _NO_SUCH) and error.possibilities:
         return f"{text}, did you mean {error.possibilities[0]}?"
     if isinstance(error, click.UsageError) and error.ctx and "; see " not in text:

@@ -1,4 +1,4 @@
-"""`bilprov line`: connects two ends by a line that drops, flips, doubles and delays bytes."""
+"""`bilprov lab line`: connects two ends by a line that drops, flips, doubles and delays bytes."""
 
 from __future__ import annotations
 
@@ -60,23 +60,26 @@ def _ends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[I
 SERVED_IN_WORDS = ", or ".join(kind.help for kind in SERVED)
 
 HELP = f"""\
-Join A and B by a bad line: bytes go both ways, and some are lost, changed, doubled or late.
+Connect A and B by a line that loses, changes, doubles and delays bytes, both ways.
+
+Examples:
+  bilprov lab line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty
+  bilprov lab line --flip 1e-3 listen:127.0.0.1:5000 pty
 
 A and B are each a device that is opened (a path or a pyserial URL), {SERVED_IN_WORDS}. What was
 made is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
 every byte passes unchanged and at once. What arrives at a listening end without a client is gone;
 at a pty it waits for the program that opens it, as in a driver's buffer. A listening end takes one
 client at a time and closes others; any machine reaches it only where HOST says so, as in
-listen:0.0.0.0:5000, and a warning tells that.
+listen:0.0.0.0:5000, with a warning.
 
 A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
 or a number of milliseconds. The order of the bytes is kept. The same seed and the same bytes
 give the same faults, in each direction by itself.
 
-To try a device behind it: bilprov line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty, and then
-bilprov conform with the path that is printed.
+To test a device behind it, give bilprov conform the path that is printed.
 
-Ends by Ctrl-C or SIGTERM with 0, by an end that is lost with 2; either way standard error says
+Exits with 0 after Ctrl-C or SIGTERM, with 2 if an end is lost; either way standard error shows
 how many bytes went each way, and what happened to how many of them.
 """
 
@@ -108,7 +111,7 @@ def line(
     parity: str | None,
     stopbits: str | None,
 ) -> int:
-    """Join two ends by a bad line; the command's help is `HELP`."""
+    """Connect two ends by an impaired line; the command's help is `HELP`."""
     try:
         require_two_ends(a, b)
         faults = LineFaults(Noise(flip, drop, double), delay, jitter, late)

@@ -16,14 +16,17 @@ if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
 
 _LONG = 1 << 20  # raw bytes from which on a bar is drawn
+_STEPS = 200  # of the bar
 
 
 @contextmanager
-def reading(captures: Sequence[Capture], *, times: int = 1) -> Iterator[Progress]:
+def reading(
+    captures: Sequence[Capture], *, times: int = 1, least: int = _LONG
+) -> Iterator[Progress]:
     """Give a function that is told how many raw bytes of the captures were read more.
 
-    On a terminal a bar shows how much of it is done, if there is much; the captures are read so
-    many times. After Ctrl-C or SIGTERM the function raises click's Abort.
+    On a terminal a bar shows how much of it is done, from `least` bytes on; the captures are read
+    so many times. After Ctrl-C or SIGTERM the function raises click's Abort.
     """
     from bilprov.analyzer.transport.signals import Stopper
     from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
@@ -36,8 +39,10 @@ def reading(captures: Sequence[Capture], *, times: int = 1) -> Iterator[Progress
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         bar = None
-        if total >= _LONG and sys.stderr.isatty():
-            bar = stack.enter_context(click.progressbar(length=total, file=sys.stderr))
+        if total >= least and sys.stderr.isatty():
+            steps = max(1, total // _STEPS)
+            shown = click.progressbar(length=total, file=sys.stderr, update_min_steps=steps)
+            bar = stack.enter_context(shown)
 
         def progress(size: int) -> None:
             if stopper.stopped:

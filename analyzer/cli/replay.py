@@ -1,10 +1,12 @@
-"""`bilprov replay`: shows a capture as it was sniffed, and can send it to a device again."""
+"""`bilprov replay`: shows a capture on a screen or in lines, and can send it to a device."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -49,6 +51,7 @@ from bilprov.analyzer.replay.playback import batches, interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.indexed import open_indexed
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
@@ -57,7 +60,9 @@ from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.monitor.passive_judge import PassiveJudge
+    from bilprov.analyzer.output.row_columns import RowStyle
 
 
 @click.command()
@@ -67,7 +72,7 @@ if TYPE_CHECKING:
     type=Finite(0),
     default=1.0,
     show_default=True,
-    help="1 is recorded time, 2 twice as fast, 0 as fast as it goes.",
+    help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
 )
 @click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
@@ -115,20 +120,28 @@ def replay(
     stopbits: str | None,
     truncation_timeout: float | None,
 ) -> int:
-    """Play a capture again.
+    """Look through a capture on a screen, or play it again.
 
-    It is decoded from its raw bytes, and shown as `sniff` would have shown it. With --to the host's
-    bytes between --start and --end go to a device too, with their recorded timing (at --rate 0 each
-    frame when the one before is answered), and every answer that differs from the recorded one is
-    reported: exit code 1 if there is any, 3 if the recording holds no answers. It is also 1 where
-    the device does not answer the stops at the end.
+    Examples:
+      bilprov replay drive.mcap
+      bilprov replay drive.mcap --plain --rate 0 --filter faulty
+      bilprov replay drive.mcap --to /dev/ttyUSB0
+
+    On a terminal a screen shows all of it: frames, their fields and bits, faults, the predicted
+    state. Space plays from the selected row at the recorded pace, times --rate, and stops again; ?
+    lists the keys. Nothing is written except what you export with x.
+
+    With --plain, --format, --judge or --to, and in a pipe, the capture is played in lines, with its
+    recorded timing. It is decoded from its raw bytes, and shown as `sniff` would have shown it.
+
+    With --to the host's bytes between --start and --end go to a device too, with their recorded
+    timing (at --rate 0 each frame when the one before is answered), and every answer that differs
+    from the recorded one is reported: exit code 1 if there is any, 3 if the recording holds no
+    answers. It is also 1 if the device does not answer the stops at the end.
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
-    object of kind judgement) tells which parts of the document the traffic covered and what
+    object of kind judgement) shows which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
-
-    On a terminal it is played on a screen, as by `sniff`, which stays when the capture has ended;
-    what goes to a device is told in lines.
     """
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
@@ -139,16 +152,20 @@ def replay(
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     protocol = load_protocol(grammar)
-    if port is not None and style == "live":
-        raise click.UsageError("--to is told in lines: leave out --format live")
-    style = session_style(style, plain or (style is None and port is not None))
+    in_lines = "--to" if port is not None else "--judge" if judged else ""
+    if in_lines and style == "live":
+        raise click.UsageError(f"{in_lines} is shown in lines: leave out --format live")
+    style = session_style(style, plain or (style is None and bool(in_lines)))
     rows = row_style(time_style, columns, protocol, style)
     test = compiled(expression, protocol)
     timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
     window = _window(start, end, duration)
-    opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
+    opened = _opened(path, protocol, timeout, window, style, whole=bool(in_lines))
     capture = opened.capture
     test = test and test.started(capture.start)
+    if style == "live":
+        _look_through(opened, protocol, rows, expression, test, count, window, rate)
+        return 0
     for sentence in (*said_about(capture, protocol, window.first), opened.note):
         if sentence:
             note(sentence)
@@ -172,47 +189,22 @@ def replay(
             target = stack.enter_context(
                 opened_target(protocol, port, settings, pause, rate, stopper, run, max_drive)
             )
-        statistics = Statistics()
         judge = None
         if judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        if style == "live":
-            from bilprov.analyzer.screen.browser import Told
-            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
-            from bilprov.analyzer.screen.recording import Recording
-            from bilprov.analyzer.screen.terminal import shown
-
-            def watched(feed: Feed[None]) -> None:
-                output = AllShown(ScreenOutput(feed, statistics), test, count, window)
-                pipeline = Pipeline(opened.decoder, statistics, output, judge=judge)
-                events = capture.sights() if judge else opened.events()
-                _show(events, pipeline, rate, window, stopper, judge)
-
-            feed = Feed(Recording(protocol), watched, stop=stopper.stop, live=True, stays=True)
-            told = Told(
-                f"replay of {printable(capture.path.name)}",
-                capture.start,
-                capture_line(capture, protocol).byte_time,
-                rows,
-                expression or "",
-                test,
+        output = opened_output(style, protocol, rows, capture.start)
+        shown = Shown(output, test, count, window)
+        pipeline = Pipeline(opened.decoder, Statistics(), shown, judge=judge)
+        if target is not None:
+            sent = send_again(
+                protocol, capture, pipeline, output, target, run, rate, window, stopper
             )
-            shown(feed, told, stopper)
-            feed.join()
         else:
-            output = opened_output(style, protocol, rows, capture.start)
-            shown_rows = Shown(output, test, count, window)
-            pipeline = Pipeline(opened.decoder, statistics, shown_rows, judge=judge)
-            if target is not None:
-                sent = send_again(
-                    protocol, capture, pipeline, output, target, run, rate, window, stopper
-                )
-            else:
-                events = capture.sights() if judge else opened.events()
-                _show(events, pipeline, rate, window, stopper, judge)
+            events = capture.sights() if judge else opened.events()
+            _show(events, pipeline, rate, window, stopper, judge)
     if target is not None and not target.answered_stops:
         from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 
@@ -253,13 +245,57 @@ def _window(start: float | None, end: float | None, duration: float | None) -> W
 
 
 def _opened(
-    path: str, protocol: Protocol, timeout: int | None, window: Window, *, whole: bool
+    path: str,
+    protocol: Protocol,
+    timeout: int | None,
+    window: Window,
+    style: Format,
+    *,
+    whole: bool,
 ) -> Opened:
-    """Open the capture; not from its beginning on if `whole` is false and the window is later."""
+    """Open the capture; not from its beginning on if `whole` is false and the window is later.
+
+    For the screen its index is enough, so that the first rows are there at once.
+    """
     if window.first is not None and not whole:
         return opened_at(path, protocol, window.first, timeout)
-    capture = open_capture(path)
+    capture = (open_indexed(path) if style == "live" else None) or open_capture(path)
     return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events)
+
+
+def _look_through(
+    opened: Opened,
+    protocol: Protocol,
+    rows: RowStyle,
+    expression: str | None,
+    test: Filter | None,
+    count: int | None,
+    window: Window,
+    rate: float,
+) -> None:
+    """Show the capture on the screen until it is left."""
+    from bilprov.analyzer.screen.browser import Told
+    from bilprov.analyzer.screen.feeds import capture_feed
+    from bilprov.analyzer.screen.terminal import shown
+
+    capture = opened.capture
+    feed = capture_feed(opened, protocol, test, count, window)
+    # The screen has one line for it, so the file's name stands without its folder.
+    named = replace(capture, path=Path(capture.path.name))
+    sentences = (*said_about(named, protocol, window.first), opened.note)
+    feed.notice = "; ".join(filter(None, sentences))
+    told = Told(
+        printable(capture.path.name),
+        capture.start,
+        capture_line(capture, protocol).byte_time,
+        rows,
+        expression or "",
+        test,
+        rate,
+    )
+    with Stopper() as stopper:
+        shown(feed, told, stopper)
+        feed.join()
 
 
 def _show(

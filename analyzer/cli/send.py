@@ -1,4 +1,4 @@
-"""`bilprov send`: sends instructions, or any bytes, to a device and shows its answers."""
+"""Sends the items of `bilprov send` to a device, one after the other, and shows its answers."""
 
 from __future__ import annotations
 
@@ -11,19 +11,15 @@ import click
 
 from bilprov.analyzer.cli.options import (
     confirm_motion,
-    line_options,
-    max_drive_option,
     note,
     note_hindrances,
     note_suspension,
-    timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import stream_output
 from bilprov.analyzer.replay.answers import (
     FLOOD_WORDS,
@@ -34,7 +30,7 @@ from bilprov.analyzer.replay.answers import (
 from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.replug import Place, opened_again, opened_when_there
@@ -47,61 +43,26 @@ from bilprov.spec.protocol import Protocol
 _NO_ANSWER = "none"
 
 
-@click.command()
-@click.argument("port", metavar="PORT")
-@click.argument("items", nargs=-1, required=True, metavar="ITEM...")
-@click.option("--together", is_flag=True, help="Send without waiting for the answers.")
-@click.option(
-    "--expect",
-    "expectations",
-    multiple=True,
-    metavar="ANSWER,...",
-    help="The answer to each instruction, in order: names or numbers, none for no answer. "
-    "Exit code 0 if exactly these come, else 1.",
-)
-@click.option(
-    "--format", "style", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
-)
-@click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
-@max_drive_option
-@click.option(
-    "--wait",
-    is_flag=True,
-    help="Wait for a port that is not there yet, and for one that is unplugged meanwhile.",
-)
-@line_options
-@timeout_option
-@click.pass_obj
-def send(
-    grammar: str | None,
+def send_items(
+    protocol: Protocol,
     port: str,
-    items: tuple[str, ...],
+    items: Sequence[str],
+    settings: LineSettings,
+    timeout: int,
+    *,
     together: bool,
-    expectations: tuple[str, ...],
+    expectations: Sequence[str],
     style: Literal["lines", "jsonl"],
     yes: bool,
     max_drive: float,
     wait: bool,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    truncation_timeout: float | None,
 ) -> int:
-    """Send instructions or bytes to a device, one after the other.
+    """Send the items to the device at a port, show its answers, and return the exit code.
 
-    Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
-    pause=MS. The device is homed first and on every way out.
-
-    With --wait the robot at a port that was unplugged and is there again is stopped first; what
-    comes behind the instruction or pause that was under way then follows, and the exit code is 1.
-
-    Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
-    answer is missing, is no code of the grammar or is not allowed, bytes came without an
-    instruction, or not all was done, as where it drove too long (--max-drive) or a pause was cut
-    short; 2 the port cannot be used or nobody answers.
+    The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
+    inside a frame. Raises UsageError for an item that is nothing, LinkError for a port that cannot
+    be used.
     """
-    protocol = load_protocol(grammar)
-    timeout = timeout_in_ns(protocol, truncation_timeout)
     try:
         steps = [bytes_or_pause(protocol, item) for item in items]
         expected = [_code(protocol, word) for text in expectations for word in text.split(",")]
@@ -116,7 +77,6 @@ def send(
                 f"--expect names {len(expected)} and {planned} should be answered: name one for "
                 f"each instruction, {_NO_ANSWER} where no answer should come"
             )
-    settings = line_settings(protocol, baud, parity, stopbits)
     output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
     pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     first = _opened(port, settings, wait=wait)

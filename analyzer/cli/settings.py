@@ -19,10 +19,9 @@ from bilprov.spec.protocol import Protocol
 PORTS = {
     "sniff": ("host", "device", "bridge"),
     "replay": ("port",),
-    "send": ("port",),
-    "shell": ("target",),
-    "doctor": ("port", "device"),
-    "line": ("a", "b"),
+    "send": ("target",),
+    "ports": ("names",),
+    "lab line": ("a", "b"),
     "conform": ("target",),
 }
 """The parameters of each command that may be a named device."""
@@ -62,11 +61,16 @@ def with_settings(
 ) -> tuple[click.Command, dict[str, Any]]:
     """The command, for which a device's name stands for its port, and the defaults of its options.
 
-    The defaults are as click takes them from the context above: by command and parameter. `grammar`
-    is the grammar's file that filters and columns are checked by. Raises SettingsError for a
-    setting that the command does not have, and for a value that its option does not take.
+    The defaults are as click takes them from the context above: by command and parameter. Filters
+    and columns are checked by the grammar that the arguments name, else by `grammar`. Raises
+    SettingsError for a setting that the command does not have, and for a value that its option does
+    not take.
     """
-    named = _devices_named(command, name, settings, arguments)
+    context = command.context_class(command, info_name=name, resilient_parsing=True)
+    given, _, _ = command.make_parser(context).parse_args(list(arguments))
+    if isinstance(given.get("grammar"), str):  # behind the command, which has not taken it yet
+        grammar = given["grammar"]
+    named = _devices_named(name, settings, given)
     device: dict[str, Value] = {}
     for values in named.values():
         device |= values
@@ -79,19 +83,19 @@ def with_settings(
         ]
     values = settings.values_of(name, device)
     defaults = _defaults(command, name, values, set(device), grammar)
-    return command, {name: defaults}
+    return command, {name.rpartition(" ")[2]: defaults}
 
 
 def _devices_named(
-    command: click.Command, name: str, settings: Settings, arguments: Sequence[str]
+    name: str, settings: Settings, given: Mapping[str, Any]
 ) -> dict[str, dict[str, Value]]:
-    """The devices that the arguments name, by the word that does."""
-    if name not in PORTS or not settings.devices:
-        return {}
-    context = click.Context(command, info_name=name, resilient_parsing=True)
-    values, _, _ = command.make_parser(context).parse_args(list(arguments))
-    words = {values.get(port) for port in PORTS[name]}
-    found = {word: settings.device(word) for word in words if isinstance(word, str)}
+    """The devices that the parsed arguments name, by the word that does."""
+    words: set[str] = set()
+    for port in PORTS.get(name, ()):
+        value = given.get(port)
+        words |= {value} if isinstance(value, str) else set()
+        words |= set(value) if isinstance(value, list | tuple) else set()
+    found = {word: settings.device(word) for word in words}
     return {word: device for word, device in found.items() if device is not None}
 
 

@@ -49,6 +49,7 @@ from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.replay.spool import Spool
+from bilprov.analyzer.settings import SIM
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
@@ -58,6 +59,7 @@ from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
 from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
@@ -129,25 +131,31 @@ def sniff(
 ) -> int:
     """Listen to a line, decode and log it.
 
+    Examples:
+      bilprov sniff sim
+      bilprov sniff /dev/ttyUSB0 /dev/ttyUSB1 -w drive.mcap
+      bilprov sniff --bridge /dev/ttyUSB0 --plain
+
     HOST carries what the host sends, DEVICE what the device answers. Nothing is ever written to
     them. With --bridge PORT the host program opens the pty whose name is printed (on standard
-    error) and every byte is passed on.
+    error) and every byte is passed on. sim is a simulated drive, to try the screen without a
+    device.
 
-    On a terminal the traffic is shown on a screen, as by `bilprov browse`; ? lists its keys.
+    On a terminal the traffic is shown on a screen, as by `bilprov replay`; ? lists its keys.
     Without -w the last GiB of it is kept meanwhile, and can be saved when the screen is left.
 
     With --rotate the log -w drive.mcap is kept in parts, drive.00001.mcap, drive.00002.mcap and so
     on. Each is a capture by itself, and all commands read the parts as one under the name
     drive.mcap.
 
-    A full disk or a capture that is deleted ends only the recording: one sentence says so at once
-    and again at the end, with exit code 2.
+    A full disk or a capture that is deleted ends only the recording: one sentence reports it at
+    once and again at the end, with exit code 2.
 
     Where a tap is unplugged the other one is listened to, and exit code 2 follows at the end;
     without another one it ends. A tap that is plugged in again is listened to again. With --wait
     it never ends for want of a port, and a port that came back is no fault.
 
-    With --judge a table at the end (with --format jsonl a last object of kind judgement) tells
+    With --judge a table at the end (with --format jsonl a last object of kind judgement) shows
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
     """
@@ -162,7 +170,7 @@ def sniff(
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         given = {"": (host, device), **{option: (name,) for option, name in taps.items()}}
-        opened = _opened(given, settings, stopper, wait)
+        opened = _simulated(protocol, given, settings) or _opened(given, settings, stopper, wait)
         if opened is None:
             return 0
         source = stack.enter_context(opened)
@@ -272,6 +280,20 @@ def _rotation(path: str | None, rotate: Rotation | None, keep: int | None) -> Ro
             raise click.UsageError("--rotate is for a recording: name its file with -w")
         return None
     return rotate._replace(keep=keep)
+
+
+def _simulated(
+    protocol: Protocol, given: Mapping[str, Sequence[str | None]], settings: LineSettings
+) -> Source | None:
+    """The simulated drive, if it is asked for and no file has its name."""
+    names = [name for names in given.values() for name in names if name is not None]
+    if given[""][0] != SIM or Path(SIM).exists():
+        return None
+    if len(names) > 1:
+        raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
+    from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
+
+    return SimulatedDrive(protocol, settings)
 
 
 def _opened(

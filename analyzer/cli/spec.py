@@ -1,4 +1,4 @@
-"""`bilprov spec`: shows and exports the protocol (commands show, readings, errata, emit)."""
+"""`bilprov spec`: shows the protocol, its readings and errata, and writes it for others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import click
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.output.console import show_as
-from bilprov.analyzer.output.help import Group
 
 if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
@@ -23,16 +22,16 @@ _output_option = click.option(
 )
 
 
-@click.group(cls=Group)
-def spec() -> None:
-    """Show the protocol, how its document is read, and where it is wrong; write it for others."""
-
-
-@spec.command("show")
+@click.command("show")
 @text_format_option
 @click.pass_obj
 def spec_show(grammar: str | None, style: str) -> None:
-    """Show header, instructions, responses, effects and defaults of the grammar in use."""
+    """Show header, instructions, responses, effects and defaults of the grammar in use.
+
+    Examples:
+      bilprov spec show
+      bilprov spec show --format json
+    """
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_protocol, protocol_json
 
@@ -58,14 +57,15 @@ def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) ->
     return [r.id for r in READINGS if r.id.lower().startswith(incomplete.lower())]
 
 
-@spec.command("readings")
+@click.command("readings")
 @click.argument("ids", metavar="[ID]...", nargs=-1, shell_complete=_reading_ids)
 @text_format_option
 @click.pass_obj
 def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None:
     """Show how the document is read where it is silent: our default, and what others get.
 
-    Example: bilprov spec readings R-led-id
+    Examples:
+      bilprov spec readings R-led-id
     """
     from bilprov.analyzer.cli.typed_input import meant
     from bilprov.analyzer.grammar_file import load_protocol
@@ -84,11 +84,15 @@ def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None
     show_as(style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
 
 
-@spec.command("errata")
+@click.command("errata")
 @text_format_option
 @click.pass_obj
 def spec_errata(grammar: str | None, style: str) -> None:
-    """Run the document's own examples through the grammar and show where it contradicts itself."""
+    """Run the document's own examples through the grammar and show where it contradicts itself.
+
+    Examples:
+      bilprov spec errata
+    """
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_errata, errata_json
     from bilprov.spec.errata import check
@@ -99,18 +103,14 @@ def spec_errata(grammar: str | None, style: str) -> None:
     show_as(style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 
 
-@spec.group("emit")
-def spec_emit() -> None:
-    """Write the protocol for other programs, made out of the grammar in use."""
-
-
-@spec_emit.command("c")
+@click.command("c")
 @_output_option
 @click.pass_obj
 def spec_emit_c(grammar: str | None, output: str) -> None:
     """A C header with the protocol's constants, for firmware and for hosts.
 
-    Example: bilprov spec emit c -o protocol.h
+    Examples:
+      bilprov spec emit c -o protocol.h
     """
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.spec.emit.c import c_header
@@ -118,14 +118,17 @@ def spec_emit_c(grammar: str | None, output: str) -> None:
     write_output(output, c_header(load_protocol(grammar)).encode())
 
 
-@spec_emit.command("wireshark")
+@click.command("wireshark")
 @_output_option
 @click.pass_obj
 def spec_emit_wireshark(grammar: str | None, output: str) -> None:
     """A dissector in Lua for Wireshark and tshark, which reads what `export` writes as pcapng.
 
-    Example: bilprov spec emit wireshark -o robot.lua, then tshark -2 -r drive.pcapng -X
-    lua_script:robot.lua; for Wireshark, put it into the folder of personal Lua plugins.
+    Examples:
+      bilprov spec emit wireshark -o robot.lua
+
+    Then: tshark -2 -r drive.pcapng -X lua_script:robot.lua; for Wireshark, put it into the folder
+    of personal Lua plugins.
     """
     from bilprov.analyzer.decode.session import SKEW
     from bilprov.analyzer.grammar_file import load_protocol
@@ -133,3 +136,18 @@ def spec_emit_wireshark(grammar: str | None, output: str) -> None:
     from bilprov.spec.emit.wireshark import lua_dissector
 
     write_output(output, lua_dissector(load_protocol(grammar), SKEW / MS).encode())
+
+
+@click.command("grammar")
+@_output_option
+@click.pass_obj
+def spec_emit_grammar(grammar: str | None, output: str) -> None:
+    """The text of the grammar in use, to be changed and named with --grammar.
+
+    Examples:
+      bilprov spec emit grammar -o mine.py
+      bilprov spec show --grammar mine.py
+    """
+    from bilprov.analyzer.grammar_file import load_protocol
+
+    write_output(output, load_protocol(grammar).source.encode())

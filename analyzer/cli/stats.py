@@ -42,12 +42,14 @@ def stats(
 ) -> None:
     """Count what captures hold: frames, answers, anomalies, latencies, load, time moving.
 
+    Examples:
+      bilprov stats drive.mcap
+      bilprov stats monday.mcap tuesday.mcap --json week.json
+
     Each capture is decoded from its raw bytes, as replay does, and counted by itself; where there
     are several, all of them together too. The keys of the JSON are explained in
     analyzer/output/capture_stats.py, the CSV in stats_csv.py beside it. With --filter only what
     passes is counted, from the first such byte to the last.
-
-    Example: bilprov stats monday.mcap tuesday.mcap --json week.json
     """
     import msgspec
 

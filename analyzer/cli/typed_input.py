@@ -10,7 +10,7 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 
 PAUSE = "pause="
 SEPARATOR = ";"
-"""Stands between instructions on a line of the shell; elsewhere it may only separate bytes."""
+"""Stands between instructions on a typed line; elsewhere it may only separate bytes."""
 _NOTHING = "no values"
 _LONGEST_PAUSE = 60_000  # ms
 
@@ -25,8 +25,8 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
             return bytes_from_hex(item)
         except ValueError:
             raise ValueError(
-                f"{item!r} holds a {SEPARATOR}, which stands between instructions in bilprov shell "
-                f"only; here each is an item of its own, like 'Speed 80' {PAUSE}500 '81 05'"
+                f"{item!r} holds a {SEPARATOR}, which stands between typed instructions only; "
+                f"here each is an item of its own, like 'Speed 80' {PAUSE}500 '81 05'"
             ) from None
     if item.startswith(PAUSE):
         try:

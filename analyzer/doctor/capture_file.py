@@ -37,8 +37,8 @@ def of_capture(path: Path) -> Iterator[Finding]:
         yield Finding("lost", Grade.BLOCKS, "messages are lost in further places")
     yield from _end(capture, left_out)
     if left_out or capture.damage or losses or capture.unfinished:
-        new = path.with_name(f"{path.stem}-recovered.mcap")
-        words = shlex.join(["bilprov", "recover", str(path), str(new)])
+        new = path.with_name(f"{path.stem}-repaired.mcap")
+        words = shlex.join(["bilprov", "capture", "repair", str(path), str(new)])
         share = f"{quantity(left_out, 'byte')} ({left_out / size:.1%}) cannot be read; "
         what = f"{share if left_out else ''}a new file with all the rest"
         yield Finding("mend", Grade.ADVICE, what, words)

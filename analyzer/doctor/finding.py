@@ -33,7 +33,7 @@ class Finding:
         """The finding in one line, for a command that uses the port `name` all the same."""
         mends = self.command
         if len(mends) > _SHORT:
-            mends = f"`bilprov doctor {name}` has the command"
+            mends = f"`bilprov ports {name}` prints the command"
         return f"{self.sentence}: {mends}" if mends else self.sentence
 
 

@@ -100,7 +100,7 @@ def _miscounted(
             sentence = f"the driver counted {counted} in {_counted(count, 'byte')}: {means}"
             (name, *others) = names.values()
             asks = kind == "framing" and not others
-            command = f"bilprov doctor {quote(name)} --ask --yes" if asks else ""
+            command = f"bilprov ports {quote(name)} --ask --yes" if asks else ""
             yield Finding("line errors", Grade.BLOCKS, sentence, command)
 
 

@@ -1,4 +1,4 @@
-"""What `bilprov compare` shows of two captures: as JSON and as tables.
+"""What `bilprov capture diff` shows of two captures: as JSON and as tables.
 
 The JSON of `--json` is one object. Times and durations are in seconds, from the start of each
 capture:

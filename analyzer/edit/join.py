@@ -271,7 +271,7 @@ def _overlap(early: _Source, late: _Source, sides: str) -> str:
     if late.last <= early.last:
         return f"{words}leave out {name}"
     start = ceil((early.last + 1 - late.capture.start) / 1000) / 1_000_000
-    return f"{words}cut the second first, bilprov cut {name} NEW.mcap --start {start:f}"
+    return f"{words}cut the second first, bilprov capture cut {name} NEW.mcap --start {start:f}"
 
 
 def _clock(wall: int) -> str:

@@ -356,8 +356,8 @@ def _passed_over(entry: _Entry) -> int:
 def _said_of(size: int) -> str:
     """The reason for a gap where so many bytes are left out."""
     if not size:
-        return "no bytes, but what belongs to others, left out here by bilprov cut"
-    return f"{size} {'byte' if size == 1 else 'bytes'} left out here by bilprov cut"
+        return "no bytes, but what belongs to others, left out here by bilprov capture cut"
+    return f"{size} {'byte' if size == 1 else 'bytes'} left out here by bilprov capture cut"
 
 
 def _keep_together(step: Step, told: list[_Kept]) -> None:

@@ -1,4 +1,4 @@
-"""The one-page summary of a capture that `bilprov info` shows, made without decoding it.
+"""The one-page summary of a capture that `bilprov capture info` shows, made without decoding it.
 
 The JSON of `--json` is one object. Moments are ISO 8601 in UTC, to the microsecond (a number, ns
 since 1970, where a file claims one outside the calendar):
@@ -6,7 +6,7 @@ since 1970, where a file claims one outside the calendar):
 - `path`; `size` in bytes; `library`, the program that has written the file.
 - `parts`: the files, by name, of a recording that is kept in parts; of one file none.
 - `start`, `end`: when the recording began and when its last message came. Of a part, and of what
-  `cut` or `join` has made, when the first message and the last one came.
+  `capture cut` or `capture join` has made, when the first message and the last one came.
 - `zero`: the moment from which `t` counts in the file's records. A part keeps that of the whole.
 - `duration`: from `start` to `end`, in seconds.
 - `host`: the name of the machine on which it was recorded, null if the file does not say.
@@ -38,7 +38,7 @@ SECOND = 1_000_000_000  # ns
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The values that `bilprov info` shows of a capture; the module's docstring explains them."""
+    """The values that `bilprov capture info` shows; the module's docstring explains them."""
 
     path: str
     size: int

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from typing import Any, TypeVar
 
 import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 _WIDEST = 120  # columns; longer lines of prose are hard to read
 _TERM_WIDEST = 30  # columns of an option and its value; the help of a longer one begins below it
 _SHORT = re.compile(r"-\w")  # how an option begins that has a short spelling
 _NAMES = re.compile(r"(?<!\S)--?\w[\w-]*|^\s*\w+")  # an option's spellings, or the first word
+HELP_NAMES = ("-h", "--help")
+_EXAMPLES = "Examples:"
+_PANEL = "panel"  # the attribute of an option that names the heading it stands under
 
 
 class Page(click.HelpFormatter):
@@ -34,10 +40,17 @@ class Page(click.HelpFormatter):
         self._write("", f"{heading}:", bold=True)
 
     def write_text(self, text: str) -> None:
-        """Write prose; its paragraphs stay, and each is wrapped anew."""
+        """Write prose; its paragraphs stay, and each is wrapped anew, but for examples."""
+        margin = " " * self.current_indent
         for number, paragraph in enumerate(re.split(r"\n\s*\n", text)):
             self.write("\n" if number else "")
-            self._write(" ".join(paragraph.split()), " " * self.current_indent)
+            examples = examples_in(paragraph)
+            if examples:
+                self._write("", f"{margin}{_EXAMPLES}", bold=True)
+                for line in examples:
+                    self._write_example(line, f"{margin}  ")
+            else:
+                self._write(" ".join(paragraph.split()), margin)
 
     def write_dl(
         self, rows: Iterable[tuple[str, str]], col_max: int = _TERM_WIDEST, col_spacing: int = 2
@@ -58,6 +71,17 @@ class Page(click.HelpFormatter):
                 term = ""
             self._write(text, margin + term.ljust(column + col_spacing))
 
+    def _write_example(self, line: str, margin: str) -> None:
+        """Write a command line; one that is too long goes on as a shell reads it."""
+        from textwrap import wrap
+
+        room = self.width - len(margin) - 2
+        parts = [line]
+        if len(line) > room + 2:
+            parts = wrap(line, room, subsequent_indent="  ", break_on_hyphens=False)
+        self.write("".join(f"{margin}{part} \\\n" for part in parts[:-1]))
+        self.write(f"{margin}{parts[-1]}\n")
+
     def _write(self, text: str, lead: str, *, bold: bool = False) -> None:
         """Write `lead`, its names in colour or bold, and the text wrapped to the right of it."""
         from textwrap import fill
@@ -77,10 +101,59 @@ class Page(click.HelpFormatter):
         self.write(f"{lead}{wrapped[len(indent) :]}\n")
 
 
+def examples_in(text: str) -> list[str]:
+    """The command lines below the line `Examples:` of a help text, up to its next empty line."""
+    _, found, below = text.partition(_EXAMPLES + "\n")
+    lines = re.split(r"\n\s*\n", below, maxsplit=1)[0].splitlines() if found else []
+    return [line.strip() for line in lines]
+
+
+def panel(heading: str, *options: Callable[[Command], Command]) -> Callable[[Command], Command]:
+    """Add options to a command, which stand together under a heading of its help.
+
+    The command is of the class `PanelCommand`, whose other options follow under `Options`.
+    """
+
+    def decorated(command: Command) -> Command:
+        known = list(getattr(command, "__click_params__", ()))
+        for option in reversed(options):
+            command = option(command)
+        for param in getattr(command, "__click_params__", ()):
+            if not any(param is one for one in known):
+                setattr(param, _PANEL, heading)
+        return command
+
+    return decorated
+
+
+class PanelCommand(click.Command):
+    """A command whose help lists its options by panel."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the panels of options in their order, and then the others."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        others: list[tuple[str, str]] = []
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if isinstance(param, click.Option) and record is not None:
+                heading = getattr(param, _PANEL, None)
+                rows = panels.setdefault(heading, []) if heading else others
+                rows.append(record)
+        for heading, rows in (*panels.items(), ("Options", others)):
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
+
 class PageContext(click.Context):
-    """The context of a command whose help is a Page."""
+    """The context of a command whose help is a Page, and asked for with -h or --help.
+
+    A command keeps the help option that its first context has made, so each is made of this class.
+    """
 
     formatter_class = Page
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **{"help_option_names": list(HELP_NAMES)} | options)
 
 
 class Group(click.Group):
@@ -110,6 +183,15 @@ def with_pages(command: click.Command) -> click.Command:
     for below in command.commands.values() if isinstance(command, click.Group) else ():
         with_pages(below)
     return command
+
+
+def command_names(group: click.Command, ctx: click.Context, path: str = "") -> Iterator[str]:
+    """Yield the names of all commands below a group, groups among them, like `capture cut`."""
+    for name in group.list_commands(ctx) if isinstance(group, click.Group) else ():
+        yield f"{path}{name}"
+        below = group.get_command(ctx, name) if isinstance(group, click.Group) else None
+        if below is not None:
+            yield from command_names(below, ctx, f"{path}{name} ")
 
 
 def _columns() -> int:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.captures import topics
@@ -17,13 +17,13 @@ from bilprov.spec.protocol import Protocol
 
 
 def write_decoded(
-    capture: Capture, protocol: Protocol, path: str | Path, go_on: Callable[[], bool]
-) -> bool:
+    capture: Capture, protocol: Protocol, path: str | Path, progress: Progress
+) -> None:
     """Write a new capture with what was recorded, and every record that is decoded from it.
 
     Raw chunks, line events, what a conformance run noted, attachments and metadata are the same;
-    where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `go_on` is
-    called before each message: once it is false, the new file is removed and the result is false.
+    where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `progress`
+    is told of the raw bytes of each message; what it raises removes the new file.
 
     Raises CaptureError if the old file cannot be read, which leaves no new one, or the new file
     cannot be written.
@@ -31,13 +31,13 @@ def write_decoded(
     out = _new_file(capture, protocol, path)
     done = False
     try:
-        done = _write(capture, protocol, out, go_on)
+        _write(capture, protocol, out, progress)
+        done = True
         out.close()
     finally:
         if not done and not out.failed:
             out.close()
             out.path.unlink(missing_ok=True)
-    return done
 
 
 def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordWriter:
@@ -52,9 +52,7 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
         raise CaptureError(f"{printable(capture.path)} cannot be written anew: {error}") from error
 
 
-def _write(
-    capture: Capture, protocol: Protocol, out: RecordWriter, go_on: Callable[[], bool]
-) -> bool:
+def _write(capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress) -> None:
     session = capture_session(capture, protocol)
     checkpoints, size = Checkpoints(protocol.sha256), 0
 
@@ -65,8 +63,7 @@ def _write(
     for file in capture.attachments():
         out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
     for value in capture.recorded():
-        if not go_on():
-            return False
+        progress(len(value.data) if isinstance(value, Chunk) else 0)
         if isinstance(value, Chunk | Line):
             out.event(value)
             for record in session.feed(value):
@@ -78,4 +75,3 @@ def _write(
             out.write(value, value.t)
     for record in session.finish():
         out.record(record)
-    return True

@@ -47,7 +47,7 @@ class Throttle:
             self.stopped = True
             return STOPPED, (
                 f"{self._frames:,} host frames within a second, allowed are {STOP_ABOVE:,}: from "
-                "here on the raw bytes alone are recorded (bilprov convert --decoded adds the rest)"
+                "here on the raw bytes alone are recorded (bilprov capture decode adds the rest)"
             )
         if ended and self.stopped and now - self._calm_since >= RESUME_AFTER:
             self.stopped = False

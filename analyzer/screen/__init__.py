@@ -1,1 +1,1 @@
-"""The full screen of sniff, replay and browse: a recording as packed columns, and its panes."""
+"""The full screen of sniff and replay: a recording as packed columns, and its panes."""

@@ -11,12 +11,12 @@ from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.captures.text import printable
 
 
-def head_line(title: str, feed: Feed[Any], frames: FrameList, follows: bool, width: int) -> Text:
+def head_line(title: str, feed: Feed[Any], frames: FrameList, doing: str, width: int) -> Text:
     """What is shown and recorded, and the place in it, which is never cut.
 
-    `follows` tells whether the newest row is always the chosen one.
+    `doing` is how the chosen row moves by itself, "" if it does not.
     """
-    place = _place(feed, frames, follows)
+    place = _place(feed, frames, doing)
     left = Text.assemble(("bilprov ", "bold"), printable(title))
     if feed.captured:
         left.append(f"  {frames.signs.lit} {printable(feed.captured)}")
@@ -33,13 +33,13 @@ def status_line(doing: str, feed: Feed[Any], said: str, expression: str, width: 
     return _spread(status, Text("? help  q quit", "dim"), width)
 
 
-def _place(feed: Feed[Any], frames: FrameList, follows: bool) -> Text:
+def _place(feed: Feed[Any], frames: FrameList, moving: str) -> Text:
     if frames.held is not None:
         waiting = frames.view.count - frames.count
         return Text(f"  paused, {waiting:,} waiting", "bold reverse")
     share = feed.progress  # its thread may be done at any moment
     doing = f"reading {share:.0%}  " if share is not None else ""
-    doing += "following  " if follows else ""
+    doing += f"{moving}  " if moving else ""
     at = min(frames.cursor - frames.start + 1, frames.count - frames.start)
     return Text(f"  {doing}{at:,} of {frames.count - frames.start:,}")
 

@@ -45,11 +45,26 @@ _DRAWING_SHARE = 0.08  # of the time, at most, that drawing what comes may take
 
 
 @dataclass(frozen=True, slots=True)
+class _Pace:
+    """The pace at which a capture is played: from `t` (ns) on since the clock showed `since` s."""
+
+    t: int
+    since: float
+    rate: float
+
+    @property
+    def now(self) -> int:
+        """The time of the capture (ns) that has come."""
+        return self.t + round((time.monotonic() - self.since) * self.rate * 1e9)
+
+
+@dataclass(frozen=True, slots=True)
 class Told:
     """What the screen shows beside the rows.
 
     `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
-    `byte_time` ns a byte on the line. `expression` and `test` are the filter to begin with.
+    `byte_time` ns a byte on the line. `expression` and `test` are the filter to begin with. A
+    capture is played `rate` times as fast as it was recorded, at 0 without pauses.
     """
 
     title: str
@@ -58,6 +73,7 @@ class Told:
     rows: RowStyle = field(default_factory=RowStyle)
     expression: str = ""
     test: Filter | None = None
+    rate: float = 1.0
 
 
 class Browser(App[str | None]):
@@ -108,6 +124,7 @@ class Browser(App[str | None]):
         self.filtering: Filtering | None = None
         self.export: RowExport | None = None
         self._catching_up: Thread | None = None
+        self._playing: _Pace | None = None
         self._zoomed = False
         self._figures_at = 0.0
         self._shown: tuple[object, ...] = ()
@@ -168,6 +185,7 @@ class Browser(App[str | None]):
             self.exit(None)
             return
         self._catch_up()
+        self._play()
         if self._now() != self._shown and self._may_draw():
             self.show_rows()
         if time.monotonic() >= self._figures_at:
@@ -189,6 +207,28 @@ class Browser(App[str | None]):
             self._show_row()
             self.faults.changed()
         self._show_bars()
+
+    def _play(self) -> None:
+        """Choose the row that it is time for, while the capture is played."""
+        if self._playing is None:
+            return
+        last = self.frames.count - 1
+        row = last if not self.told.rate else self.frames.position_at(self._playing.now)
+        if row > self.frames.cursor:
+            self.frames.choose(row)
+            self._show_row()
+        if self.feed.ended and row >= last:
+            self._playing = None
+
+    def _play_from_here(self) -> None:
+        """Go on from the row that was chosen by hand, where the capture is played."""
+        if self._playing is not None:
+            self._playing = self._pace()
+
+    def _pace(self) -> _Pace | None:
+        """The pace from the chosen row on; None without rows."""
+        record = self.frames.record
+        return None if record is None else _Pace(record.t, time.monotonic(), self.told.rate)
 
     def _may_draw(self) -> bool:
         """Whether drawing has not taken too large a share of the time since it was last done.
@@ -275,7 +315,10 @@ class Browser(App[str | None]):
         """Write the line above the panes, and the one below them."""
         feed, width = self.feed, self.size.width
         title, work = self.told.title, self.filtering or self.export
-        self._write(self.head, head_line(title, feed, self.frames, self.follows, width))
+        doing = "following" if self.follows else ""
+        if self._playing:
+            doing = f"playing {self._playing.now / 1e9:.1f} s"
+        self._write(self.head, head_line(title, feed, self.frames, doing, width))
         doing = work.doing if work else ""
         self._write(self.status, status_line(doing, feed, self.said, self.filter_text, width))
 
@@ -292,6 +335,7 @@ class Browser(App[str | None]):
         self.said = ""
         if event.rows is self.frames:
             self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
+            self._play_from_here()
             self._show_row()
         elif event.rows is self.fields:
             self.hex.show(self.frames.record, self.fields.group)
@@ -353,7 +397,11 @@ class Browser(App[str | None]):
             self._go_to(found)
 
     def action_pause(self) -> None:
-        """Hold the view still, or go on."""
+        """Hold the view of a line still, or go on; play a capture, or stop."""
+        if not self.feed.live:
+            self._playing = self._pace() if self._playing is None else None
+            self._show_bars()
+            return
         self.show_rows()
         self._hold(self._recording.rows if self.frames.held is None else None)
         self.show_rows()
@@ -482,6 +530,7 @@ class Browser(App[str | None]):
     def _go_to(self, row: int) -> None:
         self.follows = False
         self.frames.go_to(row)
+        self._play_from_here()
         self._show_row()
         self._show_bars()
 

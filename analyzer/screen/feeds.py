@@ -1,4 +1,4 @@
-"""Where the rows of the screen come from: a thread that reads a file, a line, or a replay."""
+"""Where the rows of the screen come from: a thread that reads a file or a line."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.output.outputs import Shown
+from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
-from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.capture_parts import WHOLE
 from bilprov.analyzer.replay.playback import batches
 from bilprov.analyzer.replay.recorder import Recorder
+from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.replay.spool import Spool
 from bilprov.analyzer.screen.recording import Recording
-from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.filters.filter import Filter
 
 DRAW_EVERY = 0.1  # s
 MOST_MEMORY = 300 << 20  # bytes of packed rows; a live session keeps no more
@@ -99,31 +102,52 @@ class Feed(Generic[Result]):
             self._error = error
 
 
-def capture_feed(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Feed[None]:
-    """The rows of a capture, read from its beginning to its end as fast as it goes.
+def capture_feed(
+    opened: Opened,
+    protocol: Protocol,
+    test: Filter | None = None,
+    count: int | None = None,
+    window: Window = WHOLE,
+) -> Feed[None]:
+    """The rows of a capture in a window of time, read to its end as fast as it goes.
 
-    `timeout` is as in `capture_timeout`.
+    With a `count` they are the first so many frames that pass the filter `test`, and no others;
+    without one the screen filters them itself.
     """
 
     def read(feed: Feed[None]) -> None:
-        decoder = capture_decoder(capture, protocol, timeout)
-        length = max(1, capture.contents.last - capture.start)
+        kind = AllShown if count is None else Shown
+        rows = kind(RecordingOutput(feed.recording), test, count, window)
+        length = max(1, opened.capture.contents.last - opened.capture.start)
         feed.progress = 0.0
-        for batch in batches(capture.events(), at_once=True):
+        for batch in batches(opened.events(), at_once=True):
             if feed.stopped.is_set():
                 return
-            for part in decoder.feed(batch):
-                feed.recording.add(part)
+            if rows.full or (window.after is not None and batch[0].t >= window.after):
+                break
+            for part in opened.decoder.feed(batch):
+                rows.show(part)
             feed.progress = min(1.0, batch[-1].t / length)
             time.sleep(0)  # whoever waits for the interpreter gets it now
-        for part in decoder.finish():
-            feed.recording.add(part)
+        for part in opened.decoder.finish():
+            rows.show(part)
         feed.progress = None
 
     return Feed(Recording(protocol), read, stays=True)
 
 
-class ScreenOutput:
+class RecordingOutput(NoOutput):
+    """Adds decoded parts to a recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def show(self, part: Part) -> None:
+        """Add a part."""
+        self._recording.add(part)
+
+
+class ScreenOutput(RecordingOutput):
     """Adds decoded parts to the recording of a feed, and takes the rates ten times a second.
 
     Rows are let go that are older than what a spool still has, and where the recording takes more
@@ -137,15 +161,12 @@ class ScreenOutput:
         recorder: Recorder | Spool | None = None,
         most: int = MOST_MEMORY,
     ) -> None:
+        super().__init__(feed.recording)
         self._feed = feed
         self._statistics = statistics
         self._recorder = recorder
         self._most = most
         self._next = 0.0
-
-    def show(self, part: Part) -> None:
-        """Add a part."""
-        self._feed.recording.add(part)
 
     def tick(self, now: int) -> None:
         """Take the rates at `now` (ns since the start), if it is time."""

@@ -28,6 +28,7 @@ _USUAL = (TIME, COLUMNS["hex"], WHAT, COLUMNS["reason"])
 _NARROW = 60  # columns, under which the bytes are left to the pane of bytes
 _FRONT = 3  # columns before the first cell: a sign, the direction, a space
 _SIGNED = "!"
+_BUNCH = 64  # rows that are looked at together
 
 
 class FrameList(Rows):
@@ -74,6 +75,17 @@ class FrameList(Rows):
     def go_to(self, row: int) -> None:
         """Choose a row of the recording, or the next one of the view."""
         self.choose(self.view.position(row))
+
+    def position_at(self, t: int) -> int:
+        """The last position, from the chosen one on, whose row is not later than `t` (ns)."""
+        position = self.cursor
+        while position + 1 < self.count:
+            rows = self.view.rows(position + 1, position + 1 + _BUNCH)
+            due = [record for record in self._recording.records(rows) if record.t <= t]
+            position += len(due)
+            if len(due) < _BUNCH:
+                break
+        return position
 
     def look_at(self, view: View) -> None:
         """Show another view, with the same row chosen if it has it."""

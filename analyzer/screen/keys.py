@@ -30,7 +30,7 @@ KEYS = {
     "n N": "the next, the previous fault",
     "Tab": "the next pane",
     "Enter": "the fields of a frame; in a tree, fold; in the faults, go there",
-    "Space": "pause the view, and go on; the capture goes on meanwhile",
+    "Space": "hold a live view, and go on; play a capture from the chosen row, and stop",
     "f": "follow what comes",
     "m '": "mark a row; go to the next mark",
     "t": "how times are shown: since the start, since the row before, clock, UTC",

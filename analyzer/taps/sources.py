@@ -96,7 +96,7 @@ class Source(Closing):
             self._reopen(missing, events)
             wait = 0 if events else LOOK_AGAIN
             timeout_s = wait if timeout_s is None else min(timeout_s, wait)
-        if self._ports or missing:
+        if missing or not self.ended:
             self._gather(events, timeout_s, also)
             self._count(events)
         return events

@@ -62,7 +62,7 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
     """Return a LinkError that says that there is no such port, and which there are."""
     if name == SIM:
         return LinkError(
-            "sim is no port, but the simulator inside bilprov conform and bilprov shell; "
+            "sim is no port, but the simulator inside bilprov conform and bilprov send; "
             "`bilprov simulate` serves one at a port, whose name it prints"
         )
     name = name or "port ''"

@@ -111,7 +111,7 @@ def _seen(capture: Capture) -> Hashable:
 
 
 def mending() -> Test:
-    """What `recover` writes is whole, and holds the events of the broken capture."""
+    """What `capture repair` writes is whole, and holds the events of the broken capture."""
 
     def test(data: bytes) -> Hashable:
         return mended(capture_file(data))
@@ -120,14 +120,14 @@ def mending() -> Test:
 
 
 def mended(path: Path) -> Hashable:
-    """What a capture comes to of which `recover` writes what is whole.
+    """What a capture comes to of which `capture repair` writes what is whole.
 
     Raises CaptureError, and Wrong where the new capture is damaged or has other bytes.
     """
     protocol = load_protocol()
     new = folder() / "new.mcap"
     capture = open_capture(path)
-    metadata = edited_metadata(capture, protocol, "recover")
+    metadata = edited_metadata(capture, protocol, "repair")
     try:
         with new_capture(new, capture.start, metadata, force=True) as out:
             for file in capture.attachments():
@@ -326,7 +326,7 @@ TARGETS = (
         mutated_capture,
         2,
     ),
-    Target("recover", "mending captures", mending, _REFUSED, capture_seeds, mutated_capture, 0.4),
+    Target("repair", "mending captures", mending, _REFUSED, capture_seeds, mutated_capture, 0.4),
     Target(
         "export",
         "statistics, plots and exports of captures",

@@ -97,7 +97,7 @@ def settings() -> Test:
     file.parent.mkdir(exist_ok=True)
     here = own / "here"
     here.mkdir(exist_ok=True)
-    commands = {name: _command(name) for name in ("sniff", "send", "export", "line")}
+    commands = {name: _command(name) for name in ("sniff", "send", "export", "lab line")}
 
     def test(data: bytes) -> Hashable:
         foreign = data[:1] == b"\n"

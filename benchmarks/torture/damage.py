@@ -1,8 +1,9 @@
-"""Damaged captures: what is read of them, whether the loss is told, what `recover` makes of them.
+"""Damaged captures: what is read of them, whether the loss is told, what `repair` makes of them.
 
 Each run damages a small capture in one way and opens it by its survey and by its index, reads it in
-every way, examines it as `doctor` does and mends it as `recover` does. It may be refused with a
-sentence; else what is missing must be told, and nothing may be read that was not recorded.
+every way, examines it as `capture check` does and mends it as `capture repair` does. It may be
+refused with a sentence; else what is missing must be told, and nothing may be read that was not
+recorded.
 """
 
 from __future__ import annotations
@@ -204,7 +205,9 @@ def judged(kind: Kind, files: tuple[bytes, ...]) -> Outcome:
         mended(path)
     except CaptureError:
         told = any(one.grade is Grade.BLOCKS for one in found)
-        return Outcome(True, wrong="" if told else "`doctor` does not tell why it is refused")
+        return Outcome(
+            True, wrong="" if told else "`capture check` does not tell why it is refused"
+        )
     missing = (Counter(held) - Counter(read)).total()
     more = (Counter(read) - Counter(held)).total()
     grades = {one.grade for one in found if one.check != "mend"}

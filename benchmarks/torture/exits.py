@@ -54,7 +54,7 @@ def _moving_frames() -> tuple[bytes, ...]:
 
 
 def items(*, pause: str) -> list[str]:
-    """What sets a robot moving and lets it drive, as `send` and `shell` take it."""
+    """What sets a robot moving and lets it drive, as `send` takes it."""
     return [*(frame.hex() for frame in _moving_frames()), pause] * 4
 
 
@@ -151,7 +151,7 @@ def _bilprov(name: str, *more: str, typed: str = "", fault: str = "") -> Command
 
 def _seeing(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
     """A command that has a port and a probe."""
-    words, rest = [sys.executable, "-m", "bilprov", name], ["--yes", *more]
+    words, rest = [sys.executable, "-m", "bilprov", *name.split()], ["--yes", *more]
     return Command(
         lambda port, probe, folder: [*words, port, "--probe", probe, *rest], typed, fault
     )
@@ -189,17 +189,17 @@ def drive_capture(folder: Path) -> Path:
     return path
 
 
-DOCTOR = "doctor --ask"
+EXAMINES = "ports --ask"
 COMMANDS = {
     "conform": _seeing("conform", "--level", "smoke"),
     "conform, faulty": _seeing(
         "conform", *("--only", "split/*"), *("--only", "valid/*"), fault="led-order-reversed"
     ),
     "send": _bilprov("send", *items(pause="pause=300"), "--yes"),
-    "shell": _seeing("shell", typed="\n".join(items(pause="pause=300")) + "\n"),
+    "send, typed": _seeing("send", typed="\n".join(items(pause="pause=300")) + "\n"),
     "replay --to": Command(_replay),
-    "learn": _seeing("learn"),
-    DOCTOR: _bilprov("doctor", "--ask", "--yes", "--seconds", "0.2"),
+    "lab learn": _seeing("lab learn"),
+    EXAMINES: _bilprov("ports", "--ask", "--yes", "--seconds", "0.2"),
     "plugin": Command(_plugin),
     "Robot": _driver(_DRIVE.format("pass")),
     "Robot, exception": _driver(_DRIVE.format("assert turn < 2")),
@@ -207,7 +207,9 @@ COMMANDS = {
 SIGNALLED = {
     **{
         name: COMMANDS[name]
-        for name in ("send", "shell", "conform", "replay --to", "learn", "plugin", "Robot")
+        for name in (
+            *("send", "send, typed", "conform", "replay --to", "lab learn", "plugin", "Robot"),
+        )
     },
     "Robot, another thread": _driver(_IN_A_THREAD.format(indent(_DRIVE.format("pass"), "  "))),
 }
@@ -345,9 +347,9 @@ Case = tuple[str, str, str]
 CASES: tuple[Case, ...] = tuple(
     row
     for row in product(COMMANDS, PHASES, WAYS)
-    if row[0] != DOCTOR or row[1] in ("before the first byte", "homing")
+    if row[0] != EXAMINES or row[1] in ("before the first byte", "homing")
 )
-"""Each command, phase and way; `doctor` sends no motion, so it has the first two phases only."""
+"""Each command, phase and way; `ports --ask` sends no motion, so it has two phases only."""
 
 SIGNAL_CASES: tuple[Case, ...] = tuple(product(SIGNALLED, DRIVING, SIGNALS))
 """Each command that is sent signals in each phase in which its robot moves, with each signal."""

@@ -109,7 +109,9 @@ class Command(NamedTuple):
 
 
 def _plain(name: str, count: int, *more: str, typed: str = "") -> Command:
-    return Command(lambda port, folder: bilprov_words(name, port, "--yes", *more), count, typed)
+    return Command(
+        lambda port, folder: bilprov_words(*name.split(), port, "--yes", *more), count, typed
+    )
 
 
 def _many() -> list[str]:
@@ -135,10 +137,10 @@ def _replay(port: str, folder: Path) -> list[str]:
 
 COMMANDS = {
     "conform": _plain("conform", 4000, "--level", "smoke"),
-    "learn": _plain("learn", 4000),
+    "lab learn": _plain("lab learn", 4000),
     "send": _plain("send", 25, *items(pause="pause=300")),
     "send --together": _plain("send", 60_000, "--together", *_many()),
-    "shell": _plain("shell", 25, typed="\n".join(items(pause="pause=300")) + "\n"),
+    "send, typed": _plain("send", 25, typed="\n".join(items(pause="pause=300")) + "\n"),
     "replay --to": Command(_replay, 150),
     "sniff": Command(_sniff),
     "sniff --bridge": Command(_bridge),

@@ -1,4 +1,4 @@
-"""Hostile capture files: what `info`, `replay`, `doctor` and `recover` take of them, and how long.
+"""Hostile capture files: what `info`, `replay`, `check` and `repair` take of them, and how long.
 
 Each file is made by hand, at any size that it claims, and given to each command in a process of its
 own. It may be read or refused with a sentence, in at most 200 MB and 120 s of computing.
@@ -218,10 +218,10 @@ KINDS: dict[str, Write] = {
 }
 
 COMMANDS: dict[str, Callable[[str], list[str]]] = {
-    "info": lambda path: ["info", path],
+    "capture info": lambda path: ["capture", "info", path],
     "replay": lambda path: ["replay", path, "--rate", "0", "--format", "jsonl"],
-    "doctor": lambda path: ["doctor", path],
-    "recover": lambda path: ["recover", path, path + ".new", "--force"],
+    "capture check": lambda path: ["capture", "check", path],
+    "capture repair": lambda path: ["capture", "repair", path, path + ".new", "--force"],
 }
 
 

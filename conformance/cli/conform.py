@@ -27,6 +27,7 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.help import PanelCommand, panel
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
 from bilprov.captures.schemas import MS
@@ -130,106 +131,125 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     return click.option(name, metavar="MS", type=milliseconds, help=text)
 
 
-@click.command()
+@click.command(cls=PanelCommand)
 @click.argument(
     "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
 )
-@click.option(
-    "--probe",
-    shell_complete=completion.probes,
-    help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (a port's unless given) or "
-    "sim (the target sim's own).",
+@panel(
+    "Device",
+    click.option(
+        "--probe",
+        shell_complete=completion.probes,
+        help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (a port's unless given) "
+        "or sim (the target sim's own).",
+    ),
+    click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on."),
+    line_options,
+    click.option("--yes", is_flag=True, help="The robot may move: do not ask."),
+    click.option(
+        "--reconnect",
+        metavar="S",
+        type=Finite(0, 86_400, min_open=True),
+        help="Wait so long for a port that is unplugged, then go on: the case is inconclusive.",
+    ),
+    click.option(
+        "--fault",
+        metavar="NAME",
+        shell_complete=completion.faults,
+        help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
+    ),
+    click.option(
+        "--variant",
+        metavar="NAME",
+        shell_complete=completion.variants,
+        help="With sim: read the document so.",
+    ),
 )
-@click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
-@click.option(
-    "--only",
-    multiple=True,
-    metavar="GLOB",
-    shell_complete=completion.cases,
-    help="Only these cases; * crosses /.",
+@panel(
+    "Cases",
+    click.option(
+        "--level",
+        metavar="LEVEL",
+        type=click.Choice(list(LEVELS)),
+        default=STANDARD.name,
+        show_default=True,
+        help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
+    ),
+    click.option(
+        "--only",
+        multiple=True,
+        metavar="GLOB",
+        shell_complete=completion.cases,
+        help="Only these cases; * crosses /.",
+    ),
+    click.option("--list", "listing", is_flag=True, help="List the cases and send nothing."),
+    click.option("--fail-fast", is_flag=True, help="End after the first failure."),
+    click.option(
+        "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
+    ),
+    click.option(
+        "--seed", type=int, default=1, show_default=True, help="How data and motions rotate."
+    ),
+    click.option(
+        "--extra",
+        metavar="N",
+        type=click.IntRange(0),
+        default=0,
+        help="With --level complete: find devices of up to N more states than the Protocol's "
+        "machine.",
+    ),
+    click.option(
+        "--soak",
+        metavar="N",
+        type=click.IntRange(0),
+        default=0,
+        help="And N faults more, a random sequence for every 1,000 of them.",
+    ),
 )
-@click.option(
-    "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
+@panel(
+    "Time",
+    click.option(
+        "--budget",
+        metavar="S",
+        type=Finite(1, 86_400),
+        help="Drop the cases that add least per second, and list them; fill the time left with "
+        "random ones.",
+    ),
+    _milliseconds("--deadline", "How soon an answer is due: later is slow, and non-strict."),
+    _milliseconds("--silence", "How long the line is listened to after an answer."),
+    _milliseconds("--truncation-timeout", "The pause that ends a frame; measured unless given."),
+    click.option(
+        "--patient",
+        is_flag=True,
+        help="Go on where the run takes more than three times what was announced; else it ends (3, "
+        "or 1 where a case failed).",
+    ),
 )
-@click.option("--list", "listing", is_flag=True, help="List the cases and send nothing.")
-@click.option("--fail-fast", is_flag=True, help="End after the first failure.")
-@click.option(
-    "--level",
-    metavar="LEVEL",
-    type=click.Choice(list(LEVELS)),
-    default=STANDARD.name,
-    show_default=True,
-    help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
+@panel(
+    "Reports",
+    output_options(),
+    click.option("--record", metavar="FILE.mcap", help="Record the run into a new capture."),
+    click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass."),
 )
-@click.option(
-    "--extra",
-    metavar="N",
-    type=click.IntRange(0),
-    default=0,
-    help="With --level complete: find devices of up to N more states than the Protocol's machine.",
+@panel(
+    "Known failures",
+    expect_failures_option,
+    update_expected_option,
+    click.option(
+        "--allow",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Accept a choice that fails otherwise: led-upper=ignore, led-id=ID, version=1.0, "
+        "unused-length=header-only, pipelining=no.",
+    ),
+    click.option(
+        "--profile",
+        "profile_path",
+        metavar="FILE.toml",
+        help="Hold the device to this profile; a file that is not there is written from this run.",
+    ),
+    click.option("--strict", is_flag=True, help="Count non-strict as failed."),
 )
-@click.option(
-    "--soak",
-    metavar="N",
-    type=click.IntRange(0),
-    default=0,
-    help="And N faults more, a random sequence for every 1,000 of them.",
-)
-@click.option(
-    "--budget",
-    metavar="S",
-    type=Finite(1, 86_400),
-    help="Drop the cases that add least a second, and say which; fill time left with random ones.",
-)
-@click.option(
-    "--allow",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Accept a choice that fails otherwise: led-upper=ignore, led-id=ID, version=1.0, "
-    "unused-length=header-only, pipelining=no.",
-)
-@click.option(
-    "--profile",
-    "profile_path",
-    metavar="FILE.toml",
-    help="Hold the device to this profile; a file that is not there is written from this run.",
-)
-@click.option("--seed", type=int, default=1, show_default=True, help="How data and motions rotate.")
-@click.option("--strict", is_flag=True, help="Count non-strict as failed.")
-@_milliseconds("--deadline", "How soon an answer is due: later is slow, and non-strict.")
-@_milliseconds("--silence", "How long the line is listened to after an answer.")
-@_milliseconds("--truncation-timeout", "The pause that ends a frame; measured unless given.")
-@output_options()
-@expect_failures_option
-@update_expected_option
-@click.option("--record", metavar="FILE.mcap", help="Record the run into a new capture.")
-@click.option(
-    "--fault",
-    metavar="NAME",
-    shell_complete=completion.faults,
-    help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
-)
-@click.option(
-    "--variant",
-    metavar="NAME",
-    shell_complete=completion.variants,
-    help="With sim: read the document so.",
-)
-@line_options
-@click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
-@click.option(
-    "--reconnect",
-    metavar="S",
-    type=Finite(0, 86_400, min_open=True),
-    help="Wait so long for a port that is unplugged, then go on: the case is inconclusive.",
-)
-@click.option(
-    "--patient",
-    is_flag=True,
-    help="Go on where the run takes more than three times what was announced; else it ends (3, or "
-    "1 where a case failed).",
-)
-@click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
 @click.pass_obj
 @gathered("robot", RobotOptions)
 @gathered("options", Options)
@@ -248,6 +268,10 @@ def conform(
     verbose: bool,
 ) -> int:
     """Test a device against the document: its answers, its safety stop, its state.
+
+    Examples:
+      bilprov conform sim --fault no-stop-on-bad-data --html report.html
+      bilprov conform /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
     virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.

@@ -1,4 +1,4 @@
-"""`bilprov learn`: learns a device as a Mealy machine, draws it, and tells where it differs."""
+"""`bilprov lab learn`: learns a device as a Mealy machine, draws it, and shows where it differs."""
 
 from __future__ import annotations
 
@@ -101,6 +101,10 @@ def learn(
     seed: int,
 ) -> int:
     """Learn a device as a Mealy machine, and compare it with the machine of the Protocol.
+
+    Examples:
+      bilprov lab learn sim --svg machine.svg
+      bilprov lab learn /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
     Every instruction with representative data and every kind of fault is sent in every state that
     the device shows, by its answers and what the probe sees. Before each sequence the line is homed

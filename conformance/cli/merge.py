@@ -46,6 +46,9 @@ def merge_reports(
 ) -> int:
     """Put the reports of shards together, as if it had been one run.
 
+    Examples:
+      bilprov merge shard1.json shard2.json --json whole.json
+
     Each REPORT.json is what `conform --shard I/N --json` wrote. They must be of the same grammar,
     seed and options; the devices may be several of a kind. The cases that open each run count once.
     Exit code: as conform; 3 also when a shard is missing and nothing failed.

@@ -28,9 +28,12 @@ from bilprov.conformance.report.json_report import as_json
 def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
     """Judge a recorded run again, from its bytes and looks alone.
 
+    Examples:
+      bilprov recheck run.mcap
+
     Every byte of FILE.mcap is checked against its hash and its checksums first. Then the cases are
     judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and every case
-    that comes out otherwise than recorded is named. A hash tells damage, not forgery.
+    that comes out otherwise than recorded is named. A hash shows damage, not forgery.
 
     Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, or
     there is no report for --json because the run strayed from its recording, 3 the same as far as a

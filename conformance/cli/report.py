@@ -20,6 +20,10 @@ from bilprov.conformance.report.json_report import ReportError, read_report
 *_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
 _HELP = f"""Write pages from what conform --json wrote, several runs side by side.
 
+Examples:
+  bilprov report run.json
+  bilprov report monday.json tuesday.json --html week.html
+
 Without {", ".join(_FIRST)} or {_LAST} a table is shown here. Exit code: 0 once it is written,
 whatever the verdicts are.
 """

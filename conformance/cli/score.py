@@ -1,4 +1,4 @@
-"""`bilprov score`: runs the suite against every faulty device, and shows what it catches."""
+"""`bilprov lab score`: runs the suite against every faulty device, and shows what it catches."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _SHOWN = 4  # faults named behind a case group
     "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
 )
 @click.pass_obj
-def command(
+def score_suite(
     grammar: str | None,
     at: tuple[str, ...],
     drawn: int,
@@ -69,6 +69,9 @@ def command(
     jobs: int | None,
 ) -> int:
     """Score the suite: run it, in virtual time, against every faulty device there is.
+
+    Examples:
+      bilprov lab score --level smoke --random 0
 
     Shows how many of each family are caught at each level, what survives, and which faults a group
     of cases catches alone. A random fault counts if it failed, or if a search of its own tells it

@@ -1,20 +1,39 @@
-"""`bilprov simulate`: serves the reference device on a pty or over TCP."""
+"""`bilprov simulate`: serves the reference device, or a board's firmware, on a pty or over TCP."""
 
 from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import named_device
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import BOARD, QEMU
 from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
+from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.conformance.dut.boards.paced import PacedBoard
 
 
 @click.command()
+@click.option(
+    "--firmware",
+    type=click.Path(path_type=Path),
+    metavar="FILE.elf",
+    help="Run this firmware for an Arduino Uno under simavr instead.",
+)
+@click.option("--pty", is_flag=True, help="Serve a pty; what it does unless --listen is given.")
 @click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
 @click.option(
     "--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
@@ -36,6 +55,8 @@ from bilprov.conformance.mutation.catalogue import listed_faults, listed_variant
 @click.pass_obj
 def simulate(
     grammar: str | None,
+    firmware: Path | None,
+    pty: bool,
     listen: str | None,
     probe_listen: str | None,
     fault: str | None,
@@ -43,15 +64,29 @@ def simulate(
     list_faults: bool,
     list_variants: bool,
 ) -> int:
-    """Serve the reference device on a pty, or over TCP, until Ctrl-C.
+    """Serve a simulated device on a pty, or over TCP, until Ctrl-C.
 
-    Prints one line for each thing it serves: the pty's path, socket://HOST:PORT, and
-    probe tcp:HOST:PORT, which are what sniff, conform and --probe take.
+    Examples:
+      bilprov simulate --probe-listen 127.0.0.1:0
+      bilprov simulate --fault always-0 --listen 127.0.0.1:7000
+      bilprov simulate --firmware firmware/build/uno.elf
+
+    The device conforms, or misbehaves with --fault. Prints one line for each thing it serves: the
+    pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT, which are what sniff, replay, conform
+    and --probe take.
+
+    With --firmware it is a board's: the ELF file for an Arduino Uno (ATmega328P, 16 MHz), run under
+    simavr. It runs as fast as the wall clock, and bytes take as long as on a wire of the grammar's
+    baud. The probe reports what the pins show. For conform alone, emulator:simavr:FILE.elf is
+    quicker: it needs no pty and no real time. A crash is reported at once; the firmware then stays
+    served as a robot that does not answer, and the exit code is 2.
 
     One host at a time is served over TCP; a second is closed. A host that does not read loses what
     exceeds 64 KiB. 256 probe clients are served, each with lines of at most 1024 bytes; each is
     answered once in turn, and one that leaves 32 KiB unread is closed with a line of JSON that
-    says so. 127.0.0.1 is this machine alone; an address that others reach comes with a warning.
+    explains it. 127.0.0.1 is this machine alone; an address that others reach comes with a warning.
+
+    Exit code: 0 after Ctrl-C or SIGTERM.
     """
     protocol = load_protocol(grammar)
     if list_faults:
@@ -60,18 +95,49 @@ def simulate(
     if list_variants:
         click.echo(listed_variants(protocol))
         return 0
-    device = Simulator(protocol, named_device(protocol, fault, variant))
-    with Stopper() as stopper:
+    if firmware is not None and (fault or variant):
+        raise click.UsageError(
+            "--firmware is a device of its own: --fault and --variant do not fit"
+        )
+    with ExitStack() as stack:
+        board = None if firmware is None else stack.enter_context(_board(protocol, firmware))
+        device = board or Simulator(protocol, named_device(protocol, fault, variant))
+        stopper = stack.enter_context(Stopper())
+        power_on = time.monotonic_ns()
         try:
             serve(
                 device,
-                pty=listen is None,
+                pty=pty or listen is None,
                 listen=listen,
                 probe_listen=probe_listen,
                 announce=lambda line: click.echo(line),
                 stop=stopper,
                 note=note,
+                clock=lambda: time.monotonic_ns() - power_on,
             )
         except ValueError as error:
             raise click.UsageError(str(error)) from error
-    return 0
+    return 2 if board and board.crashed else 0
+
+
+@contextmanager
+def _board(protocol: Protocol, firmware: Path) -> Iterator[PacedBoard]:
+    """Run firmware at the pace of the wall clock. Raises EmulatorError if it cannot be run."""
+    from bilprov.conformance.dut.boards import EmulatorError
+    from bilprov.conformance.dut.boards.elf import ARM, architecture
+    from bilprov.conformance.dut.boards.paced import PacedBoard
+    from bilprov.conformance.dut.boards.simavr import SimavrBoard
+
+    if architecture(firmware) == ARM:
+        raise EmulatorError(
+            f"{firmware} is for an ARM, and simavr runs only AVR: QEMU takes it, with "
+            f"bilprov conform {BOARD}{QEMU}:{firmware}"
+        )
+    with closing(SimavrBoard(firmware)) as board:
+        board.look(0)  # boots it
+        if board.crashed:
+            raise EmulatorError(
+                f"{firmware} crashes before it begins: see that the file is complete, and linked "
+                "for an Arduino Uno"
+            )
+        yield PacedBoard(board, line_settings(protocol, None, None, None).byte_time, note)

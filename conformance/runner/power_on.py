@@ -327,7 +327,7 @@ def _other_device(run: Run, exchanges: list[tuple[bytes, Received]]) -> Procedur
     none = f"none of the first {len(first)} answers is a" if len(first) > 1 else "its answer is no"
     return (
         f"{none} code of the grammar ({begin}): text, another baud rate or another device; check "
-        "the port and --baud, or ask with bilprov doctor PORT --ask"
+        "the port and --baud, or ask with bilprov ports PORT --ask"
     )
 
 

@@ -6,18 +6,22 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 from click import exceptions
 
-from bilprov.analyzer.output.help import Group, with_pages
-from bilprov.analyzer.settings import read_settings
+from bilprov.analyzer.output.help import HELP_NAMES, Group, with_pages
+from bilprov.analyzer.settings import former_name, read_settings
 from bilprov.analyzer.transport.ending import exit_status
 
 
 class Row(NamedTuple):
-    """One subcommand: where it stands in the help, where it lives, what it is for."""
+    """One command: its panel in the help, where it lives, its line in the list of commands.
+
+    A group of commands lives nowhere: its commands are the rows whose names begin with its own.
+    Then the help is all of its page.
+    """
 
     panel: str
     module: str
@@ -25,174 +29,261 @@ class Row(NamedTuple):
     help: str
 
 
+ANALYZER, CONFORMANCE = "bilprov.analyzer.cli", "bilprov.conformance.cli"
 COMMANDS = {
-    "sniff": Row(
-        "Analyze", "bilprov.analyzer.cli.sniff", "sniff", "Listen to a line, decode and log it."
-    ),
-    "replay": Row("Analyze", "bilprov.analyzer.cli.replay", "replay", "Play a capture again."),
-    "browse": Row(
-        "Analyze", "bilprov.analyzer.cli.browse", "browse", "Look through a capture on a screen."
-    ),
-    "decode": Row(
-        "Analyze", "bilprov.analyzer.cli.decode", "decode", "Decode bytes from hex or a file."
+    "sniff": Row("Analyze", f"{ANALYZER}.sniff", "sniff", "Listen to a line, decode and log it."),
+    "replay": Row(
+        "Analyze", f"{ANALYZER}.replay", "replay", "Look through a capture, or play it again."
     ),
     "stats": Row(
+        "Analyze", f"{ANALYZER}.stats", "stats", "Count what captures hold: frames, answers."
+    ),
+    "plot": Row("Analyze", f"{ANALYZER}.plot", "plot", "Draw a capture along its time, as a page."),
+    "export": Row("Analyze", f"{ANALYZER}.export", "export", "Write a capture for other programs."),
+    "capture": Row(
         "Analyze",
-        "bilprov.analyzer.cli.stats",
-        "stats",
-        "Count what captures hold: frames, answers.",
+        "",
+        "",
+        """Show, check, cut, join, repair and compare captures.
+
+        Examples:
+          bilprov capture info drive.mcap
+          bilprov capture cut drive.mcap part.mcap --start 12 --end 20
+        """,
     ),
-    "plot": Row(
-        "Analyze",
-        "bilprov.analyzer.cli.plot",
-        "plot",
-        "Draw a capture along its time, as a page.",
+    "capture info": Row("", f"{ANALYZER}.capture", "info", "Show what a capture holds."),
+    "capture cut": Row("", f"{ANALYZER}.capture", "cut", "Write a part of a capture."),
+    "capture join": Row("", f"{ANALYZER}.capture", "join", "Put captures together by time."),
+    "capture check": Row(
+        "", f"{ANALYZER}.capture", "check", "Report what of a capture is damaged or lost."
     ),
-    "info": Row(
-        "Files", "bilprov.analyzer.cli.text_commands", "info", "Tell what a capture holds."
+    "capture repair": Row(
+        "", f"{ANALYZER}.capture", "repair", "Write the intact parts of a damaged capture."
     ),
-    "export": Row(
-        "Files",
-        "bilprov.analyzer.cli.export",
-        "export",
-        "Write a capture for other programs.",
+    "capture decode": Row(
+        "", f"{ANALYZER}.capture", "decode", "Write a capture with all that can be decoded."
     ),
-    "cut": Row("Files", "bilprov.analyzer.cli.edit", "cut", "Write a part of a capture."),
-    "join": Row("Files", "bilprov.analyzer.cli.edit", "join", "Put captures together by time."),
-    "recover": Row(
-        "Files",
-        "bilprov.analyzer.cli.edit",
-        "recover",
-        "Write what is whole of a damaged capture.",
-    ),
-    "compare": Row(
-        "Files", "bilprov.analyzer.cli.edit", "compare", "Tell where two captures differ."
-    ),
-    "convert": Row(
-        "Files",
-        "bilprov.analyzer.cli.convert",
-        "convert",
-        "Write a capture anew, all of it decoded.",
-    ),
+    "capture diff": Row("", f"{ANALYZER}.capture", "diff", "Show where two captures differ."),
     "ports": Row(
-        "Ports",
-        "bilprov.analyzer.cli.text_commands",
-        "ports",
-        "List the serial ports of this machine.",
-    ),
-    "doctor": Row(
-        "Ports", "bilprov.analyzer.cli.doctor", "doctor", "Find what keeps a port from use."
+        "Drive", f"{ANALYZER}.ports", "ports", "List serial ports, or examine those you name."
     ),
     "send": Row(
-        "Ports", "bilprov.analyzer.cli.send", "send", "Send instructions or bytes to a device."
+        "Drive",
+        f"{CONFORMANCE}.send",
+        "send",
+        "Send instructions to a device, or drive it by hand.",
     ),
-    "shell": Row(
-        "Ports", "bilprov.conformance.cli.shell.command", "shell", "Drive a device by hand."
-    ),
-    "line": Row("Ports", "bilprov.analyzer.cli.line", "line", "Join two ends by a bad line."),
-    "conform": Row(
-        "Conform", "bilprov.conformance.cli.conform", "conform", "Run the suite against a device."
-    ),
-    "learn": Row(
-        "Conform", "bilprov.conformance.cli.learn", "learn", "Learn a device as a state machine."
-    ),
-    "report": Row(
-        "Conform", "bilprov.conformance.cli.report", "report", "Compare and show past runs."
+    "conform": Row("Test", f"{CONFORMANCE}.conform", "conform", "Run the suite against a device."),
+    "recheck": Row("Test", f"{CONFORMANCE}.recheck", "recheck", "Judge a recorded run again."),
+    "report": Row("Test", f"{CONFORMANCE}.report", "report", "Show and compare past runs."),
+    "merge": Row(
+        "Test", f"{CONFORMANCE}.merge", "merge_reports", "Merge the reports of shards into one."
     ),
     "simulate": Row(
-        "Conform", "bilprov.conformance.cli.simulate", "simulate", "Serve the reference device."
+        "Test", f"{CONFORMANCE}.simulate", "simulate", "Serve a simulated device, or firmware."
     ),
-    "emulate": Row(
-        "Conform", "bilprov.conformance.cli.emulate", "emulate", "Serve a board's firmware."
+    "lab": Row(
+        "Test",
+        "",
+        "",
+        """Score the suite, learn devices, impair lines.
+
+        Examples:
+          bilprov lab learn sim --svg machine.svg
+          bilprov lab line --drop 1e-4 /dev/ttyUSB0 pty
+        """,
     ),
-    "score": Row(
-        "Conform",
-        "bilprov.conformance.cli.score",
-        "command",
-        "Score the suite against faulty devices.",
+    "lab score": Row(
+        "", f"{CONFORMANCE}.score", "score_suite", "Score the suite against faulty devices."
     ),
-    "recheck": Row(
-        "Conform", "bilprov.conformance.cli.recheck", "recheck", "Judge a recorded run again."
-    ),
-    "merge": Row(
-        "Conform", "bilprov.conformance.cli.merge", "merge_reports", "Put shards together."
+    "lab learn": Row("", f"{CONFORMANCE}.learn", "learn", "Learn a device as a state machine."),
+    "lab line": Row("", f"{ANALYZER}.line", "line", "Connect two ends through an impaired line."),
+    "decode": Row(
+        "Protocol", f"{ANALYZER}.decode", "decode", "Decode bytes from hex, a file or a capture."
     ),
     "explain": Row(
-        "Protocol",
-        "bilprov.analyzer.cli.text_commands",
-        "explain",
-        "Explain every bit of some bytes.",
+        "Protocol", f"{ANALYZER}.text_commands", "explain", "Explain every bit of some bytes."
     ),
     "encode": Row(
-        "Protocol",
-        "bilprov.analyzer.cli.text_commands",
-        "encode",
-        "Build the bytes of an instruction.",
+        "Protocol", f"{ANALYZER}.text_commands", "encode", "Build the bytes of an instruction."
     ),
     "spec": Row(
-        "Protocol", "bilprov.analyzer.cli.spec", "spec", "Show protocol, readings and errata."
+        "Protocol",
+        "",
+        "",
+        """Show the protocol, its readings and errata; write it for other programs.
+
+        Examples:
+          bilprov spec show
+          bilprov spec emit wireshark -o robot.lua
+        """,
+    ),
+    "spec show": Row("", f"{ANALYZER}.spec", "spec_show", "Show the grammar in use."),
+    "spec readings": Row(
+        "", f"{ANALYZER}.spec", "spec_readings", "Show how the document is read where it is silent."
+    ),
+    "spec errata": Row(
+        "", f"{ANALYZER}.spec", "spec_errata", "Show where the document contradicts itself."
+    ),
+    "spec emit": Row(
+        "",
+        "",
+        "",
+        """Write the grammar in use for other programs, or as it is.
+
+        Examples:
+          bilprov spec emit c -o protocol.h
+          bilprov spec emit grammar -o mine.py
+        """,
+    ),
+    "spec emit c": Row(
+        "", f"{ANALYZER}.spec", "spec_emit_c", "A C header, for firmware and hosts."
+    ),
+    "spec emit wireshark": Row(
+        "", f"{ANALYZER}.spec", "spec_emit_wireshark", "A dissector for Wireshark and tshark."
+    ),
+    "spec emit grammar": Row(
+        "", f"{ANALYZER}.spec", "spec_emit_grammar", "The grammar's own text, to be changed."
     ),
     "config": Row(
-        "Settings", "bilprov.analyzer.cli.config", "config", "Show settings and where they are set."
+        "Settings",
+        "",
+        "",
+        """Show settings and where they are set.
+
+        Examples:
+          bilprov config show
+          bilprov config show sniff
+
+        Settings are read from config.toml in $XDG_CONFIG_HOME/bilprov (or ~/.config/bilprov), from
+        bilprov.toml in the working folder, and from the environment. Options override all of them.
+        """,
     ),
+    "config show": Row("", f"{ANALYZER}.config", "show", "Show every setting and its source."),
     "completion": Row(
-        "Settings", "bilprov.analyzer.cli.text_commands", "completion", "Print shell completion."
+        "Settings", f"{ANALYZER}.text_commands", "completion", "Print a shell's completion script."
     ),
 }
+"""Every command by its name, those of a group behind the group's name; `help` is not listed."""
 
 
-class FrontDoor(Group):
-    """Lists the subcommands without importing them, and imports the one that is called."""
+def _use_grammar(ctx: click.Context, param: click.Parameter, path: str | None) -> None:
+    """Use a grammar from here on, the last one where several are named."""
+    if path is not None:
+        ctx.find_root().params["grammar"] = ctx.obj = path
+
+
+def _grammar_option(help: str) -> click.Option:
+    return click.Option(
+        ["--grammar"],
+        metavar="FILE.py",
+        is_eager=True,
+        expose_value=False,
+        callback=_use_grammar,
+        help=help,
+    )
+
+
+class Tree(Group):
+    """Lists the commands below `path` without importing them; imports the one that is called."""
+
+    def __init__(self, *arguments: Any, path: str = "", **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.path = path
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Every subcommand's name, in the order of the table."""
-        return list(COMMANDS)
+        """The name of every command directly below, in the order of the table."""
+        names = (name[len(self.path) :] for name in COMMANDS if name.startswith(self.path))
+        return [name for name in names if " " not in name]
 
     def panels(self, ctx: click.Context) -> dict[str, list[str]]:
-        """The subcommands of each panel, in the order of the table."""
+        """The commands of each panel, in the order of the table."""
         names: dict[str, list[str]] = {}
-        for name, row in COMMANDS.items():
-            names.setdefault(row.panel, []).append(name)
+        for name in self.list_commands(ctx):
+            names.setdefault(COMMANDS[self.path + name].panel or "Commands", []).append(name)
         return names
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Only the subcommand's line in the list: its name and one sentence."""
-        row = COMMANDS.get(cmd_name)
-        return click.Command(name=cmd_name, help=row.help) if row else None
+        """A group, or only the command's line in the list: its name and one sentence."""
+        row = None if " " in cmd_name else COMMANDS.get(self.path + cmd_name)
+        if row is None or row.module:
+            return click.Command(name=cmd_name, help=row.help) if row else None
+        return Tree(cmd_name, path=f"{self.path}{cmd_name} ", help=row.help)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The subcommand itself, imported now. Raises UsageError where there is none."""
+        """The command itself, imported now. Raises UsageError where there is none."""
+        if not self.path:
+            args = _meant(ctx, args)
         try:
-            name, listed, rest = super().resolve_command(ctx, args)
+            name, command, rest = super().resolve_command(ctx, args)
         except exceptions.NoSuchCommand as error:
-            raise exceptions.NoSuchCommand(
-                error.command_name, possibilities=COMMANDS, ctx=ctx
-            ) from None
-        if name is None or listed is None:  # completion asks for what does not exist
-            return name, listed, rest
-        row = COMMANDS[name]
-        command = with_pages(getattr(import_module(row.module), row.attribute))
+            raise self._unknown(ctx, error) from None
+        if name is None or command is None:  # completion asks for what does not exist
+            return name, command, rest
+        row = COMMANDS[self.path + name]
+        if row.module:
+            command = getattr(import_module(row.module), row.attribute)
+        with_pages(command)
+        if not any(param.name == "grammar" for param in command.params):
+            command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
         if ctx.resilient_parsing:
             from bilprov.analyzer.cli.completion import with_completion
 
             with_completion(command)
-            return name, command, rest
-        if "--help" in rest:
-            return name, command, rest
+        elif not any(word in rest for word in HELP_NAMES):
+            command = self._with_settings(ctx, command, name, rest)
+        return name, command, rest
+
+    def _with_settings(
+        self, ctx: click.Context, command: click.Command, name: str, rest: list[str]
+    ) -> click.Command:
+        """The command with the values of files and environment as its defaults."""
         settings = read_settings(COMMANDS)
         if settings.empty:
-            return name, command, rest
+            return command
         from bilprov.analyzer.cli.settings import with_settings
 
-        grammar = settings.values_of(name).get("grammar")
-        if grammar is not None and ctx.params.get("grammar") is None:
-            ctx.params["grammar"] = str(grammar.value)
+        given = ctx.find_root().params.get("grammar")
+        set_value = settings.values_of(self.path + name).get("grammar")
+        if given is None and set_value is not None:
+            _use_grammar(ctx, ctx.command.params[0], str(set_value.value))
         command, ctx.default_map = with_settings(
-            command, name, settings, rest, ctx.params.get("grammar")
+            command, self.path + name, settings, rest, ctx.find_root().params.get("grammar")
         )
-        return name, command, rest
+        return command
+
+    def _unknown(self, ctx: click.Context, error: exceptions.NoSuchCommand) -> click.UsageError:
+        names = self.list_commands(ctx)
+        if self.path:
+            return click.UsageError(
+                f"there is no bilprov {self.path}{error.command_name}; there are {', '.join(names)}"
+            )
+        return exceptions.NoSuchCommand(error.command_name, possibilities=names, ctx=ctx)
+
+
+def _meant(ctx: click.Context, args: list[str]) -> list[str]:
+    """The arguments with the command that they mean: `help` is none, nor is a capture's name.
+
+    Raises UsageError, in one sentence, for the former name of a command.
+    """
+    first = args[0]
+    if first in COMMANDS:
+        return args
+    renamed = former_name(first, args[1:])
+    if not renamed and first != "help":
+        is_file = os.path.isfile(first)  # noqa: PTH113 - Path's may raise
+        return ["replay", *args] if is_file or first.endswith(".mcap") else args
+    if ctx.resilient_parsing:
+        return args
+    if renamed:
+        raise click.UsageError(renamed)
+    words = [word for word in args if word not in ("help", *HELP_NAMES)]
+    if not words:
+        click.echo(ctx.get_help())
+        ctx.exit()
+    return [*words, "--help"]
 
 
 def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
@@ -203,13 +294,7 @@ def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> No
         ctx.exit()
 
 
-@click.command(cls=FrontDoor)
-@click.option(
-    "--grammar",
-    metavar="FILE.py",
-    help="Another grammar of the same family: a changed copy of spec/grammar.py. Runs the file as "
-    "Python: name only files that you trust; a grammar inside a capture is only read.",
-)
+@click.command(cls=Tree)
 @click.option(
     "--version",
     is_flag=True,
@@ -218,14 +303,28 @@ def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> No
     callback=_show_version,
     help="Show the version and exit.",
 )
-@click.pass_context
-def front_door(ctx: click.Context, grammar: str | None) -> None:
+def front_door(grammar: str | None = None) -> None:
     """Protocol analyzer and conformance kit for the robot-car serial protocol.
 
-    Exit codes: 0 fine, 1 the device does not conform, 2 wrong use or nothing to work with,
-    3 nothing failed but something could not be judged.
+    Examples:
+      bilprov sniff sim
+      bilprov conform sim --fault no-stop-on-bad-data
+      bilprov help conform
+
+    A capture needs no command: bilprov drive.mcap opens it. Exit codes: 0 fine, 1 the device does
+    not conform, 2 wrong use or nothing to work with, 3 nothing failed but something could not be
+    judged.
     """
-    ctx.obj = grammar
+
+
+front_door.params.insert(
+    0,
+    _grammar_option(
+        "Another grammar of the same family, before or after the command: a changed copy of "
+        "spec/grammar.py (bilprov spec emit grammar). Runs the file as Python: name only files "
+        "that you trust; a grammar inside a capture is only read."
+    ),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

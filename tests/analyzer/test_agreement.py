@@ -26,8 +26,13 @@ from bilprov.analyzer.output.outputs import Shown, StreamOutput, stream_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_parts import decoded_parts
-from bilprov.analyzer.replay.capture_session import capture_session, capture_settings
+from bilprov.analyzer.replay.capture_session import (
+    capture_decoder,
+    capture_session,
+    capture_settings,
+)
 from bilprov.analyzer.replay.capture_totals import capture_totals
+from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.screen.feeds import capture_feed
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS
@@ -73,7 +78,8 @@ def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]
 
 def browsed(capture: Capture, protocol: Protocol) -> list[Record]:
     """The rows of the screen."""
-    feed = capture_feed(capture, protocol)
+    opened = Opened(capture, capture_decoder(capture, protocol), capture.events)
+    feed = capture_feed(opened, protocol)
     feed.start()
     feed.join()
     return feed.recording.records(range(feed.recording.rows))

@@ -60,8 +60,11 @@ def test_a_sample_is_read_alike(path: Path) -> None:
 def test_a_capture_of_the_kit_is_read_alike_with_all_its_topics(tmp_path: Path) -> None:
     sample = min((ROOT / "captures" / "samples").glob("*.mcap"))
     whole, part = tmp_path / "whole.mcap", tmp_path / "part.mcap"
-    assert command("convert", "--decoded", str(sample), str(whole)).returncode == 0
-    assert command("cut", str(whole), str(part), "--filter", "direction == host").returncode == 0
+    assert command("capture", "decode", str(sample), str(whole)).returncode == 0
+    assert (
+        command("capture", "cut", str(whole), str(part), "--filter", "direction == host").returncode
+        == 0
+    )
 
     assert require_same(whole)["messages"].keys() >= {"/host/instructions", "/state"}
     assert require_same(part)["raw"]

@@ -1,7 +1,8 @@
-"""`bilprov shell`: what is typed is done, and every way out leaves the robot at rest."""
+"""`bilprov send PORT`: what is typed is done, and every way out leaves the robot at rest."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -80,7 +81,7 @@ def car(
 
 
 def shell(port: str, lines: str, *more: str) -> Done:
-    return command("shell", port, "--yes", *more, stdin=lines.encode())
+    return command("send", port, "--yes", *more, stdin=lines.encode())
 
 
 def until(what: Callable[[], bool]) -> None:
@@ -172,9 +173,7 @@ def test_the_words_and_the_completion_are_those_of_the_grammar(
     file = tmp_path / "horn.py"
     file.write_text(horn_text)
     with car(horn) as (_, port, _):
-        result = command(
-            "--grammar", str(file), "shell", port, "--yes", stdin=b"horn 2; help; quit"
-        )
+        result = command("--grammar", str(file), "send", port, "--yes", stdin=b"horn 2; help; quit")
 
     assert result.returncode == 0
     told = result.stdout.decode()
@@ -189,7 +188,7 @@ def test_after_homing_the_state_is_that_of_a_stop_in_any_grammar(
 ) -> None:
     file = tmp_path / "wide.py"
     file.write_text(wide_grammar(grammar_text))
-    words = ("--grammar", str(file), "shell", "sim", "--truncation-timeout", "1000")
+    words = ("--grammar", str(file), "send", "sim", "--truncation-timeout", "1000")
     result = command(*words, stdin=b"Cruise 300 5; Right 7; state; home; state; look")
 
     assert (result.returncode, result.stderr) == (0, b"")
@@ -202,18 +201,42 @@ def test_after_homing_the_state_is_that_of_a_stop_in_any_grammar(
 
 @pytest.mark.waits
 def test_the_simulator_is_there_by_its_name_and_brings_its_probe() -> None:
-    result = command("shell", "sim", stdin=b"Speed 9; Forward; look")
+    result = command("send", "sim", stdin=b"Speed 9; Forward; look")
 
     assert result.returncode == 0
     assert b"seen moving: motion forward speed 9" in result.stdout
-    assert command("shell", "sim", "--probe", "ask").returncode == 2
+    assert command("send", "sim", "--probe", "ask").returncode == 2
+
+
+@pytest.mark.waits
+def test_items_are_sent_to_the_simulator_too_and_lines_may_be_json() -> None:
+    sent = command("send", "sim", "Speed 9", "91", "--expect", "OK,BAD_HEADER")
+    typed = command("send", "sim", "--format", "jsonl", stdin=b"Speed 9; 91")
+
+    assert (sent.returncode, sent.stderr) == (0, b"")
+    assert b"Speed speed=9" in sent.stdout
+    rows = [json.loads(line) for line in typed.stdout.splitlines()]
+    assert [row["name"] for row in rows if row["kind"] == "instruction"][:1] == ["Speed"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["Stop", "--probe", "ask"], "--probe is only for driving by hand: leave out the ITEMs"),
+        (["--together"], "--together is only for ITEMs"),
+        (["--expect", "OK"], "--expect is only for ITEMs"),
+        (["--wait"], "--wait is only for ITEMs"),
+    ],
+)
+def test_an_option_of_the_other_use_is_refused(words: list[str], said: str) -> None:
+    assert said in sentence(command("send", "sim", *words))
 
 
 @pytest.mark.waits
 def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
     with car(protocol) as (device, port, _):
-        result = command("shell", port, stdin=b"Forward")
-        with on_terminal("shell", port) as terminal:
+        result = command("send", port, stdin=b"Forward")
+        with on_terminal("send", port) as terminal:
             terminal.wait_for("Is there room, and may it move?")
             terminal.type("n\n")
             assert terminal.end() == 2
@@ -243,7 +266,7 @@ def test_a_device_that_floods_the_line_is_stopped_and_fills_neither_screen_nor_m
 ) -> None:
     with car(protocol, more=b"\x00" * 1000) as (device, port, _):
         process = subprocess.Popen(
-            [sys.executable, "-m", "bilprov", "shell", port, "--yes"],
+            [sys.executable, "-m", "bilprov", "send", port, "--yes"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -306,7 +329,7 @@ WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
 @pytest.mark.waits
 @pytest.mark.parametrize("way", WAYS_OUT)
 def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) -> None:
-    with car(protocol) as (device, port, _), on_terminal("shell", port, "--yes") as terminal:
+    with car(protocol) as (device, port, _), on_terminal("send", port, "--yes") as terminal:
         driving(terminal, device)
         WAYS_OUT[way](terminal)
         code = terminal.end()
@@ -319,7 +342,7 @@ def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) ->
 @pytest.mark.waits
 def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol: Protocol) -> None:
     with car(protocol) as (device, port, probe):
-        with on_terminal("shell", port, "--yes", "--probe", probe) as terminal:
+        with on_terminal("send", port, "--yes", "--probe", probe) as terminal:
             terminal.wait_for("led 0, seen stopped>")
             terminal.type("Speed 80; Forward; look; pause=60000; Speed 1\r")
             terminal.wait_for("seen moving: motion forward")
@@ -344,7 +367,7 @@ def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol:
         assert device.state.speed == 80
 
 
-SHELL = ("-m", "bilprov", "shell", "--yes")
+SHELL = ("-m", "bilprov", "send", "--yes")
 
 
 @pytest.mark.waits
@@ -415,7 +438,7 @@ def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
 ) -> None:
     with (
         car(protocol, more=b"\x05") as (device, port, _),
-        on_terminal("shell", port, "--yes", "--max-drive", "0.5") as terminal,
+        on_terminal("send", port, "--yes", "--max-drive", "0.5") as terminal,
     ):
         driving(terminal, device)
         terminal.type("LED 7\rtyped mean")
@@ -431,7 +454,7 @@ def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
 def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) -> None:
     answers = (b'{"moving": false}\n', b'{"moving": true}\n', b"")
     with ProbeServer(*answers) as probe, car(protocol) as (device, port, _):
-        with on_terminal("shell", port, "--yes", "--probe", probe.name) as terminal:
+        with on_terminal("send", port, "--yes", "--probe", probe.name) as terminal:
             terminal.wait_for("seen stopped>")
             terminal.type("Speed 80; Forward\r")
             terminal.wait_for("seen moving>")
@@ -449,7 +472,7 @@ def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
 ) -> None:
     with ExitStack() as stack:
         with car(protocol) as (device, port, _):
-            terminal = stack.enter_context(on_terminal("shell", port, "--yes"))
+            terminal = stack.enter_context(on_terminal("send", port, "--yes"))
             driving(terminal, device)
         assert terminal.end() == 2
     assert terminal.shown.count(f"bilprov: {port} disappeared while it was in use") == 1
@@ -462,7 +485,7 @@ def test_tab_completes_and_the_history_outlives_the_shell(
 ) -> None:
     state = {"XDG_STATE_HOME": str(tmp_path / "state")}
     with car(protocol) as (device, port, _):
-        with on_terminal("shell", port, "--yes", **state) as terminal:
+        with on_terminal("send", port, "--yes", **state) as terminal:
             terminal.wait_for("led 0>")
             for typed, shown in [("led", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
                 terminal.type(typed + TAB)
@@ -472,7 +495,7 @@ def test_tab_completes_and_the_history_outlives_the_shell(
             terminal.type(CTRL_D)
             assert terminal.end() == 0
         device.heard = b""
-        with on_terminal("shell", port, "--yes", **state) as terminal:
+        with on_terminal("send", port, "--yes", **state) as terminal:
             terminal.wait_for("led 0>")
             terminal.type(f"{UP}\r")
             terminal.wait_for("rotate_right speed 0 led 5>")
@@ -487,7 +510,7 @@ def test_tab_completes_and_the_history_outlives_the_shell(
 def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
     with car(protocol) as (_, port, _):
         variables = {"XDG_STATE_HOME": home, "HOME": "/dev/null"}
-        with on_terminal("shell", port, "--yes", **variables) as terminal:
+        with on_terminal("send", port, "--yes", **variables) as terminal:
             terminal.wait_for("led 0>")
             terminal.type("LED 5\r")
             terminal.wait_for("led 5>")
@@ -503,7 +526,7 @@ def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
 ) -> None:
     with (
         car(protocol) as (_, port, _),
-        on_terminal("shell", port, "--yes", TERM="dumb") as terminal,
+        on_terminal("send", port, "--yes", TERM="dumb") as terminal,
     ):
         terminal.type("Speeed 1\nSpeed 9\nstate\nquit\n")
         terminal.wait_for("did you mean Speed?; see help")

@@ -1,4 +1,4 @@
-"""`bilprov emulate`: firmware on a pty in real time, for any program to open."""
+"""`bilprov simulate --firmware`: firmware on a pty in real time, for any program to open."""
 
 from __future__ import annotations
 
@@ -473,10 +473,12 @@ def test_the_wire_has_the_baud_of_the_grammar(
             pass
         times.append(due)
 
-    monkeypatch.setattr("bilprov.conformance.cli.emulate.serve", served)
+    monkeypatch.setattr("bilprov.conformance.cli.simulate.serve", served)
     for words in ([], ["--grammar", str(slow)]):
         result = CliRunner().invoke(
-            front_door.front_door, [*words, "emulate", str(echo())], standalone_mode=False
+            front_door.front_door,
+            [*words, "simulate", "--firmware", str(echo())],
+            standalone_mode=False,
         )
         assert result.exception is None
 
@@ -505,7 +507,7 @@ def test_what_is_no_firmware_for_it_is_one_sentence(
     if content is not None:
         file.write_bytes(content)
 
-    result = command("emulate", str(file))
+    result = command("simulate", "--firmware", str(file))
 
     assert (result.returncode, result.stdout) == (2, b"")
     assert len(result.stderr.splitlines()) == 1
@@ -517,21 +519,24 @@ def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
     file = tmp_path / "arm.elf"
     file.write_bytes(elf(40))
 
-    assert f"bilprov conform emulator:qemu:{file}" in sentence(command("emulate", str(file)))
+    assert f"bilprov conform emulator:qemu:{file}" in sentence(
+        command("simulate", "--firmware", str(file))
+    )
 
 
 @AVR
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "missing argument 'FIRMWARE.elf'"),
+        ([], "option '--firmware' requires an argument"),
+        (["{elf}", "--fault", "always-0"], "--fault and --variant do not fit"),
         (["{elf}", "{elf}"], "got unexpected extra argument"),
         (["{elf}", "--listen", "nowhere"], "the address is 'nowhere', allowed is HOST:PORT"),
         (["{elf}", "--probe-listen", "1:2:3"], "the address is '1:2:3', allowed is HOST:PORT"),
         (["{elf}", "--listen", "{taken}"], "is in use by another program"),
         (["{elf}", "--pty", "--probe-listen", "{taken}"], "is in use by another program"),
         (["{cut}"], "is cut off or damaged"),
-        (["{empty}"], "crashes before it begins: see that the file is whole"),
+        (["{empty}"], "crashes before it begins: see that the file is complete"),
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:
@@ -542,7 +547,7 @@ def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: P
     with socket.create_server(("127.0.0.1", 0)) as listener:
         taken = f"127.0.0.1:{listener.getsockname()[1]}"
         given = [word.format(elf=built(), taken=taken, cut=cut, empty=empty) for word in arguments]
-        result = command("emulate", *given)
+        result = command("simulate", "--firmware", *given)
 
     assert (result.returncode, result.stdout) == (2, b"")
     assert len(result.stderr.splitlines()) == 1
@@ -550,7 +555,13 @@ def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: P
 
 
 def test_the_help_is_enough_to_use_it() -> None:
-    told = " ".join(command("emulate", "--help").stdout.decode().split())
-    for part in ("FIRMWARE.elf", "--pty", "probe tcp:HOST:PORT", "Ctrl-C", "emulator:simavr:"):
+    told = " ".join(command("simulate", "--help").stdout.decode().split())
+    for part in (
+        "--firmware FILE.elf",
+        "--pty",
+        "probe tcp:HOST:PORT",
+        "Ctrl-C",
+        "emulator:simavr:",
+    ):
         assert part in told
-    assert "emulate" in command("--help").stdout.decode()
+    assert "firmware" in command("--help").stdout.decode()

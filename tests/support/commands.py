@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -12,6 +13,9 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import click
+
+from bilprov import __main__ as front_door
 from bilprov.__main__ import main
 from tests.support import ROOT
 
@@ -19,11 +23,55 @@ PATIENCE = 60.0  # s; a test that waits longer hangs
 # What would colour or widen the output of a test that somebody runs in a terminal.
 _TERMINAL = ("FORCE_COLOR", "COLUMNS")
 
+COMMANDS = [name for name, row in front_door.COMMANDS.items() if row.module]
+"""The names of all commands that do something, like `capture cut`; groups are none."""
+
 Done = subprocess.CompletedProcess[bytes]
 
 
 def _variables(more: dict[str, str]) -> dict[str, str]:
     return {k: v for k, v in os.environ.items() if k not in _TERMINAL} | more
+
+
+def command_named(name: str) -> tuple[click.Command, click.Context]:
+    """The command or group of that name, as the front door loads it, and a context for it."""
+    found: click.Command = front_door.front_door
+    context = found.context_class(found, info_name="bilprov", resilient_parsing=True)
+    for word in name.split():
+        assert isinstance(found, click.Group)
+        _, below, _ = found.resolve_command(context, [word])
+        assert below is not None, name
+        context = below.context_class(below, context, word, resilient_parsing=True)
+        found = below
+    return found, context
+
+
+def parsed(line: str) -> list[str]:
+    """Parse a command line up to a pipe or a comment; gives the words of its commands.
+
+    Fails where there is no such command or option, or an argument is missing or too many.
+    """
+    words = shlex.split(line.split(" | ")[0], comments=True)
+    found: click.Command = front_door.front_door
+    context = found.context_class(found, info_name="bilprov")
+    names: list[str] = []
+    while isinstance(found, click.Group):
+        parser = found.make_parser(context)
+        parser.allow_interspersed_args = False
+        _, words, _ = parser.parse_args(words)
+        if not words:
+            return names
+        if words[0] == "help":
+            words = words[1:]
+            continue
+        name, below, words = found.resolve_command(context, words)
+        assert name
+        assert below, line
+        names.append(name)
+        found, context = below, below.context_class(below, context, name)
+    if "--help" not in words:
+        found.make_parser(context).parse_args(words)
+    return names
 
 
 def command(*arguments: str, stdin: bytes = b"", cwd: Path = ROOT, **environment: str) -> Done:

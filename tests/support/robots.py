@@ -220,7 +220,7 @@ def simulate(
 
 def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextManager[Served]:
     """Serve an emulated board so; `lines` are what it announces."""
-    return _serving("emulate", str(firmware), *arguments, lines=lines)
+    return _serving("simulate", "--firmware", str(firmware), *arguments, lines=lines)
 
 
 @contextmanager

@@ -245,7 +245,7 @@ def test_kill_9_leaves_what_was_said_from_its_begin_on(tmp_path: Path, seed: int
     assert said.startswith(kept(path))
     assert len(kept(path)) > len(said) // 2
     for part in part_paths(path).values():
-        done = commands.command("info", str(part))
+        done = commands.command("capture", "info", str(part))
         assert (done.returncode, done.stderr) == (0, b"") or not part.stat().st_size
 
 
@@ -280,13 +280,13 @@ READING = [
     "export drive.mcap --format jsonl -o -",
     "export drive.mcap --format pcapng -o OUT",
     "plot drive.mcap --html OUT",
-    "cut drive.mcap OUT --start 0.5 --end 2.5",
-    "cut drive.mcap OUT --filter faulty",
-    "recover drive.mcap OUT",
-    "convert --decoded drive.mcap OUT",
-    "compare drive.mcap ONE --json -",
-    "compare ONE drive.mcap",
-    "join drive.mcap LATER -o OUT",
+    "capture cut drive.mcap OUT --start 0.5 --end 2.5",
+    "capture cut drive.mcap OUT --filter faulty",
+    "capture repair drive.mcap OUT",
+    "capture decode drive.mcap OUT",
+    "capture diff drive.mcap ONE --json -",
+    "capture diff ONE drive.mcap",
+    "capture join drive.mcap LATER -o OUT",
 ]
 
 
@@ -318,7 +318,7 @@ def test_a_command_over_parts_does_what_it_does_over_one_file(
 def test_info_and_doctor_tell_of_the_parts(both: tuple[Path, Path], tmp_path: Path) -> None:
     _, several = both
     told = [
-        json.loads(commands.command("info", NAME, "--format", "json", cwd=folder).stdout)
+        json.loads(commands.command("capture", "info", NAME, "--format", "json", cwd=folder).stdout)
         for folder in both
     ]
     names = [path.name for path in part_paths(several / NAME).values()]
@@ -326,15 +326,17 @@ def test_info_and_doctor_tell_of_the_parts(both: tuple[Path, Path], tmp_path: Pa
     same = {"path", "start", "end", "zero", "duration", "bytes", "metadata", "unfinished"}
     assert {key: told[0][key] for key in same} == {key: told[1][key] for key in same}
     assert told[0]["counts"]["/host/raw"] == told[1]["counts"]["/host/raw"]
-    text = commands.command("info", NAME, cwd=several).stdout.decode()
+    text = commands.command("capture", "info", NAME, cwd=several).stdout.decode()
     assert f"{len(names)} parts, {names[0]} to {names[-1]}" in text
-    part = json.loads(commands.command("info", names[2], "--format", "json", cwd=several).stdout)
+    part = json.loads(
+        commands.command("capture", "info", names[2], "--format", "json", cwd=several).stdout
+    )
     assert (part["metadata"]["part"], part["parts"]) == ("3", [])
     assert 0 < part["duration"] < 1
-    assert commands.command("doctor", NAME, cwd=several).returncode == 0
+    assert commands.command("capture", "check", NAME, cwd=several).returncode == 0
     shutil.copytree(several, tmp_path / "torn")
     part_path(tmp_path / "torn" / NAME, 3).unlink()
-    done = commands.command("doctor", NAME, cwd=tmp_path / "torn")
+    done = commands.command("capture", "check", NAME, cwd=tmp_path / "torn")
     assert done.returncode == 2
     assert b"part 3 (drive.00003.mcap) is missing" in done.stdout
     replayed = commands.command("replay", NAME, "--rate", "0", cwd=tmp_path / "torn")
@@ -348,14 +350,14 @@ def test_parts_that_follow_each_other_are_joined_without_a_gap(
     _, several = both
     parts = list(part_paths(several / NAME).values())
     whole = tmp_path / "whole.mcap"
-    done = commands.command("join", *map(str, reversed(parts)), "-o", str(whole))
+    done = commands.command("capture", "join", *map(str, reversed(parts)), "-o", str(whole))
     assert done.returncode == 0, done.stderr
-    assert commands.command("compare", str(whole), str(several / NAME)).returncode == 0
+    assert commands.command("capture", "diff", str(whole), str(several / NAME)).returncode == 0
     chunks = [event for event in open_capture(several / NAME) if isinstance(event, Chunk)]
     assert [event for event in open_capture(whole) if isinstance(event, Chunk)] == chunks
     fewer = tmp_path / "fewer.mcap"
     apart = [str(parts[0]), str(parts[2])]
-    assert commands.command("join", *apart, "-o", str(fewer)).returncode == 0
+    assert commands.command("capture", "join", *apart, "-o", str(fewer)).returncode == 0
     (gap,) = (event for event in open_capture(fewer) if not isinstance(event, Chunk))
     assert (gap.event, gap.detail) == ("gap", "drive.00003.mcap begins here")
 
@@ -367,10 +369,10 @@ def test_a_part_is_never_overwritten_by_what_is_read_from_it(
     shutil.copytree(both[1], folder)
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     for line in (
-        "cut drive.mcap drive.00002.mcap --end 1 --force",
+        "capture cut drive.mcap drive.00002.mcap --end 1 --force",
         "export drive.mcap --format csv -o drive.00001.mcap --force",
         "plot drive.mcap --html drive.00003.mcap --force",
-        "cut drive.mcap drive.mcap --end 1 --force",
+        "capture cut drive.mcap drive.mcap --end 1 --force",
     ):
         assert "would overwrite the input" in refused(*line.split(), cwd=folder)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
@@ -380,7 +382,7 @@ def test_a_recording_in_parts_is_not_hidden(both: tuple[Path, Path], tmp_path: P
     one, several = (folder / NAME for folder in both)
     shutil.copy(part_path(several, 1), tmp_path)
 
-    words = refused("cut", str(one), NAME, "--end", "1", "--force", cwd=tmp_path)
+    words = refused("capture", "cut", str(one), NAME, "--end", "1", "--force", cwd=tmp_path)
 
     assert "OUT drive.mcap is the name of a recording in parts, drive.00001.mcap and so on" in words
     assert len(list(tmp_path.iterdir())) == 1
@@ -388,7 +390,9 @@ def test_a_recording_in_parts_is_not_hidden(both: tuple[Path, Path], tmp_path: P
 
 def test_a_missing_recording_of_parts_is_a_missing_file(tmp_path: Path) -> None:
     (tmp_path / "drive.1.mcap").touch()
-    assert "drive.mcap does not exist: name an MCAP file" in refused("info", NAME, cwd=tmp_path)
+    assert "drive.mcap does not exist: name an MCAP file" in refused(
+        "capture", "info", NAME, cwd=tmp_path
+    )
     words = refused("recheck", NAME, cwd=tmp_path)
     assert "drive.mcap does not exist" in words
 

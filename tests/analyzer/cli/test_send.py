@@ -89,7 +89,7 @@ def test_what_is_not_answered_ends_with_1() -> None:
         (["LED rgb=9"], "allowed are 0 to 7"),
         (["pause=-1"], "is no pause"),
         (["Forward"], "say --yes"),
-        ([], "missing argument"),
+        ([], "no terminal to ask on"),
     ],
 )
 def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
@@ -108,7 +108,7 @@ def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
 def test_a_separator_of_the_shell_is_told_as_such(item: str) -> None:
     told = sentence(command("send", "/dev/nothing", item, "--yes"))
 
-    assert told.startswith(f"bilprov: '{item}' holds a ;, which stands between instructions")
+    assert told.startswith(f"bilprov: '{item}' holds a ;, which stands between typed instructions")
 
 
 def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from bilprov import __main__ as front_door
 from bilprov.analyzer.cli.settings import PORTS
-from bilprov.analyzer.settings import COMMON, DEVICE_KEYS, read_settings
+from bilprov.analyzer.settings import COMMON, DEVICE_KEYS, FORMER, read_settings
 from tests.support import ROOT, commands
 from tests.support.commands import Done
 
@@ -165,6 +165,54 @@ def test_a_command_of_commands_has_no_settings(place: Path) -> None:
     theirs(place, "[spec]\nformat = 'json'")
     for arguments in (("config", "show"), ("spec", "show")):
         assert "bilprov.toml [spec]: spec has no option format" in refused(*arguments)
+
+
+def test_the_commands_of_a_group_have_tables_below_its_own(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs(place, "[capture.info]\nformat = 'json'\n[spec.emit.c]\noutput = 'x.h'")
+    assert json.loads(command("capture", "info", str(SAMPLE)).stdout)["start"]
+    assert command("spec", "emit", "c").stdout == b""
+    assert (place / "x.h").exists()
+    source = "bilprov.toml [capture.info]"
+    assert shown("capture", "info")["capture info", "format"] == ("json", source, True)
+
+    monkeypatch.setenv("BILPROV_CAPTURE_INFO_FORMAT", "text")
+    assert command("capture", "info", str(SAMPLE)).stdout.startswith(bytes(SAMPLE))
+
+    theirs(place, "[capture.inf]\nformat = 'json'")
+    assert "[capture]: inf is not a command, did you mean info?" in refused("decode", "00")
+
+
+@pytest.mark.parametrize("name", FORMER)
+def test_the_table_of_a_former_name_is_refused_with_the_new_one(
+    place: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    now = f"bilprov {name} is now bilprov {' '.join(FORMER[name])}"
+    theirs(place, f"[{name}]\nforce = 0")
+    assert refused("encode", "Stop") == f"bilprov.toml [{name}]: {now}"
+
+    theirs(place, "")
+    monkeypatch.setenv(f"BILPROV_{name.upper()}_FORMAT", "json")
+    assert refused("encode", "Stop") == f"BILPROV_{name.upper()}_FORMAT: {now}"
+
+
+def test_a_named_device_stands_for_each_port_that_is_examined(place: Path) -> None:
+    mine(place, "[device.car]\nport = '/nowhere/tty7'\n[device.tap]\nport = '/nowhere/tty8'")
+
+    done = command("ports", "car", "tap")
+    assert (done.returncode, done.stderr) == (2, b"")
+    assert b"/nowhere/tty7" in done.stdout
+    assert b"/nowhere/tty8" in done.stdout
+
+
+def test_a_grammar_behind_the_command_comes_before_that_of_the_settings(
+    place: Path, horn_text: str
+) -> None:
+    (place / "horn.py").write_text(horn_text)
+    mine(place, "grammar = 'nowhere.py'\n[decode]\nfilter = 'name == Horn'")
+
+    assert command("decode", "9100", "--grammar", "horn.py").stdout.count(b"Horn") == 1
 
 
 def test_show_says_that_a_later_place_comes_before_a_commands_own_table(place: Path) -> None:
@@ -385,7 +433,7 @@ def test_settings_for_ports_are_left_alone_where_the_target_is_none(place: Path)
     assert command(*sim).returncode == 0
     assert "is for ports" in refused(*sim, "--probe", "tcp:127.0.0.1:9")
     assert "is for ports" in refused(*sim, "--power", "exec:true")
-    shell = commands.command("shell", "sim", stdin=b"Stop\n", cwd=place)
+    shell = commands.command("send", "sim", stdin=b"Stop\n", cwd=place)
     assert (shell.returncode, b"Stop" in shell.stdout) == (0, True)
 
 
@@ -425,6 +473,13 @@ def test_help_and_version_do_not_need_settings_that_can_be_read(place: Path) -> 
     assert command("sniff", "--help").returncode == 0
 
 
+def test_a_short_h_is_help_behind_a_command_that_had_settings(place: Path) -> None:
+    mine(place, "[capture.check]\nformat = 'json'")
+
+    assert command("capture", "check", "/nowhere").returncode == 2
+    assert command("capture", "check", "-h").returncode == 0
+
+
 def test_every_common_setting_is_an_option_of_some_command() -> None:
     options = {"grammar"}
     for name in front_door.COMMANDS:
@@ -438,9 +493,5 @@ def test_every_common_setting_is_an_option_of_some_command() -> None:
 
 @pytest.mark.parametrize("name", PORTS)
 def test_the_parameters_that_may_be_a_device_are_there(name: str) -> None:
-    import click
-
-    context = click.Context(front_door.front_door, resilient_parsing=True)
-    _, found, _ = front_door.front_door.resolve_command(context, [name])
-    assert found is not None
+    found, _ = commands.command_named(name)
     assert set(PORTS[name]) <= {param.name for param in found.params}

@@ -20,11 +20,10 @@ import click
 import pytest
 from click.shell_completion import FishComplete, ZshComplete
 
-from bilprov import __main__ as front_door
 from bilprov.analyzer.cli import shells
 from bilprov.analyzer.cli.completion import Offered
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, command, process
+from tests.support.commands import COMMANDS, PATIENCE, command, command_named, process
 
 
 def offered(line: str, grammar: Path | None = None) -> list[str]:
@@ -51,7 +50,7 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov conform em", ["emulator:simavr:", "emulator:qemu:"]),
         ("bilprov conform sim --fault no-stop-on-bad-d", ["no-stop-on-bad-data"]),
         ("bilprov simulate --fault random", ["random:"]),
-        ("bilprov score --only echo", ["echo"]),
+        ("bilprov lab score --only echo", ["echo"]),
         ("bilprov conform sim --only bad", ["bad-data/"]),
         ("bilprov conform sim --only bad-data/LED/25", ["bad-data/LED/250", "bad-data/LED/255"]),
         ("bilprov conform sim --only sequence/t", ["sequence/tour/"]),
@@ -62,9 +61,13 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov encode Speed ", ["speed="]),
         ("bilprov send x ro", ["RotateRight"]),
         ("bilprov send x p", ["pause="]),
-        ("bilprov line p", ["pty"]),
+        ("bilprov lab line p", ["pty"]),
         ("bilprov spec readings R-led", ["R-led-id"]),
-        ("bilprov con", ["convert", "conform"]),
+        ("bilprov con", ["config", "conform"]),
+        ("bilprov capture c", ["cut", "check"]),
+        ("bilprov spec emit ", ["c", "grammar", "wireshark"]),
+        ("bilprov config show capture c", ["cut", "check"]),
+        ("bilprov x.mcap --filter 'na", ["name ==", "name !="]),
         ("bilprov conform --prob", ["--probe"]),
     ],
 )
@@ -94,10 +97,8 @@ def test_an_error_on_the_line_prints_nothing(tmp_path: Path) -> None:
 
 def test_every_file_port_and_filter_of_every_command_completes() -> None:
     bare = []
-    for name in front_door.COMMANDS:
-        context = click.Context(front_door.front_door, resilient_parsing=True)
-        _, found, _ = front_door.front_door.resolve_command(context, [name])
-        assert found is not None
+    for name in COMMANDS:
+        found, _ = command_named(name)
         for param in found.params:
             metavar = param.metavar or ""
             if re.match(r"\[?(FILE|PORT|EXPR|ITEM|IN\b|OUT\b)", metavar) and not (
@@ -142,7 +143,7 @@ TYPED = [
     ),
     ("conform emulator:sima", "x.elf", ["conform", "emulator:simavr:x.elf"]),
     ("conform sim --only bad-data/L", "9", ["conform", "sim", "--only", "bad-data/LED/9"]),
-    ("info driv", "", ["info", "drive.mcap"]),
+    ("capture info driv", "", ["capture", "info", "drive.mcap"]),
 ]
 
 

@@ -272,10 +272,10 @@ def capture(path: Path, **metadata: str) -> None:
 def test_info_tells_what_a_capture_holds(tmp_path: Path) -> None:
     file = tmp_path / "c.mcap"
     capture(file, grammar_sha256=PROTOCOL.sha256, host="/dev/ttyUSB0")
-    shown = text("info", str(file))
+    shown = text("capture", "info", str(file))
     for part in ("2023-11-14T22:13:20", "1.500 s", "the grammar in use", "/dev/ttyUSB0", "2 bytes"):
         assert part in shown
-    told = json.loads(text("info", "--format", "json", str(file)))
+    told = json.loads(text("capture", "info", "--format", "json", str(file)))
     assert told["bytes"] == {"host": 2, "device": 1}
     assert told["same_grammar"] is True
     assert told["unfinished"] is False
@@ -284,19 +284,19 @@ def test_info_tells_what_a_capture_holds(tmp_path: Path) -> None:
 def test_info_as_json_says_when_where_and_by_which_kit_it_was_recorded(tmp_path: Path) -> None:
     file, part = tmp_path / "c.mcap", tmp_path / "part.mcap"
     capture(file, machine="rover", version="0.0.9")
-    told = json.loads(text("info", "--json", str(file)))
-    assert told == json.loads(text("info", "--format", "json", str(file)))
+    told = json.loads(text("capture", "info", "--json", str(file)))
+    assert told == json.loads(text("capture", "info", "--format", "json", str(file)))
     assert (told["start"], told["end"]) == (
         "2023-11-14T22:13:20.000000+00:00",
         "2023-11-14T22:13:21.500000+00:00",
     )
     assert (told["zero"], told["duration"]) == (told["start"], 1.5)
     assert (told["host"], told["kit"]) == ("rover", "0.0.9")
-    assert command("cut", str(file), str(part), "--start", "1").returncode == 0
-    told = json.loads(text("info", "--json", str(part)))
+    assert command("capture", "cut", str(file), str(part), "--start", "1").returncode == 0
+    told = json.loads(text("capture", "info", "--json", str(part)))
     assert (told["start"][17:], told["zero"][17:]) == ("21.000000+00:00", "20.000000+00:00")
     assert told["duration"] == 0.5
-    shown = text("info", str(part))
+    shown = text("capture", "info", str(part))
     for said in ("rover", "bilprov 0.0.9", "cut c.mcap --start 1", "times count from"):
         assert said in shown
 
@@ -304,20 +304,20 @@ def test_info_as_json_says_when_where_and_by_which_kit_it_was_recorded(tmp_path:
 def test_info_says_when_the_grammar_is_another(tmp_path: Path, horn: str) -> None:
     file = tmp_path / "c.mcap"
     capture(file, grammar_sha256=PROTOCOL.sha256)
-    assert "not the grammar in use" in text("--grammar", horn, "info", str(file))
+    assert "not the grammar in use" in text("--grammar", horn, "capture", "info", str(file))
 
 
 def test_info_reads_an_unfinished_file_and_says_so(tmp_path: Path) -> None:
     whole, cut = tmp_path / "c.mcap", tmp_path / "cut.mcap"
     capture(whole)
     cut.write_bytes(whole.read_bytes()[:-100])
-    assert "not finished" in text("info", str(cut))
+    assert "not finished" in text("capture", "info", str(cut))
 
 
 def test_info_makes_foreign_text_harmless(tmp_path: Path) -> None:
     file = tmp_path / "c.mcap"
     capture(file, host="\x1b[31m[/red]\u202eevil", **{"k\x07ey": "x"})
-    shown = text("info", str(file))
+    shown = text("capture", "info", str(file))
     assert all(line.isprintable() for line in shown.splitlines())
     assert "[/red]" in shown
 
@@ -326,4 +326,4 @@ def test_info_makes_foreign_text_harmless(tmp_path: Path) -> None:
 def test_info_refuses_what_is_no_capture(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "c.mcap"
     file.write_bytes(content)
-    assert "c.mcap" in sentence("info", str(file))
+    assert "c.mcap" in sentence("capture", "info", str(file))

@@ -193,7 +193,7 @@ def test_a_command_that_uses_a_port_is_told_in_a_line_each(machine: FakeMachine)
     machine.run(43, "cat", port)
     shared, modem, latency = notes(port, machine)
     assert shared.endswith("for each of the two loses what the other reads: kill 43")
-    assert modem.endswith(": `bilprov doctor /dev/ttyUSB0` has the command")
+    assert modem.endswith(": `bilprov ports /dev/ttyUSB0` prints the command")
     assert latency.endswith(": echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
 
 
@@ -257,7 +257,7 @@ def test_framing_errors_mean_another_baud_rate(protocol: Protocol) -> None:
     found, _ = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
     assert found.grade is Grade.BLOCKS
     assert found.sentence.startswith("the driver counted 2 framing errors in 2 bytes")
-    assert found.command == "bilprov doctor /dev/ttyUSB0 --ask --yes"
+    assert found.command == "bilprov ports /dev/ttyUSB0 --ask --yes"
 
 
 def test_text_on_the_line_is_shown(protocol: Protocol) -> None:
@@ -446,7 +446,7 @@ def test_a_device_that_answers_otherwise_is_advised_to_be_tested(protocol: Proto
 def test_a_robot_on_a_pty_is_usable_and_hears_nothing(protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
     with served(robot) as name:
-        result = command("doctor", name, "--seconds", "0.2")
+        result = command("ports", name, "--seconds", "0.2")
     assert (result.returncode, result.stderr) == (0, b"")
     assert robot.frames == []
     said = result.stdout.decode()
@@ -460,7 +460,7 @@ def test_a_held_port_is_not_opened_and_its_holder_named() -> None:
         slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
         try:
             holder = subprocess.Popen(["sleep", "30"], stdin=slave)
-            result = command("doctor", pty.name, "--format", "json")
+            result = command("ports", pty.name, "--format", "json")
             holder.kill()
             holder.wait()
         finally:
@@ -476,15 +476,15 @@ def test_a_held_port_is_not_opened_and_its_holder_named() -> None:
 def test_a_file_is_no_port(tmp_path: Path) -> None:
     file = tmp_path / "drive.mcap"
     file.touch()
-    result = command("doctor", str(file))
-    assert result.returncode == 2
-    assert b"is empty: name an MCAP file" in result.stdout
-    result = command("doctor", "/dev/ttyUSB0", str(file))
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert f"{file} is a file and no port".encode() in result.stderr
+    for names in ([file], ["/dev/ttyUSB0", file], [tmp_path / "nowhere.mcap"]):
+        result = command("ports", *map(str, names))
+        assert (result.returncode, result.stdout) == (2, b"")
+        assert (
+            f"{names[-1]} is no port; of a capture bilprov capture check".encode() in result.stderr
+        )
 
 
-@pytest.mark.parametrize("arguments", [["doctor"], ["doctor", "/dev/ptmx"], ["sniff"]])
+@pytest.mark.parametrize("arguments", [["ports"], ["ports", "/dev/ptmx"], ["sniff", "--bridge"]])
 def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
     result = command(*arguments, "sim", cwd=tmp_path)
     assert (result.returncode, result.stdout) == (2, b"")
@@ -496,13 +496,15 @@ def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
     ("arguments", "part"),
     [
         (["/dev/ptmx", "/dev/ptmx"], "both tapped"),
+        (["/dev/a", "/dev/b", "/dev/c"], "give one PORT, or two"),
+        (["--ask"], "--ask asks one device: name its PORT"),
         (["/dev/a", "/dev/b", "--ask"], "--ask asks one device"),
         (["/dev/a", "--seconds", "-1"], "--seconds"),
         (["/dev/a", "--baud", "0"], "--baud"),
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: list[str], part: str) -> None:
-    result = command("doctor", *arguments)
+    result = command("ports", *arguments)
     assert (result.returncode, result.stdout) == (2, b"")
     (line,) = result.stderr.decode().splitlines()
     assert part in line
@@ -512,7 +514,7 @@ def test_wrong_use_is_one_sentence(arguments: list[str], part: str) -> None:
 def test_without_a_yes_nothing_is_asked(protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
     with served(robot) as name:
-        result = command("doctor", name, "--ask", "--seconds", "0")
+        result = command("ports", name, "--ask", "--seconds", "0")
     assert result.returncode == 2
     assert b"at a wrong rate it hears other bytes" in result.stderr
     assert robot.frames == []
@@ -520,7 +522,7 @@ def test_without_a_yes_nothing_is_asked(protocol: Protocol) -> None:
 
 @pytest.mark.waits
 def test_an_interrupted_examination_gives_no_verdict() -> None:
-    with open_pty() as pty, running("doctor", pty.name, "--seconds", "600") as doctor:
+    with open_pty() as pty, running("ports", pty.name, "--seconds", "600") as doctor:
         while b"opened" not in doctor.stdout.readline():
             pass
         code, out, err = doctor.end()
@@ -559,7 +561,7 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
     grammar = tmp_path / "horn.py"
     grammar.write_text(horn.source, encoding="utf-8")
     with open_pty() as pty, robot_at(horn, termios.B9600, pty):
-        asks = ("doctor", pty.name, "--ask", "--yes", "--seconds", "0")
+        asks = ("ports", pty.name, "--ask", "--yes", "--seconds", "0")
         result = command("--grammar", str(grammar), *asks)
         assert result.returncode == 2
         said = result.stdout.decode()
@@ -571,7 +573,7 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
 
 @pytest.mark.waits
 def test_an_echo_is_told() -> None:
-    result = command("doctor", "loop://", "--ask", "--yes", "--seconds", "0")
+    result = command("ports", "loop://", "--ask", "--yes", "--seconds", "0")
     assert result.returncode == 2
     assert b"what is sent comes back" in result.stdout
 
@@ -581,7 +583,7 @@ def test_two_taps_that_are_swapped_are_told_by_the_command(protocol: Protocol) -
     with (
         open_pty() as host,
         open_pty() as device,
-        running("doctor", device.name, host.name, "--seconds", "1") as doctor,
+        running("ports", device.name, host.name, "--seconds", "1") as doctor,
     ):
         while b"opened" not in doctor.stdout.readline():
             pass
@@ -611,24 +613,26 @@ def test_sniff_send_and_conform_name_the_holder_of_a_port() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("kind", "name", "said"),
     [
-        ("nothing.mcap", "does not exist: name an MCAP file"),
-        ("folder", "is a folder: name an MCAP file"),
-        ("pipe", "is not a regular file: name an MCAP file"),
-        ("text", "): name an MCAP file"),
-        ("ttyUSB9", "there is no"),
-        ("/dev/null", "is not a serial port"),
+        ("capture check", "nothing.mcap", "does not exist: name an MCAP file"),
+        ("capture check", "folder", "is a folder: name an MCAP file"),
+        ("capture check", "pipe", "is not a regular file: name an MCAP file"),
+        ("capture check", "text", "): name an MCAP file"),
+        ("ports", "ttyUSB9", "there is no"),
+        ("ports", "/dev/null", "is not a serial port"),
+        ("ports", "folder", "is no port"),
+        ("ports", "pipe", "is no port"),
     ],
 )
-def test_a_character_device_or_nothing_is_a_port_and_all_else_a_file(
-    name: str, said: str, tmp_path: Path
+def test_what_is_no_capture_and_what_is_no_port_is_told(
+    kind: str, name: str, said: str, tmp_path: Path
 ) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "text").write_text("text")
     os.mkfifo(tmp_path / "pipe")
 
-    result = command("doctor", str(tmp_path / name))
+    result = command(*kind.split(), str(tmp_path / name))
 
     assert result.returncode == 2
-    assert said in result.stdout.decode()
+    assert said in (result.stdout + result.stderr).decode()

@@ -49,7 +49,7 @@ def compared(
     """The exit code and the JSON for two conversations."""
     first = written(tmp_path / "a.mcap", conversation(one))
     second = written(tmp_path / "b.mcap", conversation(other, 30 * MS, latency), heard)
-    done = command("compare", str(first), str(second), "--json", "-", *options)
+    done = command("capture", "diff", str(first), str(second), "--json", "-", *options)
     assert done.stderr == b""
     told = json.loads(done.stdout)
     assert told["exit"] == done.returncode
@@ -105,12 +105,12 @@ def test_where_only_one_holds_answers_nothing_was_judged(tmp_path: Path) -> None
 
 
 def shown(*arguments: object) -> Done:
-    return command("compare", *map(str, arguments))
+    return command("capture", "diff", *map(str, arguments))
 
 
 def test_people_see_a_table_and_files_get_the_json(tmp_path: Path) -> None:
     part, out = tmp_path / "part.mcap", tmp_path / "out.json"
-    command("cut", str(SAMPLE), str(part), "--start", "0.2")
+    command("capture", "cut", str(SAMPLE), str(part), "--start", "0.2")
     same, other = shown(SAMPLE, SAMPLE), shown(SAMPLE, part, "--json", out)
     assert (same.returncode, other.returncode) == (0, 1)
     assert same.stdout.decode().startswith("nothing differs\n")
@@ -126,7 +126,7 @@ def test_people_see_a_table_and_files_get_the_json(tmp_path: Path) -> None:
 def test_a_verdict_that_cannot_be_shown_is_2() -> None:
     with Path("/dev/full").open("wb") as full:
         code = "import sys, os; os.dup2({}, 1); import bilprov; bilprov.main({!r})".format(
-            full.fileno(), ["compare", str(SAMPLE), str(SAMPLE)]
+            full.fileno(), ["capture", "diff", str(SAMPLE), str(SAMPLE)]
         )
         result = process(code=code, pass_fds=[full.fileno()])
     assert result.returncode == 2
@@ -202,5 +202,5 @@ def test_another_grammar_names_its_own_instructions(tmp_path: Path, horn_text: s
     grammar.write_text(horn_text, encoding="utf-8")
     talk = [(b"\x91\x02", b"\0")]
     paths = [written(tmp_path / name, conversation(talk)) for name in ("a.mcap", "b.mcap")]
-    done = command("--grammar", str(grammar), "compare", *map(str, paths), "--json", "-")
+    done = command("--grammar", str(grammar), "capture", "diff", *map(str, paths), "--json", "-")
     assert list(json.loads(done.stdout)["latencies"]) == ["Horn"]

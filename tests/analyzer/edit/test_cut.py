@@ -347,7 +347,7 @@ def done(*words: object, code: int = 0) -> str:
 
 
 def test_a_file_s_name_is_shown_with_its_control_characters_escaped(tmp_path: Path) -> None:
-    said = done("cut", SAMPLE, tmp_path / "\x1b[31mred.mcap", "--end", "1")
+    said = done("capture", "cut", SAMPLE, tmp_path / "\x1b[31mred.mcap", "--end", "1")
     assert "\\x1b[31mred.mcap holds" in said
 
 
@@ -356,7 +356,7 @@ def test_a_part_of_the_sample_shows_the_lines_of_the_whole(
     tmp_path: Path, start: str, end: str
 ) -> None:
     part = tmp_path / "part.mcap"
-    done("cut", SAMPLE, part, "--start", start, "--end", end)
+    done("capture", "cut", SAMPLE, part, "--start", start, "--end", end)
     window = ("--start", start, "--end", end)
     assert lines_of(part, *window) == lines_of(SAMPLE, *window)
 
@@ -367,14 +367,14 @@ def test_a_filtered_part_of_the_sample_shows_the_lines_that_the_filter_does(
 ) -> None:
     expression = expression.replace("1ms", "0.001")
     part = tmp_path / "part.mcap"
-    done("cut", SAMPLE, part, "--filter", expression)
+    done("capture", "cut", SAMPLE, part, "--filter", expression)
     again = lines_of(part, "--filter", f"({expression}) and kind != gap")
     assert again == lines_of(SAMPLE, "--filter", expression)
 
 
 def test_where_bytes_are_left_out_a_gap_says_how_many(tmp_path: Path) -> None:
     part = tmp_path / "part.mcap"
-    done("cut", SAMPLE, part, "--filter", "t > 0.4 and t < 0.42 or t > 7")
+    done("capture", "cut", SAMPLE, part, "--filter", "t > 0.4 and t < 0.42 or t > 7")
     gaps = [event for event in open_capture(part).events() if isinstance(event, Line)]
     left_out = sum(int(gap.detail.split()[0]) for gap in gaps if gap.event == "gap")
     counts = open_capture(SAMPLE).contents.sizes, open_capture(part).contents.sizes
@@ -387,11 +387,11 @@ def test_where_bytes_are_left_out_a_gap_says_how_many(tmp_path: Path) -> None:
 
 def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:
     part, again, full = (tmp_path / name for name in ("part.mcap", "again.mcap", "full.mcap"))
-    done("cut", SAMPLE, part, "--filter", "state.moving")
-    done("cut", part, again, "--start", "0.2", "--end", "0.7")
+    done("capture", "cut", SAMPLE, part, "--filter", "state.moving")
+    done("capture", "cut", part, again, "--start", "0.2", "--end", "0.7")
     window = ("--start", "0.2", "--end", "0.7", "--filter", "kind != gap")
     assert lines_of(again, *window) == lines_of(part, *window)
-    done("convert", "--decoded", part, full)
+    done("capture", "decode", part, full)
     assert lines_of(full) == lines_of(part)
     history = open_capture(again).metadata["history"]
     assert history.count("cut part.mcap --start 0.2 --end 0.7") == 1
@@ -402,7 +402,7 @@ def test_with_another_grammar_a_part_begins_in_running_traffic(
     tmp_path: Path, horn: Protocol
 ) -> None:
     part = tmp_path / "part.mcap"
-    done("cut", SAMPLE, part, "--start", "0.3", "--end", "1.2")
+    done("capture", "cut", SAMPLE, part, "--start", "0.3", "--end", "1.2")
     other = [record for record in read_capture(part, horn) if is_frame(record)]
     own = [record for record in read_capture(part) if is_frame(record)]
     assert [record.hex for record in other] == [record.hex for record in own]
@@ -415,29 +415,33 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     link.symlink_to(copy)
     old.write_text("precious")
     for out in (copy, link):
-        said = done("cut", copy, out, "--end", "1", "--force", code=2)
+        said = done("capture", "cut", copy, out, "--end", "1", "--force", code=2)
         assert "would overwrite the input" in said
     assert "exists: name another file, or say --force" in done(
-        "cut", copy, old, "--end", "1", code=2
+        "capture", "cut", copy, old, "--end", "1", code=2
     )
     assert (old.read_text(), copy.read_bytes()) == ("precious", SAMPLE.read_bytes())
-    done("cut", copy, old, "--end", "1", "--force")
+    done("capture", "cut", copy, old, "--end", "1", "--force")
     assert lines_of(old) == lines_of(SAMPLE, "--end", "1")
-    assert "is no regular file" in done("cut", copy, "/dev/full", "--end", "1", "--force", code=2)
-    assert "is standard output" in done("cut", copy, "-", "--end", "1", "--force", code=2)
+    assert "is no regular file" in done(
+        "capture", "cut", copy, "/dev/full", "--end", "1", "--force", code=2
+    )
+    assert "is standard output" in done(
+        "capture", "cut", copy, "-", "--end", "1", "--force", code=2
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "link.mcap", "old.mcap"]
 
 
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        ((), "say what OUT is to hold"),
+        ((), "name what OUT is to hold"),
         (("--start", "2", "--end", "1"), "--end 1 is not after --start 2"),
         (("--filter", "hello =="), "filter"),
     ],
 )
 def test_wrong_use_writes_nothing(tmp_path: Path, options: tuple[str, ...], part: str) -> None:
-    assert part in done("cut", SAMPLE, tmp_path / "out.mcap", *options, code=2)
+    assert part in done("capture", "cut", SAMPLE, tmp_path / "out.mcap", *options, code=2)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -465,7 +469,7 @@ def test_a_full_disk_leaves_nothing_and_is_one_sentence(tmp_path: Path) -> None:
 
     out = tmp_path / "out.mcap"
     compiled = {"PYTHONDONTWRITEBYTECODE": "1"}  # it would be cut short too
-    cut = ("cut", str(SAMPLE), str(out), "--end", "1")
+    cut = ("capture", "cut", str(SAMPLE), str(out), "--end", "1")
     result = process(*cut, preexec_fn=little_room, env=compiled)
     assert result.returncode == 2
     (said,) = result.stderr.decode().splitlines()
@@ -479,7 +483,7 @@ def test_of_a_recorded_run_the_cases_and_looks_are_kept_but_it_is_not_judged_aga
     run, part = tmp_path / "run.mcap", tmp_path / "part.mcap"
     run.write_bytes(gzip.decompress(OLDER.read_bytes()))
     end = open_capture(run).contents.last - open_capture(run).start
-    done("cut", run, part, "--end", str(end / 3e9))
+    done("capture", "cut", run, part, "--end", str(end / 3e9))
     wanted = {"/conformance/cases", "/conformance/looks", "/conformance/asks"}
     whole = [m for m in open_capture(run).messages(wanted) if m.t < end // 3 - 1_000_000]
     kept = [(m.topic, m.t, m.value) for m in open_capture(part).messages(wanted)]
@@ -497,7 +501,7 @@ def test_of_a_damaged_file_what_is_whole_is_cut(tmp_path: Path, protocol: Protoc
     middle = len(content) // 2
     content[middle : middle + 40] = bytes(40)
     path.write_bytes(bytes(content))
-    said = done("cut", path, part, "--start", "1", "--end", "19")
+    said = done("capture", "cut", path, part, "--start", "1", "--end", "19")
     assert "damaged" in said
     window = ("--start", "1", "--end", "19")
     assert lines_of(part, *window) == lines_of(path, *window)

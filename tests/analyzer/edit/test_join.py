@@ -49,7 +49,7 @@ def written(
 
 def joined(*paths: Path, code: int = 0, grammar: Sequence[str] = ()) -> str:
     out = paths[0].with_name("joined.mcap")
-    done = command(*grammar, "join", *map(str, paths), "-o", str(out), "--force")
+    done = command(*grammar, "capture", "join", *map(str, paths), "-o", str(out), "--force")
     assert (done.returncode, done.stdout) == (code, b""), done.stderr
     return done.stderr.decode()
 
@@ -131,7 +131,7 @@ def test_recordings_one_after_the_other_have_a_gap_between_them(
 def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path, at: str) -> None:
     parts = tmp_path / "1.mcap", tmp_path / "2.mcap"
     for path, side in zip(parts, ("--end", "--start"), strict=True):
-        assert command("cut", str(SAMPLE), str(path), side, at).returncode == 0
+        assert command("capture", "cut", str(SAMPLE), str(path), side, at).returncode == 0
     joined(*parts)
     both = [record for record in read_capture(tmp_path / "joined.mcap") if is_frame(record)]
     assert both == [record for record in read_capture(SAMPLE) if is_frame(record)]
@@ -148,9 +148,9 @@ def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path
 
 def test_parts_of_different_hours_number_their_instructions_on(tmp_path: Path) -> None:
     early, late, later = (tmp_path / name for name in ("1.mcap", "2.mcap", "3.mcap"))
-    command("cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")
-    command("cut", str(SAMPLE), str(late), "--start", "0.5", "--end", "0.6")
-    command("cut", str(SAMPLE), str(later), "--start", "5")
+    command("capture", "cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")
+    command("capture", "cut", str(SAMPLE), str(late), "--start", "0.5", "--end", "0.6")
+    command("capture", "cut", str(SAMPLE), str(later), "--start", "5")
     joined(later, early, late)
     frames = [r for r in read_capture(tmp_path / "joined.mcap") if is_frame(r)]
     whole = [r for r in read_capture(SAMPLE) if is_frame(r)]
@@ -167,10 +167,10 @@ def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
     said = joined(two, one, code=2)
     assert "both hold the host and device from" in said
     assert said.count("\n") == 1
-    options = said.rsplit("bilprov cut ", 1)[1].split()
+    options = said.rsplit("bilprov capture cut ", 1)[1].split()
     assert options[0] == str(two)
     options[1] = str(tmp_path / "rest.mcap")
-    assert command("cut", *options).returncode == 0
+    assert command("capture", "cut", *options).returncode == 0
     joined(one, tmp_path / "rest.mcap")
     assert [t - START for t, _ in chunks(tmp_path / "joined.mcap", "host")] == [
         event.t for event in events
@@ -189,9 +189,9 @@ def test_other_grammars_one_file_and_old_files_are_refused(
     assert "name two captures or more" in joined(one, code=2)
     old = tmp_path / "old.mcap"
     old.write_text("precious")
-    done = command("join", str(one), str(SAMPLE), "-o", str(old))
+    done = command("capture", "join", str(one), str(SAMPLE), "-o", str(old))
     assert (done.returncode, old.read_text()) == (2, "precious")
-    done = command("join", str(one), str(SAMPLE), "-o", str(one), "--force")
+    done = command("capture", "join", str(one), str(SAMPLE), "-o", str(one), "--force")
     assert b"would overwrite the input" in done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "old.mcap"]
 
@@ -220,7 +220,7 @@ def test_a_part_that_comes_later_goes_on_from_its_state_at_its_new_time(
     later = 7_000 * MS
     whole = written(tmp_path / "whole.mcap", protocol, said, start=START, attached="no")
     part, early = tmp_path / "part.mcap", tmp_path / "early.mcap"
-    command("cut", str(whole), str(part), "--start", str(at / 1000))
+    command("capture", "cut", str(whole), str(part), "--start", str(at / 1000))
     written(early, protocol, [Chunk(-later, "host", b"\x30")], start=START - later)
     joined(part, early)
     out = [r for r in read_capture(tmp_path / "joined.mcap", protocol) if r.t > later]

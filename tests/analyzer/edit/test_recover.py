@@ -1,4 +1,4 @@
-"""`bilprov recover` and `bilprov doctor FILE`: what is whole of a damaged capture, what is lost."""
+"""`bilprov capture repair` and `check`: what is whole of a damaged capture, what is lost."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_all_that_can_be_read_is_in_the_new_file(whole: Path) -> None:
     before = broken.read_bytes()
     new = whole.with_name("new.mcap")
 
-    done = command("recover", str(broken), str(new))
+    done = command("capture", "repair", str(broken), str(new))
 
     assert (done.returncode, done.stdout) == (0, b"")
     assert b"of the file could not be read" in done.stderr
@@ -58,7 +58,7 @@ def test_all_that_can_be_read_is_in_the_new_file(whole: Path) -> None:
     (gap,) = [event for event in open_capture(new) if isinstance(event, Line)]
     assert (gap.event, "messages are lost here" in gap.detail) == ("gap", True)
     assert broken.read_bytes() == before
-    assert command("doctor", str(new)).returncode == 0
+    assert command("capture", "check", str(new)).returncode == 0
 
 
 @pytest.mark.parametrize("name", ["new.mcap", "broken.mcap"])
@@ -67,17 +67,17 @@ def test_no_file_is_overwritten(whole: Path, name: str) -> None:
     there = whole.with_name("new.mcap")
     there.write_bytes(b"mine")
 
-    done = command("recover", str(broken), str(whole.with_name(name)))
+    done = command("capture", "repair", str(broken), str(whole.with_name(name)))
 
     assert done.returncode == 2
     assert b"Traceback" not in done.stderr
     assert there.read_bytes() == b"mine"
 
 
-def test_the_doctor_tells_what_is_lost_and_the_command_that_saves_the_rest(whole: Path) -> None:
+def test_a_check_tells_what_is_lost_and_the_command_that_saves_the_rest(whole: Path) -> None:
     broken = damaged(whole, 0.3, 600)
 
-    done = command("doctor", str(broken), "--format", "json")
+    done = command("capture", "check", str(broken), "--format", "json")
 
     told = json.loads(done.stdout)
     assert (done.returncode, told["exit"], told["usable"]) == (2, 2, False)
@@ -86,24 +86,20 @@ def test_the_doctor_tells_what_is_lost_and_the_command_that_saves_the_rest(whole
     losses = [one["sentence"] for one in told["findings"] if one["check"] == "lost"]
     assert losses
     assert all(" s: " in one and "messages are lost here" in one for one in losses)
-    assert found["mend"]["command"].split()[:2] == ["bilprov", "recover"]
+    assert found["mend"]["command"].split()[:3] == ["bilprov", "capture", "repair"]
     again = command(*found["mend"]["command"].split()[1:])
     assert again.returncode == 0
 
 
 def test_a_capture_that_was_cut_off_says_where_it_ends(whole: Path) -> None:
-    done = command("doctor", str(damaged(whole, 0, 0, end=0.5)))
+    done = command("capture", "check", str(damaged(whole, 0, 0, end=0.5)))
 
     assert done.returncode == 2
     assert b"ends inside a record" in done.stdout
 
 
-def test_a_whole_capture_is_well_and_a_file_is_asked_nothing(whole: Path) -> None:
-    done = command("doctor", str(whole))
+def test_a_whole_capture_is_well(whole: Path) -> None:
+    done = command("capture", "check", str(whole))
 
     assert done.returncode == 0
     assert b"120 messages over 59.0 s" in done.stdout
-    for more in ([str(whole)], ["--ask"]):
-        refused = command("doctor", str(whole), *more)
-        assert (refused.returncode, refused.stdout) == (2, b"")
-        assert b"is a capture: it is examined alone" in refused.stderr

@@ -275,9 +275,29 @@ def test_nothing_is_overwritten_unless_it_is_forced(tmp_path: Path, style: str) 
     assert list(tmp_path.iterdir()) == [out]
 
 
+@pytest.mark.parametrize("style", FORMATS)
+def test_the_format_follows_from_the_files_name_unless_it_is_named(
+    style: str, tmp_path: Path
+) -> None:
+    other = "jsonl" if style == "csv" else "csv"
+    for name, more in (
+        (f"a.{style}", []),
+        (f"A.{style.upper()}", []),
+        (f"b.{other}", ["--format", style]),
+    ):
+        out = tmp_path / name
+        assert command("export", str(SAMPLE), "-o", str(out), *more).returncode == 0
+        assert out.read_bytes() == exported(SAMPLE, style)
+
+
 WRONG = [
-    ([], "say what to write where"),
-    ([str(SAMPLE), "--format", "csv"], "say what to write where"),
+    ([], "name what to write and where"),
+    ([str(SAMPLE), "--format", "csv"], "name what to write and where"),
+    (
+        [str(SAMPLE), "-o", "-"],
+        "-o - names no format: let it end in .csv, .jsonl, .parquet, .pcapng",
+    ),
+    ([str(SAMPLE), "-o", "drive.xlsx"], "-o drive.xlsx names no format"),
     ([str(SAMPLE), "--format", "xlsx", "-o", "-"], "'xlsx' is not one of"),
     (["nowhere.mcap", "--format", "csv", "-o", "-"], "does not exist"),
     ([str(SAMPLE), "--format", "csv", "-o", str(SAMPLE / "x.csv")], "in a folder that exists"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from pathlib import Path
 from typing import Any
 
@@ -226,6 +227,61 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
         await pilot.press("enter", "space")
         assert screen.faults.count == faults + 1
         assert (screen.frames.count, screen.frames.row) == (142, 141)
+
+    operated(screen, steps)
+
+
+def test_space_plays_a_capture_from_the_chosen_row_and_stops(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), rate=1e-3)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("down", "down", "space")
+        await pilot.pause()
+        assert "playing" in text_of(screen)[0]
+        await pilot.press(*["pagedown"] * 4)  # by hand: it goes on from there
+        screen.tick()
+        await pilot.pause()
+        row, record = screen.frames.row, screen.frames.record
+        assert record is not None
+        assert record.t > 2e8
+        assert f"playing {record.t / 1e9:.1f} s" in text_of(screen)[0]
+        await pilot.press("space")
+        await pilot.pause()
+        assert "playing" not in text_of(screen)[0]
+        assert screen.frames.row == row
+
+    operated(screen, steps)
+
+
+def test_a_capture_that_is_played_without_pauses_is_at_its_end_at_once(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), rate=0)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("space")
+        screen.tick()
+        await pilot.pause()
+        assert screen.frames.row == 120
+        assert "playing" not in text_of(screen)[0]
+
+    operated(screen, steps)
+
+
+@pytest.mark.parametrize("expression", ["", "direction == host"])
+def test_what_is_played_is_the_last_row_whose_time_has_come(
+    screen: Browser, expression: str
+) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        if expression:
+            await type_filter(pilot, expression)
+            await pilot.press("enter")
+            await pilot.pause()
+        frames = screen.frames
+        rows = frames.view.rows(0, frames.count)
+        times = [record.t for record in screen.feed.recording.records(rows)]
+        for t in (times[0], times[2] - 1, times[5], times[70 % len(times)], times[-1] + 1):
+            assert frames.position_at(t) == bisect_right(times, t) - 1
+        frames.choose(9)
+        assert frames.position_at(times[3]) == 9  # it never goes back
 
     operated(screen, steps)
 

@@ -11,24 +11,29 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import Times
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.recorder import session_metadata
+from bilprov.analyzer.replay.seek import opened_at
 from bilprov.analyzer.replay.spool import PARTS, Spool
 from bilprov.analyzer.screen.bars import status_line
 from bilprov.analyzer.screen.car import car
-from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import RowExport
 from bilprov.analyzer.screen.signs import PLAIN
 from bilprov.captures.schemas import Chunk, State
 from bilprov.spec.protocol import Protocol
+from tests.support import ROOT
 from tests.support.decoding import MS
 from tests.support.traffic import told
 
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 MOST = PARTS << 16  # bytes of the spool
 
 
@@ -103,6 +108,29 @@ def test_the_screen_gets_what_a_filter_hides_and_nothing_outside_the_window(
         shown.show(part)
     assert feed.recording.rows == 20
     assert shown.left == 490
+
+
+def rows_of(protocol: Protocol, **limits: Any) -> list[Record]:
+    """The rows that the screen has of the sample."""
+    feed = capture_feed(opened_at(SAMPLE, protocol, 0), protocol, **limits)
+    feed.start()
+    feed.join()
+    return feed.recording.records(range(feed.recording.rows))
+
+
+def test_the_screen_has_all_of_a_capture_or_the_part_that_is_asked_for(protocol: Protocol) -> None:
+    whole = rows_of(protocol)
+    inside = rows_of(protocol, window=Window(5 * 10**8, 10**9))
+    faulty = compile_filter("faulty", protocol).started(0)
+
+    assert len(whole) == 84
+    assert inside == [record for record in whole if 5 * 10**8 <= record.t < 10**9]
+    assert 0 < len(inside) < len(whole)
+    assert sum(map(is_frame, rows_of(protocol, count=5))) == 5
+    first = rows_of(protocol, count=3, test=faulty)
+    lines = [line for record in first if (line := json_line(record))]
+    assert len(lines) == len(first) == 3
+    assert all(map(faulty, lines))
 
 
 def exported(protocol: Protocol, path: Path) -> RowExport:

@@ -42,9 +42,9 @@ def left(tmux: Tmux, code: int = 0) -> list[str]:
     return shown[:at]
 
 
-def test_browse_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_path: Path) -> None:
+def test_a_capture_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_path: Path) -> None:
     titles = ["frames", "bytes", "fields", "faults", "line", "predicted"]
-    with terminal(tmp_path, SIZES[0], "browse", str(SAMPLE)) as tmux:
+    with terminal(tmp_path, SIZES[0], "replay", str(SAMPLE)) as tmux:
         tmux.wait("of 84")
         tmux.press("n", "n")
         for size, count in zip(SIZES, [2, 3, 6, 6, 6, 6], strict=True):
@@ -91,7 +91,7 @@ def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: 
         for size in SIZES:
             tmux.resize(size)
             talk(host, device, tmux, "Speed speed=80")
-            shown = tmux.settled("following")
+            shown = tmux.settled("following", "q quit")
             assert max(map(len, shown)) <= size[0]
             assert any("Speed speed=80" in line for line in shown)
             assert shown[-1].endswith("q quit")
@@ -210,11 +210,26 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
     assert open_capture(path).damage == ()
 
 
-def test_a_replay_is_paced_on_the_screen_and_stays(tmp_path: Path) -> None:
-    with terminal(tmp_path, (80, 24), "replay", str(SAMPLE)) as tmux:
+def test_space_plays_a_capture_on_the_screen_which_stays(tmp_path: Path) -> None:
+    with terminal(tmp_path, (80, 24), str(SAMPLE), "--rate", "4") as tmux:
+        tmux.wait("1 of 84")
+        tmux.press("Space")
+        tmux.wait("playing ")
         tmux.wait("84 of 84")
         tmux.press("q")
         left(tmux)
+
+
+def test_a_simulated_drive_is_sniffed_on_the_screen_and_saved_as_what_it_is(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "drive.mcap"
+    with terminal(tmp_path, (100, 30), "sniff", "sim", "-w", str(path)) as tmux:
+        tmux.wait("simulated drive")
+        tmux.wait("OK ")
+        tmux.press("q")
+        left(tmux)
+    assert open_capture(path).metadata["port_simulated"] == "drive"
 
 
 def test_plain_means_lines_on_a_terminal(tmp_path: Path) -> None:
@@ -226,7 +241,7 @@ def test_without_colours_and_without_utf_8_it_is_readable(tmp_path: Path) -> Non
     with terminal(
         tmp_path,
         (80, 24),
-        *("browse", str(SAMPLE)),
+        *("replay", str(SAMPLE)),
         NO_COLOR="1",
         PYTHONIOENCODING="ascii",
     ) as tmux:
@@ -241,8 +256,8 @@ def test_without_colours_and_without_utf_8_it_is_readable(tmp_path: Path) -> Non
         left(tmux)
 
 
-def test_browse_needs_a_terminal() -> None:
-    result = process("browse", str(SAMPLE))
+def test_a_screen_needs_a_terminal() -> None:
+    result = process("replay", str(SAMPLE), "--format", "live")
 
     assert (result.returncode, result.stdout) == (2, b"")
     assert b"needs a terminal" in result.stderr
@@ -252,7 +267,7 @@ def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
     with CaptureWriter(path, start_wall=0, metadata={}, version="1"):
         pass
-    with terminal(tmp_path, (80, 24), "browse", str(path)) as tmux:
+    with terminal(tmp_path, (80, 24), "replay", str(path)) as tmux:
         tmux.wait("holds no traffic")
         tmux.press("n", "End", "Enter", "m", "'", "t", "/")
         tmux.wait("filter /")

@@ -248,7 +248,7 @@ def test_without_a_free_descriptor_a_line_waits_until_one_is_free() -> None:
 
 @pytest.mark.parametrize(("host", "open_to_all"), [("127.0.0.1", False), ("0.0.0.0", True)])
 def test_an_address_that_the_network_reaches_is_warned_of(host: str, open_to_all: bool) -> None:
-    with running("line", f"listen:{host}:0", "pty") as line:
+    with running("lab", "line", f"listen:{host}:0", "pty") as line:
         served, _ = served_by(line, 2)
         code, _, err = line.end()
 
@@ -311,7 +311,7 @@ CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 def test_every_byte_passes_between_a_pty_and_a_tcp_client(
     how: signal.Signals, delay: Sequence[str]
 ) -> None:
-    with running("line", *delay, "pty", "listen:127.0.0.1:0") as line:
+    with running("lab", "line", *delay, "pty", "listen:127.0.0.1:0") as line:
         path, address = served_by(line, 2)
         assert address.startswith("socket://127.0.0.1:")
         with opened_as_it_is(path) as port, connected(address) as peer:
@@ -327,7 +327,7 @@ def test_every_byte_passes_between_two_devices_that_were_cooked() -> None:
     (near, a, far, b), names = descriptors, [os.ttyname(fd) for fd in descriptors[1::2]]
     try:
         assert all(termios.tcgetattr(fd)[3] & termios.ICANON for fd in (a, b))
-        with running("line", *names, "--seed", "2") as line:
+        with running("lab", "line", *names, "--seed", "2") as line:
             assert line.stderr.readline().decode() == f"{names[0]} and {names[1]} are joined\n"
             both_ways(Wire(near), Wire(far))
             code, out, err = line.end()
@@ -345,7 +345,7 @@ def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
     expected = passed(there, [ALL * 4]), passed(back, [ALL * 4])
     for piece in (1024, 7):
         ends = "pty", "listen:127.0.0.1:0"
-        with running("line", *noise, "--late", ".25", "--seed", "7", *ends) as line:
+        with running("lab", "line", *noise, "--late", ".25", "--seed", "7", *ends) as line:
             path, address = served_by(line, 2)
             with open_port(path) as port, connected(address) as peer:
                 a, b = Wire(port.fileno() or -1), Wire(peer.fileno())
@@ -359,7 +359,7 @@ def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
 
 
 def test_one_client_at_a_time_and_the_next_takes_over() -> None:
-    with running("line", "listen:127.0.0.1:0", "pty") as line:
+    with running("lab", "line", "listen:127.0.0.1:0", "pty") as line:
         address, path = served_by(line, 2)
         with open_port(path) as port:
             far = Wire(port.fileno() or -1)
@@ -374,7 +374,7 @@ def test_one_client_at_a_time_and_the_next_takes_over() -> None:
 
 
 def test_a_client_that_only_ended_its_sending_still_hears() -> None:
-    with running("line", "listen:127.0.0.1:0", "pty", "--delay", "20") as line:
+    with running("lab", "line", "listen:127.0.0.1:0", "pty", "--delay", "20") as line:
         address, path = served_by(line, 2)
         with open_port(path) as port, connected(address) as client:
             client.sendall(b"asked")
@@ -385,7 +385,7 @@ def test_a_client_that_only_ended_its_sending_still_hears() -> None:
 
 
 def test_who_does_not_read_holds_up_nobody() -> None:
-    with running("line", "listen:127.0.0.1:0", "pty") as line:
+    with running("lab", "line", "listen:127.0.0.1:0", "pty") as line:
         address, path = served_by(line, 2)
         with open_port(path) as port, connected(address) as client:
             Wire(client.fileno()).say(bytes(200_000))
@@ -402,7 +402,7 @@ def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
         name = f"socket://127.0.0.1:{server.getsockname()[1]}"
         served = "listen:127.0.0.1:0"
         ends = [name, served] if lost == "A" else [served, name]
-        with running("line", *ends, "--delay", "50ms") as line:
+        with running("lab", "line", *ends, "--delay", "50ms") as line:
             (address,) = served_by(line)
             device, _ = server.accept()
             with connected(address) as client:
@@ -422,7 +422,7 @@ def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
 
 def test_an_unplugged_device_is_two() -> None:
     pair = open_pty()
-    with running("line", pair.name, "pty") as line:
+    with running("lab", "line", pair.name, "pty") as line:
         (path,) = served_by(line)
         with open_port(path) as port:
             both_ways(Wire(pair.master), Wire(port.fileno() or -1))
@@ -493,7 +493,7 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
-    result = command("line", *arguments.split())
+    result = command("lab", "line", *arguments.split())
     assert (result.returncode, result.stdout) == (2, b"")
     assert len(result.stderr.splitlines()) == 1
     assert part in sentence(result)
@@ -507,7 +507,7 @@ def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
 
 
 def test_the_help_is_enough_to_use_it() -> None:
-    told = " ".join(command("line", "--help").stdout.decode().split())
+    told = " ".join(command("lab", "line", "--help").stdout.decode().split())
     for part in ("pty", "listen:HOST:PORT", "5ms, 0.2s", "bilprov conform", "SIGTERM"):
         assert part in told
     assert "line" in command("--help").stdout.decode()
@@ -518,7 +518,7 @@ def test_the_help_is_enough_to_use_it() -> None:
 
 def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[Done, str]:
     """Run the suite over a line with these faults; gives its end, and the account."""
-    with simulate(*robot) as served, running("line", *faults, served.port, "pty") as line:
+    with simulate(*robot) as served, running("lab", "line", *faults, served.port, "pty") as line:
         (path,) = served_by(line)
         globs = [word for glob in only for word in ("--only", glob)]
         probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]

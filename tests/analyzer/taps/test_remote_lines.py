@@ -113,7 +113,7 @@ def behind_a_pty_pair(device: str, folder: Path) -> Iterator[str]:
     near, far = folder / "near", folder / "far"
     ends = f"PTY,rawer,link={near}", f"PTY,rawer,link={far}"
     both = tool_running(tool("socat"), *ends, ready=lambda: near.exists() and far.exists())
-    with both, running("line", device, str(far), "--delay", "1ms") as line:
+    with both, running("lab", "line", device, str(far), "--delay", "1ms") as line:
         assert b"are joined" in line.stderr.readline()
         yield str(near)
         assert line.process.poll() is None
@@ -163,7 +163,7 @@ def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
     bug: str, codes: tuple[int, ...]
 ) -> None:
     faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "3"]
-    with emulate(built(bug)) as served, running("line", *faults, served.port, "pty") as line:
+    with emulate(built(bug)) as served, running("lab", "line", *faults, served.port, "pty") as line:
         path = line.stdout.readline().decode().strip()
         probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
         result = process("conform", path, *probe, timeout=150)  # what is lost is tried again
@@ -183,7 +183,7 @@ def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> Non
 @lines
 def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
     """Between two programs of ours: one on the device's pty, one behind the line."""
-    with running("line", "pty", "listen:127.0.0.1:0") as line:
+    with running("lab", "line", "pty", "listen:127.0.0.1:0") as line:
         device, address = (line.stdout.readline().decode().strip() for _ in range(2))
         with behind(device, tmp_path) as url, open_port(url) as near, open_port(address) as far:
             for here, there in ((near, far), (far, near)):

@@ -34,7 +34,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, An
     files = {name: folder / f"robot.{name}" for name in ("json", "svg", "dot")}
     words = ["--json", str(files["json"]), "--svg", str(files["svg"])]
 
-    done = command("learn", "sim", "--fault", FAULT, *words, PATH=str(folder))
+    done = command("lab", "learn", "sim", "--fault", FAULT, *words, PATH=str(folder))
 
     assert done.returncode == 1
     assert "Graphviz is not installed, apt-get install graphviz" in done.stderr.decode()
@@ -100,16 +100,16 @@ def test_with_graphviz_it_is_drawn(tmp_path: Path) -> None:
 
 def test_without_aalpy_one_sentence_says_how_it_comes() -> None:
     code = "import sys; sys.modules['aalpy'] = None; import bilprov; bilprov.main()"
-    done = process("learn", "sim", code=code)
+    done = process("lab", "learn", "sim", code=code)
 
     assert done.returncode == 2
     expected = "learn needs AALpy, which is not installed: pip install 'bilprov[learn]'"
     assert done.stderr.decode().splitlines() == [f"bilprov: {expected}"]
 
 
-@pytest.mark.parametrize("name", ["conform", "simulate", "learn"])
+@pytest.mark.parametrize("name", ["conform", "simulate", "lab learn"])
 def test_each_command_with_a_fault_names_both_kinds_of_random_ones(name: str) -> None:
-    told = " ".join(command(name, "--help").stdout.decode().split())
+    told = " ".join(command(*name.split(), "--help").stdout.decode().split())
 
     assert "random:SEED or random:SEED.NUMBER draws one" in told
 
@@ -128,7 +128,7 @@ def test_each_command_with_a_fault_names_both_kinds_of_random_ones(name: str) ->
     ],
 )
 def test_what_cannot_be_learned_is_one_sentence_and_exit_2(words: list[str], part: str) -> None:
-    done = command("learn", *words)
+    done = command("lab", "learn", *words)
 
     assert done.returncode == 2
     assert part in sentence(done)
@@ -138,8 +138,8 @@ def test_what_cannot_be_learned_is_one_sentence_and_exit_2(words: list[str], par
 def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: Protocol) -> None:
     robot = Simulator(protocol)
     with served_here(robot, pty=True) as (port, probe):
-        unasked = command("learn", port, "--probe", probe)
-        costly = command("learn", port, "--probe", "exec:true", "--yes")
+        unasked = command("lab", "learn", port, "--probe", probe)
+        costly = command("lab", "learn", port, "--probe", "exec:true", "--yes")
 
     assert (unasked.returncode, costly.returncode) == (2, 2)
     # A pty has no byte time.
@@ -158,7 +158,7 @@ def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protoc
     robot = Simulator(protocol)
     with served_here(robot, pty=True) as (port, probe):
         run = subprocess.Popen(
-            [sys.executable, "-m", "bilprov", "learn", port, "--probe", probe, "--yes"],
+            [sys.executable, "-m", "bilprov", "lab", "learn", port, "--probe", probe, "--yes"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=ROOT,
@@ -183,7 +183,7 @@ def test_ctrl_z_stops_the_robot_and_ends_the_run(protocol: Protocol) -> None:
     robot = Simulator(protocol)
     with (
         served_here(robot, pty=True) as (port, probe),
-        running("learn", port, "--probe", probe, "--yes") as run,
+        running("lab", "learn", port, "--probe", probe, "--yes") as run,
     ):
         until = time.monotonic() + PATIENCE
         while not robot.state.moving and time.monotonic() < until:

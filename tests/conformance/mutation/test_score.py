@@ -170,7 +170,7 @@ def test_the_choice_of_faults(protocol: Protocol) -> None:
 def test_the_command_scores_on_several_processes_and_writes_json() -> None:
     words = [word for name in ("ok-to-bad-data", "echo", "random:1") for word in ("--only", name)]
     words += ("--random", "1", "--level", "smoke")
-    result = command("score", *words, "--jobs", "2", "--json", "-")
+    result = command("lab", "score", *words, "--jobs", "2", "--json", "-")
 
     told = msgspec.json.decode(result.stdout, type=Score)
     assert [r.name for r in told.results] == ["ok-to-bad-data", "echo", "random:1"]
@@ -180,7 +180,7 @@ def test_the_command_scores_on_several_processes_and_writes_json() -> None:
 
 def test_the_command_prints_the_rate_that_counts() -> None:
     words = ("--only", "random:1.52", "--random", "60", "--fault-seed", "1", "--level", "smoke")
-    result = command("score", *words, "--json", "-")
+    result = command("lab", "score", *words, "--json", "-")
 
     told = msgspec.json.decode(result.stdout)
     assert {name: told[name] for name in ("failed", "told_apart", "passed", "inconclusive")} == {
@@ -201,7 +201,7 @@ def test_the_command_prints_the_rate_that_counts() -> None:
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: tuple[str, ...], words: str) -> None:
-    result = command("score", *arguments)
+    result = command("lab", "score", *arguments)
 
     assert result.returncode == 2
     assert words in sentence(result)

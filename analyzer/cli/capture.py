@@ -1,4 +1,4 @@
-"""`bilprov cut`, `join`, `recover` and `compare`: parts of captures, and two side by side."""
+"""`bilprov capture`: what a capture holds, parts of it, several together, two side by side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.options import Finite, compiled, filter_option, note
+from bilprov.analyzer.cli.options import (
+    Finite,
+    compiled,
+    filter_option,
+    note,
+    text_format_option,
+)
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
     force_option,
@@ -20,6 +26,50 @@ from bilprov.captures.text import escape_json, printable, quantity
 
 if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
+
+
+@click.command()
+@click.argument("file", metavar="FILE.mcap")
+@text_format_option
+@click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
+@click.pass_obj
+def info(grammar: str | None, file: str, style: str, as_json: bool) -> None:
+    """Show what a capture holds, when and where it was recorded and whether it is complete.
+
+    Examples:
+      bilprov capture info drive.mcap
+
+    The keys of the JSON are explained in analyzer/output/capture_info.py.
+    """
+    from dataclasses import asdict
+
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.output.capture_info import drawn, summarized
+    from bilprov.analyzer.output.console import show_as
+    from bilprov.captures.reader import open_capture
+
+    summary = summarized(open_capture(file), load_protocol(grammar))
+    show_as("json" if as_json else style, lambda: asdict(summary), lambda: drawn(summary))
+
+
+@click.command()
+@click.argument("path", metavar="FILE.mcap", type=click.Path(path_type=Path))
+@text_format_option
+def check(path: Path, style: str) -> int:
+    """Report what of a capture is damaged, where, and what is lost, in bytes and seconds.
+
+    Examples:
+      bilprov capture check drive.mcap
+
+    Exit code: 0 nothing is lost, 2 something is.
+    """
+    from bilprov.analyzer.cli.ports import Findings
+    from bilprov.analyzer.doctor.capture_file import of_capture
+
+    findings = Findings(as_json=style == "json")
+    findings.begin(str(path))
+    findings.show(of_capture(path))
+    return findings.end([str(path)])
 
 
 @click.command()
@@ -41,6 +91,10 @@ def cut(
 ) -> None:
     """Write a part of a capture.
 
+    Examples:
+      bilprov capture cut drive.mcap part.mcap --start 12 --end 20
+      bilprov capture cut drive.mcap faults.mcap --filter faulty
+
     OUT holds the raw bytes and line events between --start and --end as they are, and what a
     conformance run noted there. A checkpoint at its beginning keeps the predicted state, the
     numbers of the instructions and the answers that are due, so that OUT is decoded as IN is; times
@@ -49,7 +103,7 @@ def cut(
     With --filter it holds the frames for which EXPR holds, each instruction with its answer. Where
     others are left out, a gap says how many bytes, and a checkpoint how decoding goes on.
 
-    Decoded topics are left out: bilprov convert --decoded writes them. Ctrl-C leaves no OUT.
+    Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT.
     """
     from bilprov.analyzer.edit.cut import write_selected, write_window
     from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
@@ -61,7 +115,7 @@ def cut(
     if start is not None and end is not None and end <= start:
         raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
     if start is None and end is None and expression is None:
-        raise click.UsageError("say what OUT is to hold: --start, --end, --filter or some of them")
+        raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
     protocol = load_protocol(grammar)
     test = compiled(expression, protocol)
     window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
@@ -94,13 +148,16 @@ def cut(
 @click.argument("new", metavar="OUT.mcap", type=click.Path(path_type=Path))
 @force_option
 @click.pass_obj
-def recover(grammar: str | None, path: Path, new: Path, force: bool) -> None:
-    """Write what is whole of a capture that is damaged or was never finished.
+def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
+    """Write the intact parts of a capture that is damaged or was never finished.
+
+    Examples:
+      bilprov capture repair broken.mcap repaired.mcap
 
     OUT holds all raw bytes, line events and notes of conformance runs that can be read, with
-    metadata and attachments; where something is lost stands a gap that says so. BROKEN stays as it
-    is. bilprov doctor BROKEN.mcap tells what is lost. Decoded topics are left out: bilprov convert
-    --decoded writes them. Ctrl-C leaves no OUT.
+    metadata and attachments; a gap stands where something is lost. BROKEN stays as it is. bilprov
+    capture check BROKEN.mcap reports what is lost. Decoded topics are left out: bilprov capture
+    decode writes them. Ctrl-C leaves no OUT.
     """
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
@@ -115,7 +172,7 @@ def recover(grammar: str | None, path: Path, new: Path, force: bool) -> None:
     require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
     _say(said_about(capture, protocol))
     _say_left_out(capture)
-    metadata = edited_metadata(capture, protocol, f"recover {printable(path.name)}")
+    metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
     with (
         reading([capture]) as progress,
         new_capture(new, capture.start, metadata, force=force) as out,
@@ -146,16 +203,17 @@ def recover(grammar: str | None, path: Path, new: Path, force: bool) -> None:
 def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -> None:
     """Put captures together by the time of day at which their bytes came.
 
+    Examples:
+      bilprov capture join host.mcap device.mcap -o both.mcap
+
     Two sniffers, of which one listened to the host and one to the device, give a capture of both
     directions: their clocks must agree to some milliseconds. Recordings that follow each other give
     one with a gap between them. Where two hold the same direction at the same time, every byte
-    would be there twice: that is refused, and says how to cut one of them.
+    would be there twice: that is refused, with the command that cuts one of them.
 
     Raw bytes, line events and what conformance runs noted are kept as they are, with the metadata
-    and attachments of all. Decoded topics are left out: bilprov convert --decoded writes them.
+    and attachments of all. Decoded topics are left out: bilprov capture decode writes them.
     Ctrl-C leaves no OUT.
-
-    Example: bilprov join host.mcap device.mcap -o both.mcap
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
     from bilprov.analyzer.edit.new_capture import new_capture
@@ -182,6 +240,34 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
 
 
 @click.command()
+@click.argument("path", metavar="IN.mcap")
+@click.argument("new", metavar="OUT.mcap")
+@click.pass_obj
+def decode(grammar: str | None, path: str, new: str) -> None:
+    """Write a capture with all that can be decoded from it.
+
+    Examples:
+      bilprov capture decode drive.mcap whole.mcap
+
+    OUT holds what IN does, and every frame, answer, state and fault decoded from its bytes: also
+    those that were not written while traffic was heavy. IN may be of an older kit or of another
+    program, unfinished or damaged. OUT must not exist; Ctrl-C leaves none.
+    """
+    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.conversion import write_decoded
+    from bilprov.captures.reader import open_capture
+
+    protocol = load_protocol(grammar)
+    capture = open_capture(path)
+    _say(said_about(capture, protocol))
+    _say_left_out(capture)
+    with reading([capture], least=0) as progress:  # each frame is written: that takes long
+        write_decoded(capture, protocol, new, progress)
+    note(f"{printable(path)} is in {printable(new)}, with all that is decoded from it")
+
+
+@click.command()
 @click.argument("first", metavar="A.mcap")
 @click.argument("second", metavar="B.mcap")
 @click.option(
@@ -202,7 +288,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
 )
 @force_option
 @click.pass_obj
-def compare(
+def diff(
     grammar: str | None,
     first: str,
     second: str,
@@ -210,19 +296,19 @@ def compare(
     output: str | None,
     force: bool,
 ) -> int:
-    """Tell where two captures differ.
+    """Show where two captures differ.
+
+    Examples:
+      bilprov capture diff yesterday.mcap today.mcap
 
     Both are decoded, and aligned by the frames that the host sent, so that one frame more or less
-    does not shift all that follow; after more than 20,000 missing at one place they are told one by
-    one. Told are frames that only one of them has, other or missing
-    answers, bytes that nobody asked for, and latencies that differ by more than --latency; times of
-    day and pauses are not compared. The keys of the JSON are explained in
-    analyzer/edit/comparison_report.py.
+    does not shift all that follow; after more than 20,000 missing at one place they are listed one
+    by one. Reported are frames that only one of them has, different or missing answers, bytes that
+    answer nothing, and latencies that differ by more than --latency; times of day and pauses are
+    not compared. The keys of the JSON are explained in analyzer/edit/comparison_report.py.
 
     Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
     nothing else differs; 2 if not all of it could be shown.
-
-    Example: bilprov compare yesterday.mcap today.mcap
     """
     import msgspec
 

@@ -1,4 +1,4 @@
-"""`bilprov doctor`: finds what keeps a port or a capture from being used, and what mends it."""
+"""`bilprov ports`: lists ports, and finds what keeps one from being used, and what fixes it."""
 
 from __future__ import annotations
 
@@ -27,24 +27,22 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("port", metavar="PORT|FILE.mcap")
-@click.argument("device", metavar="[DEVICE]", required=False)
+@click.argument("names", metavar="[PORT]...", nargs=-1)
 @click.option(
     "--seconds",
     type=Finite(0),
     default=2.0,
     show_default=True,
-    help="How long to listen.",
+    help="How long to listen at a port.",
 )
 @click.option("--ask", is_flag=True, help="Send the link check at each common baud rate.")
 @click.option("--yes", is_flag=True, help="With --ask: the robot may move, do not ask me.")
 @line_options
 @text_format_option
 @click.pass_obj
-def doctor(
+def ports(
     grammar: str | None,
-    port: str,
-    device: str | None,
+    names: tuple[str, ...],
     seconds: float,
     ask: bool,
     yes: bool,
@@ -53,19 +51,32 @@ def doctor(
     stopbits: str | None,
     style: str,
 ) -> int:
-    """Find what keeps a port from being used, and say the one command that mends it.
+    """List the serial ports of this machine, or examine those that are named.
 
-    PORT is a path or a pyserial URL. Of a capture file it is told what is damaged, where, and what
-    is lost, in bytes and seconds. With DEVICE they are two taps, the host's and the device's,
-    and it is told whether they are swapped. Nothing is sent; opening raises DTR, which resets an
-    Arduino. A port that somebody holds is not opened.
+    Examples:
+      bilprov ports
+      bilprov ports /dev/ttyUSB0
+      bilprov ports /dev/ttyUSB0 /dev/ttyUSB1
+
+    The list has each port's adapter and who holds it. USB adapters and boards are marked with a
+    star. The latency is how long an adapter holds bytes back.
+
+    A PORT is a path or a pyserial URL. Of each the command reports what keeps it from being used,
+    and prints the one command that fixes it. Two PORTs are two taps, the host's and the device's:
+    the command reports whether they are swapped. Nothing is sent; opening raises DTR, which resets
+    an Arduino. A port that another program holds is not opened.
 
     With --ask the link check is sent at each common baud rate, and the device that answers is
     homed. At a wrong rate it hears other bytes, and may drive.
 
-    Exit code: 0 the port can be used as it is, with or without advice, or nothing of the capture is
-    lost; 2 it cannot, or something is; 130 Ctrl-C.
+    Exit code: 0 the list is shown, or the port can be used as it is, with or without advice; 2 it
+    cannot; 130 Ctrl-C.
     """
+    if not names:
+        if ask:
+            raise click.UsageError("--ask asks one device: name its PORT")
+        _list(as_json=style == "json")
+        return 0
     from bilprov.analyzer.doctor.asking import longest_time, rates_of
     from bilprov.analyzer.doctor.examination import of_line, of_system
     from bilprov.analyzer.doctor.finding import usable
@@ -74,64 +85,59 @@ def doctor(
     from bilprov.analyzer.transport.line_settings import line_settings
     from bilprov.analyzer.transport.signals import Stopper
 
-    if _is_capture(port):
-        return _capture(Path(port), device, ask=ask, as_json=style == "json")
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)
-    names = [name for name in (port, device) if name is not None]
+    if len(names) > 2:
+        raise click.UsageError("give one PORT, or two that are the host's tap and the device's")
     _require_ports(names)
-    if device is not None:
+    if len(names) > 1:
         if ask:
             raise click.UsageError(
                 "--ask asks one device: give one PORT; taps are never written to"
             )
         try:
-            require_two_lines(port, device)
+            require_two_lines(*names)
         except ValueError as error:
             raise click.UsageError(str(error)) from None
-    report = _Report(as_json=style == "json")
+    findings = Findings(as_json=style == "json")
     for name in names:
-        report.begin(name)
-        report.tell(of_system(name))
-    if usable(report.findings):
-        rates = rates_of(port, settings.baud) if ask else ()
+        findings.begin(name)
+        findings.show(of_system(name))
+    if usable(findings.found):
+        rates = rates_of(names[0], settings.baud) if ask else ()
         if rates:
-            what = _what_may_move(protocol, port, rates, longest_time(protocol, rates))
+            what = _what_may_move(protocol, names[0], rates, longest_time(protocol, rates))
             confirm_motion(protocol, what, yes=yes)
             if yes:
                 note(what)
-        if device is not None:
-            report.begin("both taps")
+        if len(names) > 1:
+            findings.begin("both taps")
         with Stopper() as stopper:
-            report.tell(of_line(protocol, names, settings, seconds, stopper, rates))
+            findings.show(of_line(protocol, names, settings, seconds, stopper, rates))
         note_suspension(stopper)
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
-    return report.end(names)
+    return findings.end(names)
 
 
-def _is_capture(name: str) -> bool:
-    """Whether a name is a capture's: a character device, a URL or nothing at all is a port's."""
-    from bilprov.captures.parts import kept_parts
+def _list(*, as_json: bool) -> None:
+    """List the ports of this machine."""
+    from bilprov.analyzer.output.port_list import drawn, unseen
+    from bilprov.analyzer.transport.ports import list_ports
 
-    path = Path(name)
-    if "://" in name:
-        return False
-    if not path.exists():
-        return path.suffix == ".mcap" or bool(kept_parts(path))
-    return not path.is_char_device()
-
-
-def _capture(path: Path, device: str | None, *, ask: bool, as_json: bool) -> int:
-    """Examine a capture file; returns the exit code."""
-    from bilprov.analyzer.doctor.capture_file import of_capture
-
-    if device is not None or ask:
-        raise click.UsageError(f"{path} is a capture: it is examined alone, and nothing is asked")
-    report = _Report(as_json=as_json)
-    report.begin(str(path))
-    report.tell(of_capture(path))
-    return report.end([str(path)])
+    found = list_ports()
+    if as_json:
+        show_json([asdict(port) for port in found])
+    elif found:
+        show(*drawn(found))
+    else:
+        click.echo(
+            "No serial port here. Plug the robot or its USB adapter in and look again, give the "
+            "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
+            "bilprov simulate"
+        )
+    if unseen(found):
+        note(unseen(found))
 
 
 def _what_may_move(protocol: Protocol, port: str, rates: Sequence[int], seconds: float) -> str:
@@ -153,21 +159,26 @@ def _require_ports(names: Sequence[str]) -> None:
     from bilprov.analyzer.settings import SIM
     from bilprov.analyzer.transport.errors import missing
     from bilprov.analyzer.transport.machine import Machine
+    from bilprov.captures.parts import kept_parts
 
     for name in names:
-        if name == SIM and not Path(name).exists():
+        path = Path(name)
+        if name == SIM and not path.exists():
             raise missing(name, (), Machine())
-        if Path(name).is_file():
+        if "://" in name or path.is_char_device():
+            continue
+        if path.exists() or path.suffix == ".mcap" or kept_parts(path):
             raise click.UsageError(
-                f"{name} is a file and no port; what a capture holds tells: bilprov info {name}"
+                f"{name} is no port; of a capture bilprov capture check {name} reports what is "
+                "damaged or lost"
             )
 
 
-class _Report:
-    """Tells findings as they come, or all of them as JSON at the end."""
+class Findings:
+    """Shows findings as they come, or all of them as JSON at the end."""
 
     def __init__(self, *, as_json: bool) -> None:
-        self.findings: list[Finding] = []
+        self.found: list[Finding] = []
         self._ports: list[str] = []
         self._as_json = as_json
         self._section = ""
@@ -180,10 +191,10 @@ class _Report:
 
             show(heading(title(section)))
 
-    def tell(self, findings: Iterable[Finding]) -> None:
+    def show(self, findings: Iterable[Finding]) -> None:
         """Take findings, and show each at once."""
         for finding in findings:
-            self.findings.append(finding)
+            self.found.append(finding)
             self._ports.append(self._section)
             if not self._as_json:
                 from bilprov.analyzer.doctor.drawing import INDENT, drawn
@@ -194,18 +205,18 @@ class _Report:
                 sys.stdout.flush()  # listening and asking take their time
 
     def end(self, names: Sequence[str]) -> int:
-        """Tell whether the ports can be used, and return the exit code."""
+        """Show whether the ports, or the files, can be used, and return the exit code."""
         from bilprov.analyzer.doctor.finding import usable
 
-        code = 0 if usable(self.findings) else 2
+        code = 0 if usable(self.found) else 2
         if self._as_json:
             found = [
                 {"about": section} | asdict(finding)
-                for section, finding in zip(self._ports, self.findings, strict=True)
+                for section, finding in zip(self._ports, self.found, strict=True)
             ]
             show_json({"ports": list(names), "usable": not code, "exit": code, "findings": found})
         else:
             from bilprov.analyzer.doctor.drawing import conclusion
 
-            show(conclusion(names, self.findings))
+            show(conclusion(names, self.found))
         return code
