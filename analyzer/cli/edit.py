@@ -244,7 +244,7 @@ def compare(
         _say(said_about(capture, protocol))
     with reading(captures) as progress:
         one, other = (exchanges(capture, protocol, progress) for capture in captures)
-        comparison = compared(one, other, round(tolerance * 1e6))
+        comparison = compared(one, other, protocol, round(tolerance * 1e6))
     paths = (first, second)
     value = as_json(comparison, protocol, paths)
     text = escape_json(msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n")

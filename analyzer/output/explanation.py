@@ -54,7 +54,7 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
             f"our default: {reading.default}",
         ]
         told += (f"otherwise: {choice} -> {verdict}" for choice, verdict in reading.others)
-        yield "reading", "\n".join(told)
+        yield "reading", Text("\n").join(map(Text, told))
     for erratum in frame.errata:
         yield "erratum", f"{erratum.id}, {erratum.clause}: {erratum.correction}"
     if frame.nearest:
