@@ -43,6 +43,7 @@ from bilprov.analyzer.replay.capture_session import (
     capture_line,
     capture_timeout,
     heard,
+    require_begun,
     said_about,
 )
 from bilprov.analyzer.replay.playback import batches, interruptible, played
@@ -149,9 +150,10 @@ def replay(
     opened = _opened(path, protocol, timeout, window, whole=judged or port is not None)
     capture = opened.capture
     test = test and test.started(capture.start)
-    for sentence in (*said_about(capture, protocol, window.first), opened.note):
+    for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)
+    require_begun(capture, window.first)
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
