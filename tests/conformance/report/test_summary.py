@@ -93,7 +93,7 @@ def test_no_column_is_cut_off_at_80_columns_or_in_a_file(protocol: Protocol) -> 
     show(replace(report, results=(*report.results, long)), Console(file=text, width=80))
 
     head = next(line for line in text.getvalue().splitlines() if "cases" in line)
-    words = ["cases", "error", "fail", "inconc", "non-strict", "info", "pass", "skipped"]
+    words = ["cases", "skipped", "pass", "info", "non-strict", "inconc", "fail", "error"]
     assert [word for word in head.replace("\u2503", " ").split() if word in words] == words
     assert "\u2026" not in text.getvalue()
 
