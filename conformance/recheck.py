@@ -1,8 +1,9 @@
 """Judges a recorded run again from its bytes and looks alone, and compares the verdicts.
 
 The run is made as every run is made (`conformance.api.run_suite`), over the recording instead of a
-device. Recorded verdicts are only compared with. The seal and the checksums reveal damage, not
-forgery: a recording that is written anew as a whole can hold anything that is consistent.
+device. Recorded verdicts are only compared with: what a case and each of its axes came to, and the
+bytes that it rests on, not the sentences that explain it. The seal and the checksums reveal damage,
+not forgery: a recording that is written anew as a whole can hold anything that is consistent.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.coverage import COMBINED
 from bilprov.conformance.dut.link import Environment
@@ -34,14 +35,20 @@ from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.safe_grammar import NotDeclared, require_declarations
 
-SUMMED = ("verdict", "exit", "unusable", "ended", "counts", "coverage", "profile")
+SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""
 
 # Keys that were added to a report later: older recordings lack them.
 _LATER = (
-    *("planned_clause", "frames", "facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels"),
-    "preamble_speed",
+    *("facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels", "preamble_speed"),
     *COMBINED.values(),
+)
+
+
+# What comes of a report that anybody may have written.
+_UNREADABLE = (
+    msgspec.MsgspecError,
+    *(AttributeError, LookupError, TypeError, ValueError, RecursionError),
 )
 
 
@@ -64,7 +71,7 @@ class Recheck:
 
     `cases` is how many were judged again and compared, `verdict` the worst of their new verdicts.
     `notes` say what else the reader should know; `whole` is false where the recording ends before
-    its run did.
+    its run did, or holds cases of another version of the kit that this one no longer makes.
     """
 
     report: Report | None
@@ -76,7 +83,7 @@ class Recheck:
 
     @property
     def exit(self) -> int:
-        """0 the same, 1 something differs, 3 the same as far as the recording goes."""
+        """0 the same, 1 something differs, 3 the same as far as it could be judged again."""
         return 1 if self.differences else 0 if self.whole else 3
 
 
@@ -116,7 +123,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     run = _run(path, evidence)
     grammar = grammar or _grammar(path, evidence, run)
     listener = _Results()
-    report, strayed = None, ""
+    report, strayed, cut = None, "", False
     try:
         link = RecordedLink(evidence.capture.messages(TOPICS))
         target = Target(grammar, run.environment, lambda listener: link, link.interrupted)
@@ -132,30 +139,40 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
         if link.left:
             strayed = "the recording goes on where the run ends"
     except Strayed as error:
-        strayed, cut = str(error), False
+        strayed = str(error)
     except (ArithmeticError, ValueError) as error:
         raise CaptureError(
             f"{printable(path)} cannot be judged again: {printable(error)}"
         ) from error
     marks = tuple(_marks(evidence))
-    differences = [*_against_marks(marks, listener.results)]
-    if strayed:
+    recorded = evidence.attachments.get(VERDICT)
+    # Another version may make other cases, or make them in another way: that is no difference.
+    former = run.kit != kit_version() and (strayed or _gone(marks, listener.results))
+    if former:
+        marks = tuple(_still_made(marks, listener.results))
+    differences = list(_against_marks(marks, listener.results))
+    if strayed and not former:
         differences.append(Difference(listener.last, "what is done", "another step", strayed))
-    verdict = evidence.attachments.get(VERDICT)
-    if verdict is not None and report is not None and not cut:
+    if recorded is not None and report is not None and not cut and not former:
         known = {difference.about for difference in differences}
-        against = _against_report(path, verdict, report)
+        against = _against_report(path, recorded, report)
         differences += [d for d in against if d.about not in known]
-    judged = listener.results[: len(marks)] if cut else listener.results
+    judged = listener.results[: len(marks)] if cut or former else listener.results
     # A line that cannot be used is an error although no case was judged.
-    whole = report.verdict if report and not cut else worst(r.verdict for r in judged)
+    whole = report.verdict if report and judged is listener.results else None
+    notes = list(_notes(evidence, run, grammar, report, cut=cut))
+    if former:
+        notes.append(
+            "this version no longer makes all of its cases in the way they were recorded: "
+            f"{quantity(len(marks), 'case')} could be judged again"
+        )
     return Recheck(
         report=report,
         cases=len(judged),
-        verdict=whole.label,
+        verdict=(worst(r.verdict for r in judged) if whole is None else whole).label,
         differences=tuple(differences),
-        notes=tuple(_notes(evidence, run, grammar, report, cut=cut)),
-        whole=evidence.sealed and not cut and verdict is not None,
+        notes=tuple(notes),
+        whole=evidence.sealed and not cut and not former and recorded is not None,
     )
 
 
@@ -214,6 +231,19 @@ def _marks(evidence: Evidence, phase: str = "end") -> Iterator[CaseMark]:
             yield mark
 
 
+def _gone(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> bool:
+    """Whether the recording has cases that were not made again."""
+    return not {mark.id for mark in marks} <= {result.id for result in results}
+
+
+def _still_made(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> Iterator[CaseMark]:
+    """The marks of the cases that were made again in the same order, up to the first other one."""
+    for mark, result in zip(marks, results, strict=False):
+        if mark.id != result.id:
+            return
+        yield mark
+
+
 def _against_marks(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> Iterator[Difference]:
     """The differences between the results now and those that the recording has marked final."""
     for number, mark in enumerate(marks):
@@ -225,21 +255,19 @@ def _against_marks(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> It
             yield Difference(mark.id, "order", "this case", f"the case {now.id}")
         elif now.verdict.label != mark.verdict:
             yield Difference(mark.id, "verdict", str(mark.verdict), now.verdict.label)
-        elif now.reason != mark.reason:
-            yield Difference(mark.id, "reason", mark.reason, now.reason)
 
 
 def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Difference]:
     try:
         was = msgspec.json.decode(recorded, type=dict[str, Any])
-        cases = {case["id"]: case for case in was["cases"]}
-    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError) as error:
+        cases = {case["id"]: _compared(case) for case in was["cases"]}
+    except _UNREADABLE as error:
         raise CaptureError(
             f"{printable(path)}: {VERDICT} cannot be read: {printable(error)}"
         ) from error
     now = msgspec.json.decode(as_json(report), type=dict[str, Any])
     for case in now["cases"]:
-        yield from _parts(case["id"], cases.pop(case["id"], {}), case)
+        yield from _parts(case["id"], cases.pop(case["id"], {}), _compared(case))
     for ident in cases:
         yield Difference(ident, "verdict", "judged", "no such case")
     for name in SUMMED:
@@ -250,13 +278,17 @@ def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Diff
     yield from _parts("the report", *summed)
 
 
+def _compared(case: dict[str, Any]) -> dict[str, Any]:
+    """What must come out the same of a case: its verdict, each axis's, and its bytes."""
+    axes = {f"{name} axis": axis["verdict"] for name, axis in case["axes"].items()}
+    return {name: case[name] for name in ("verdict", "sent", "received")} | axes
+
+
 def _parts(about: str, was: dict[str, Any], now: dict[str, Any]) -> Iterator[Difference]:
     """The first of the values that differs; one is enough."""
-    for name in ("verdict", *now):
-        if name in _LATER and name not in was:
-            continue  # an older kit recorded it
-        if was.get(name) != now[name]:
-            yield Difference(about, name, _text(was.get(name)), _text(now[name]))
+    for name in was | now:
+        if was.get(name) != now.get(name):
+            yield Difference(about, name, _text(was.get(name)), _text(now.get(name)))
             return
 
 

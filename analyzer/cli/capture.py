@@ -109,7 +109,7 @@ def cut(
     from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.outputs import Window
-    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.capture_session import require_begun, said_about
     from bilprov.analyzer.replay.seek import opened_at
 
     if start is not None and end is not None and end <= start:
@@ -121,6 +121,7 @@ def cut(
     window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
     opened = opened_at(path, protocol, window.first or 0)
     capture = opened.capture
+    require_begun(capture, window.first)
     require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
     _say(said_about(capture, protocol), opened.note if window.first else "")
     _say_left_out(capture)
@@ -330,7 +331,7 @@ def diff(
         _say(said_about(capture, protocol))
     with reading(captures) as progress:
         one, other = (exchanges(capture, protocol, progress) for capture in captures)
-        comparison = compared(one, other, round(tolerance * 1e6))
+        comparison = compared(one, other, protocol, round(tolerance * 1e6))
     paths = (first, second)
     value = as_json(comparison, protocol, paths)
     text = escape_json(msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n")

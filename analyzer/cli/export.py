@@ -193,12 +193,13 @@ def _window(start: float | None, end: float | None) -> Window:
 
 def _capture(path: str, protocol: Protocol, window: Window) -> Capture:
     """Open a capture and tell what there is to tell about it."""
-    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.capture_session import require_begun, said_about
     from bilprov.captures.reader import open_capture
 
     capture = open_capture(path)
-    for sentence in said_about(capture, protocol, window.first):
+    for sentence in said_about(capture, protocol):
         note(sentence)
+    require_begun(capture, window.first)
     return capture
 
 

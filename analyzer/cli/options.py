@@ -246,9 +246,20 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
 def note(sentence: str) -> None:
     """Print a note on standard error, so that standard output holds nothing but the records.
 
-    It is one line, made safe to show.
+    It is made safe to show; one line, which a terminal shows broken between words.
     """
-    click.echo(escape_controls(sentence), err=True)
+    click.echo(_wrapped(escape_controls(sentence)), err=True)
+
+
+def _wrapped(text: str) -> str:
+    """The text broken between words where standard error is a terminal, unchanged elsewhere."""
+    if not sys.stderr.isatty():
+        return text
+    from shutil import get_terminal_size
+    from textwrap import fill
+
+    width = get_terminal_size().columns
+    return fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def note_suspension(stopper: Stopper) -> None:
@@ -287,5 +298,5 @@ def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "-
         raise NotConfirmed(
             f"{what}: there is no terminal to ask on, so say {option} if it may move"
         )
-    if not click.confirm(f"{what}. Is there room, and may it move?", err=True):
+    if not click.confirm(_wrapped(f"{what}. Is there room, and may it move?"), err=True):
         raise NotConfirmed("nothing was sent: the device may not move")

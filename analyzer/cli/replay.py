@@ -45,6 +45,7 @@ from bilprov.analyzer.replay.capture_session import (
     capture_line,
     capture_timeout,
     heard,
+    require_begun,
     said_about,
 )
 from bilprov.analyzer.replay.playback import batches, interruptible, played
@@ -163,10 +164,11 @@ def replay(
     opened = _opened(path, protocol, timeout, window, style, whole=bool(in_lines))
     capture = opened.capture
     test = test and test.started(capture.start)
+    require_begun(capture, window.first)
     if style == "live":
         _look_through(opened, protocol, rows, expression, test, count, window, rate)
         return 0
-    for sentence in (*said_about(capture, protocol, window.first), opened.note):
+    for sentence in (*said_about(capture, protocol), opened.note):
         if sentence:
             note(sentence)
     if port is not None:
@@ -282,7 +284,7 @@ def _look_through(
     feed = capture_feed(opened, protocol, test, count, window)
     # The screen has one line for it, so the file's name stands without its folder.
     named = replace(capture, path=Path(capture.path.name))
-    sentences = (*said_about(named, protocol, window.first), opened.note)
+    sentences = (*said_about(named, protocol), opened.note)
     feed.notice = "; ".join(filter(None, sentences))
     told = Told(
         printable(capture.path.name),

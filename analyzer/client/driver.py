@@ -94,9 +94,13 @@ class Driver:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
 
         Any answer is returned, also a refusal. Raises ValueError for an instruction, a field or a
-        value that the protocol does not have; to send faulty bytes, see `send_bytes`. Raises
-        RobotError and LinkError as `send_bytes` does.
+        value that the protocol does not have. Raises RobotError and LinkError as `send_bytes` does.
         """
+        if isinstance(name, bytes | bytearray):
+            raise TypeError(
+                f"send() takes the name of an instruction; send_bytes({bytes(name)!r}) sends bytes "
+                "as they are, and returns the answers in a tuple"
+            )
         return self._exchange(build(self.protocol, name, values))
 
     def send_bytes(self, data: bytes, answers: int = 1) -> tuple[Answer, ...]:

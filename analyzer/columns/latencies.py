@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bilprov.captures.schemas import MS
 from bilprov.spec.fields import Timing
+
+Place = TypeVar("Place", int, NDArray[np.int64])
 
 _STEP = 1000  # ns
 _EARLIEST = 100 * MS  # ns by which an answer may be stamped before its instruction
@@ -24,7 +26,9 @@ _BINS = 12  # of a histogram
 class Spread:
     """Shortest, median, 95th and 99th percentile, and longest of some latencies, in ns.
 
-    Percentiles are rounded down to 1 us; the ends are exact.
+    A percentile between two latencies is interpolated linearly, so that the median of an even
+    number is the mean of the middle two; each is counted as rounded down to 1 us. The ends are
+    exact.
     """
 
     count: int
@@ -97,8 +101,12 @@ class Latencies:
         shortest, longest = int(self._shortest[chosen].min()), int(self._longest[chosen].max())
         upto = np.cumsum(self._counts[touched, chosen].sum(axis=1))
         count = int(upto[-1])
-        places = (int(np.searchsorted(upto, count * share // 100, "right")) for share in _SHARES)
-        median, most, nearly = (max(_time(touched.start + at), shortest) for at in places)
+        ranks = np.array(_SHARES) / 100 * (count - 1)
+        below, above = (
+            np.maximum(_time(touched.start + np.searchsorted(upto, rank, "right")), shortest)
+            for rank in (np.floor(ranks), np.ceil(ranks))
+        )
+        median, most, nearly = np.rint(below + (above - below) * (ranks % 1)).astype(int).tolist()
         return Spread(count, shortest, median, most, nearly, longest)
 
     def histogram(self) -> list[Bin]:
@@ -135,8 +143,8 @@ class Latencies:
         return min(max((latency + _EARLIEST) // _STEP, 0), len(self._counts) - 1)
 
 
-def _time(place: int) -> int:
-    """When (ns) a step begins."""
+def _time(place: Place) -> Place:
+    """When (ns) a step begins; of several steps too."""
     return place * _STEP - _EARLIEST
 
 

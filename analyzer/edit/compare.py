@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from bilprov.analyzer.columns.latencies import Latencies, Spread
 from bilprov.analyzer.edit.alignment import aligned
 from bilprov.analyzer.edit.exchanges import Exchange
 from bilprov.captures.schemas import MS
+from bilprov.spec.protocol import Protocol
 
 TOLERANCE: Final = 20 * MS
 """Ns by which two latencies may differ: USB adapters hold bytes back for up to 16 ms."""
 
 LISTED: Final = 100  # differences that are kept
+_AT_ONCE: Final = 4096  # latencies
 
 Kind = Literal["only_a", "only_b", "answer", "latency", "unasked"]
 KINDS: Final[tuple[Kind, ...]] = ("only_a", "only_b", "answer", "latency", "unasked")
@@ -30,46 +32,27 @@ class Difference:
     second: Exchange | None
 
 
-class Latencies:
-    """How some latencies are spread, in memory that does not grow: to three digits."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._counts: Counter[int] = Counter()
-
-    def add(self, latency: int) -> None:
-        """Count a latency (ns)."""
-        self.count += 1
-        size = len(str(abs(latency)))
-        self._counts[round(latency, min(0, 3 - size))] += 1
-
-    def percentile(self, share: float) -> int:
-        """The latency (ns) that so many percent of them do not exceed; there must be some."""
-        left = math.ceil(self.count * share / 100)
-        for latency, count in sorted(self._counts.items()):
-            left -= count
-            if left <= 0:
-                return latency
-        raise ValueError("there are no latencies")
-
-
 @dataclass(slots=True)
 class Comparison:
     """What two captures have in common, and where they differ.
 
     `same` counts the frames that both have, `judged` those of them whose answers were compared, and
     `unknown` those of which only one capture tells what was answered. `differences` counts by kind;
-    the first ones are `listed`. `latencies` are those of both captures, by the name of the
-    instruction. Latencies may differ by `tolerance` (ns).
+    the first ones are `listed`. Latencies may differ by `tolerance` (ns).
     """
 
+    protocol: Protocol
     tolerance: int
     same: int = 0
     judged: int = 0
     unknown: int = 0
     differences: Counter[Kind] = field(default_factory=Counter)
     listed: list[Difference] = field(default_factory=list)
-    latencies: dict[str, tuple[Latencies, Latencies]] = field(default_factory=dict)
+    _names: dict[int, str] = field(default_factory=dict)  # of the IDs that were answered
+    _latencies: tuple[_Measured, _Measured] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._latencies = (_Measured(self.protocol), _Measured(self.protocol))
 
     def pair(self, first: Exchange | None, second: Exchange | None) -> None:
         """Add the next exchange, of both captures or of one alone."""
@@ -108,10 +91,14 @@ class Comparison:
             return
         judgement = frame.judgement
         known = judgement.instruction
-        name = known.name if known else f"unused {judgement.id}"
-        if name not in self.latencies:
-            self.latencies[name] = Latencies(), Latencies()
-        self.latencies[name][side].add(answer.latency)
+        self._names[judgement.id] = known.name if known else f"unused {judgement.id}"
+        self._latencies[side].add(answer.latency, judgement.id)
+
+    def latencies(self) -> dict[str, tuple[Spread | None, Spread | None]]:
+        """How the latencies of each capture are spread, by the name of the instruction."""
+        first, second = self._latencies
+        names = sorted(self._names.items(), key=lambda item: item[1])
+        return {name: (first.spread(ident), second.spread(ident)) for ident, name in names}
 
     def _differs(self, kind: Kind, first: Exchange | None, second: Exchange | None) -> None:
         self.differences[kind] += 1
@@ -119,11 +106,36 @@ class Comparison:
             self.listed.append(Difference(kind, first, second))
 
 
+class _Measured:
+    """The latencies of one capture by ID, counted many at a time."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._latencies = Latencies(protocol.timing, len(protocol.ids))
+        self._waiting: list[tuple[int, int]] = []
+
+    def add(self, latency: int, ident: int) -> None:
+        self._waiting.append((latency, ident))
+        if len(self._waiting) == _AT_ONCE:
+            self._count()
+
+    def spread(self, ident: int) -> Spread | None:
+        self._count()
+        return self._latencies.spread(ident)
+
+    def _count(self) -> None:
+        if self._waiting:
+            self._latencies.add(*zip(*self._waiting, strict=True))
+            self._waiting.clear()
+
+
 def compared(
-    first: Iterator[Exchange], second: Iterator[Exchange], tolerance: int = TOLERANCE
+    first: Iterator[Exchange],
+    second: Iterator[Exchange],
+    protocol: Protocol,
+    tolerance: int = TOLERANCE,
 ) -> Comparison:
     """Compare the exchanges of two captures; latencies may differ by `tolerance` (ns)."""
-    comparison = Comparison(tolerance)
+    comparison = Comparison(protocol, tolerance)
     for pair in aligned(first, second):
         comparison.pair(*pair)
     return comparison

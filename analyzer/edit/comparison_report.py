@@ -16,8 +16,8 @@ capture:
 - `listed`: the first 100, each with `kind`, `frame` (hex; empty before the first frame), `words`,
   and `a` and `b`, of which one may be null: `t` of the frame, its `sequence`, `answer` (hex; null
   if there is none), `name` of the answer, `latency`, and `unasked` (hex).
-- `latencies`: by the name of the instruction, `a` and `b`: `count`, `median`, `p95`, `max`, to
-  three digits; null where there is none.
+- `latencies`: by the name of the instruction, `a` and `b`: `count`, `median`, `p95`, `max`, as
+  `stats` has them; null where there is none.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
+    from bilprov.analyzer.columns.latencies import Spread
     from bilprov.analyzer.decode.records import HostRecord
-    from bilprov.analyzer.edit.compare import Comparison, Difference, Latencies
+    from bilprov.analyzer.edit.compare import Comparison, Difference
     from bilprov.analyzer.edit.exchanges import Exchange
 
 SECOND = 1e9  # ns
@@ -60,7 +61,7 @@ def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) 
         "listed": [_listed(difference) for difference in comparison.listed],
         "latencies": {
             name: {"a": _spread(first), "b": _spread(second)}
-            for name, (first, second) in sorted(comparison.latencies.items())
+            for name, (first, second) in comparison.latencies().items()
         },
     }
 
@@ -91,11 +92,11 @@ def _side(exchange: Exchange | None) -> dict[str, Any] | None:
     }
 
 
-def _spread(latencies: Latencies) -> dict[str, Any] | None:
-    if not latencies.count:
+def _spread(spread: Spread | None) -> dict[str, Any] | None:
+    if spread is None:
         return None
-    median, most, longest = (latencies.percentile(share) / SECOND for share in (50, 95, 100))
-    return {"count": latencies.count, "median": median, "p95": most, "max": longest}
+    times = {"median": spread.median, "p95": spread.ninety_fifth, "max": spread.longest}
+    return {"count": spread.count} | {name: t / SECOND for name, t in times.items()}
 
 
 def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[RenderableType]:
@@ -113,11 +114,11 @@ def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[Renderable
         )
     if total > len(shown):
         yield Text(f"  and {_many(total - len(shown), 'difference')} more", style="dim")
-    if comparison.latencies:
+    if latencies := comparison.latencies():
         yield Text()
         yield table(
             ("latency", "A", "B", "median A", "median B", "shift", "95 % A", "95 % B"),
-            [_row(name, *both) for name, both in sorted(comparison.latencies.items())],
+            [_row(name, *both) for name, both in latencies.items()],
             right="A B median",
         )
 
@@ -178,16 +179,17 @@ def _time(exchange: Exchange | None) -> str:
     return f"{exchange.frame.t / SECOND:.6f}" if exchange and exchange.frame else ""
 
 
-def _row(name: str, first: Latencies, second: Latencies) -> tuple[str, ...]:
-    counts = (f"{side.count:,}" for side in (first, second))
-    medians = [side.percentile(50) if side.count else None for side in (first, second)]
-    shift = "" if None in medians else f"{(medians[1] - medians[0]) / 1e6:+.3f} ms"  # type: ignore[operator]
-    most = [side.percentile(95) if side.count else None for side in (first, second)]
-    return (name, *counts, *map(_ms, medians), shift, *map(_ms, most))
+def _row(name: str, first: Spread | None, second: Spread | None) -> tuple[str, ...]:
+    both = (first, second)
+    counts = (f"{side.count:,}" if side else "0" for side in both)
+    medians = (_ms(side.median) if side else "" for side in both)
+    most = (_ms(side.ninety_fifth) if side else "" for side in both)
+    shift = f"{(second.median - first.median) / 1e6:+.3f} ms" if first and second else ""
+    return (name, *counts, *medians, shift, *most)
 
 
-def _ms(latency: int | None) -> str:
-    return "" if latency is None else f"{latency / 1e6:.3f} ms"
+def _ms(latency: int) -> str:
+    return f"{latency / 1e6:.3f} ms"
 
 
 def _many(count: int, what: str) -> str:

@@ -36,7 +36,8 @@ Counts have these keys:
   its frames and their answers; a missing answer has no frame, and is in `anomalies` alone) and
   `latency`.
 - `latency`: null where nothing is paired, else `count`, `min`, `median`, `p95`, `p99`, `max`: from
-  the last byte of a frame to its answer; `min` and `max` are exact, the rest rounded down to 1 us.
+  the last byte of a frame to its answer; `min` and `max` are exact, the rest are of latencies
+  rounded down to 1 us, between two of them interpolated linearly.
 - `latency_bins`: a histogram of all latencies: how many (`count`) are from `least` up to, not
   including, `below`. 95 of 100 fall into bins of equal width, the last bin has what is left.
 

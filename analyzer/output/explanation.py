@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from bilprov.analyzer.output.console import facts, heading
+from bilprov.analyzer.output.console import can_show, facts, heading
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, Explanation, FrameExplanation, ResponseExplanation
 
@@ -54,7 +54,7 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
             f"our default: {reading.default}",
         ]
         told += (f"otherwise: {choice} -> {verdict}" for choice, verdict in reading.others)
-        yield "reading", "\n".join(told)
+        yield "reading", Text("\n").join(map(Text, told))
     for erratum in frame.errata:
         yield "erratum", f"{erratum.id}, {erratum.clause}: {erratum.correction}"
     if frame.nearest:
@@ -96,7 +96,8 @@ def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
         grid.add_row(Text(str(byte), "dim"), Text(coded, "bold"), bits)
         at = 0
         for group, style in zip(row, styles, strict=True):
-            line = Text(" " * at).append("━" * len(group.bits), style)
+            rule = "━" if can_show("━") else "="
+            line = Text(" " * at).append(rule * len(group.bits), style)
             shown = (group.name, str(group.value), group.meaning)
             grid.add_row("", "", line, *(Text(part, style) for part in shown))
             at += len(group.bits) + 1

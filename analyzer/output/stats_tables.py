@@ -46,7 +46,7 @@ def _part(
 
 def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
     share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
-    yield "duration", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
+    yield "span of traffic", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
     yield "host", f"{quantity(counts.host_bytes, 'byte')}, {_frames(counts)}"
     yield "device", quantity(counts.device_bytes, "byte")
     if counts.load:
@@ -70,7 +70,7 @@ def _frames(counts: Counts) -> str:
     if counts.truncated:
         said += f", {counts.truncated:,} of them truncated"
     if counts.garbage:
-        said += f", {counts.garbage:,} pieces of garbage"
+        said += f", {quantity(counts.garbage, 'piece of garbage', 'pieces of garbage')}"
     return said
 
 

@@ -98,7 +98,7 @@ def _range(values: Range, *, exact: bool) -> dict[str, list[int] | None]:
 def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> Safe:
     counts = stats.counts
     told: dict[str, object] = {"recorded": _moment(capture.start)}
-    told["duration"] = _span(counts.duration)
+    told["span of traffic"] = _span(counts.duration)
     moving = f" ({counts.moving / counts.duration:.0%})" if counts.duration else ""
     told["moving"] = _span(counts.moving) + moving
     cut = f", {counts.truncated:,} of them truncated" if counts.truncated else ""

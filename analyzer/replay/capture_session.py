@@ -12,6 +12,7 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Direction
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CUT_START, DEVICE_RAW, HOST_RAW
+from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 _LONGEST = 60_000.0  # ms that a file may ask for
@@ -64,11 +65,18 @@ def capture_line(capture: Capture, protocol: Protocol) -> LineSettings:
     return line_named(protocol, capture.metadata.get("line", ""))
 
 
-def said_about(capture: Capture, protocol: Protocol, start: int | None = None) -> Iterator[str]:
-    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other.
+def require_begun(capture: Capture, start: int | None) -> None:
+    """Raise UserError where a `start` (ns since the capture's) is behind the capture's end."""
+    end = max(0, capture.contents.last - capture.start)
+    if start is not None and start > end:
+        raise UserError(
+            f"{printable(capture.path)} ends at {end / 1e9:.3f} s, which is before --start "
+            f"{start / 1e9:g}; give a start before its end"
+        )
 
-    So is a `start` (ns since the capture's) from which on it is shown, and which is behind its end.
-    """
+
+def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
+    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other."""
     name = printable(capture.path)
     gone = capture.metadata.get(CUT_START, "") if capture.in_parts else ""
     if gone.isascii() and gone.isdigit() and len(gone) < 20:
@@ -82,9 +90,6 @@ def said_about(capture: Capture, protocol: Protocol, start: int | None = None) -
         first = printable(capture.damage[0])
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
         yield f"{name} is damaged: {first}{more}; the rest is shown"
-    end = max(0, capture.contents.last - capture.start)
-    if start is not None and start > end:
-        yield f"{name} ends at {end / 1e9:.3f} s, which is before --start {start / 1e9:g}"
     recorded = capture.metadata.get("grammar_sha256")
     if recorded and recorded != protocol.sha256:
         known = printable(capture.metadata.get("grammar_name", "another grammar"))

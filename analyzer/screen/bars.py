@@ -41,7 +41,9 @@ def _place(feed: Feed[Any], frames: FrameList, moving: str) -> Text:
     doing = f"reading {share:.0%}  " if share is not None else ""
     doing += f"{moving}  " if moving else ""
     at = min(frames.cursor - frames.start + 1, frames.count - frames.start)
-    return Text(f"  {doing}{at:,} of {frames.count - frames.start:,}")
+    place = f"  {doing}{at:,} of {frames.count - frames.start:,}"
+    hidden = feed.recording.rows - frames.count
+    return Text(f"{place} filtered from {feed.recording.rows:,}" if hidden > 0 else place)
 
 
 def _status(doing: str, feed: Feed[Any], said: str, expression: str) -> Text:

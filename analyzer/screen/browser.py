@@ -13,10 +13,10 @@ from textual.app import App, ComposeResult
 from textual.binding import BindingType
 from textual.containers import Container, Horizontal, Vertical
 from textual.driver import Driver
-from textual.events import Resize
+from textual.events import Event, Key, Resize
 from textual.geometry import Size
 from textual.screen import ModalScreen
-from textual.widgets import Static
+from textual.widgets import Input, Static
 
 from bilprov.analyzer.filters.filter import Filter
 from bilprov.analyzer.output.row_columns import RowStyle, Times, TimeStyle, columns_of
@@ -134,7 +134,9 @@ class Browser(App[str | None]):
         self.fields = FieldTree(feed.recording.protocol, signs)
         self.hex = HexPane()
         self.faults = FaultList(feed.recording, signs)
-        self.prompt = FilterPrompt(feed.recording.protocol, told.start_wall)
+        self.prompt = FilterPrompt(
+            feed.recording.protocol, told.start_wall, self._filter_given, self._left_prompt
+        )
         self.head, self.status = (Static(id=name, markup=False) for name in ("head", "status"))
         self.car, self.figures = (Static(id=name, markup=False) for name in ("car", "figures"))
         self.car.border_title, self.figures.border_title = "predicted", "line"
@@ -330,6 +332,25 @@ class Browser(App[str | None]):
 
     # What people do.
 
+    async def on_event(self, event: Event) -> None:
+        """Handle a key before the next one, so that keys typed ahead go where they were meant.
+
+        Textual hands a key to the pane that has the focus, which handles it later: behind a key
+        that moves the focus the next ones would still go to the pane before.
+        """
+        if isinstance(event, Key) and not event.is_forwarded and await self._handled(event):
+            return
+        await super().on_event(event)
+
+    async def _handled(self, key: Key) -> bool:
+        """Handle a key here and now; returns whether anything did."""
+        if await self._check_bindings(key.key, priority=True):
+            return True
+        if isinstance(self.focused, Input) and key.character and key.is_printable:
+            self.focused.replace(key.character, *self.focused.selection)
+            return True
+        return await self._check_bindings(key.key)
+
     def on_rows_chosen(self, event: Rows.Chosen) -> None:
         """Show what was chosen."""
         self.said = ""
@@ -346,10 +367,10 @@ class Browser(App[str | None]):
         if event.rows is self.frames:
             if not self.fields.display:
                 self._zoom(True)
-            self.fields.focus()
+            self.screen.set_focus(self.fields)
         elif event.rows is self.faults and self.faults.row is not None:
             self._go_to(self.faults.row)
-            self.frames.focus()
+            self.screen.set_focus(self.frames)
 
     def on_hex_pane_clicked(self, event: HexPane.Clicked) -> None:
         """Choose the field of a bit."""
@@ -362,17 +383,12 @@ class Browser(App[str | None]):
         self.prompt.ask(self.filter_text)
         self._arrange()
 
-    def on_filter_prompt_given(self, event: FilterPrompt.Given) -> None:
-        """Filter."""
+    def _filter_given(self, text: str, test: Filter | None) -> None:
         self._left_prompt()
-        self._filter(event.text, event.test)
-
-    def on_filter_prompt_left(self, event: FilterPrompt.Left) -> None:
-        """Go on without another filter."""
-        self._left_prompt()
+        self._filter(text, test)
 
     def _left_prompt(self) -> None:
-        self.frames.focus()
+        self.screen.set_focus(self.frames)
         self._arrange()
 
     def _filter(self, text: str, test: Filter | None) -> None:
@@ -489,7 +505,7 @@ class Browser(App[str | None]):
             self.export.cancel()
         elif self._zoomed:
             self._zoom(False)
-        self.frames.focus()
+        self.screen.set_focus(self.frames)
 
     def action_leave(self) -> None:
         """Quit; ask before, where the recording would be lost."""

@@ -9,7 +9,7 @@ from rich.text import Text
 from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.output.statistics import Rates
 from bilprov.analyzer.screen.signs import Signs
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 
 
 def figures(totals: Totals, live: Rates | None, byte_time: int, signs: Signs) -> list[Text]:
@@ -37,7 +37,7 @@ def _rows(
     yield "answers", f"{totals.device_bytes:,} {signs.to_host}"
     if totals.disagreeing:
         yield "wrong", f"{totals.disagreeing:,}"
-    yield "rate", f"{frames:,.0f} frames/s"
+    yield "rate", f"{quantity(round(frames), 'frame')}/s"
     for side, rate in zip(("host", "device"), rates, strict=True):
         yield side, f"{rate:,.0f} B/s {rate * byte_time / 1e9:.0%}"
     spread = totals.latencies.spread()

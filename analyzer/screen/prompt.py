@@ -9,7 +9,6 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
-from textual.message import Message
 from textual.widgets import Input, Static
 
 from bilprov.analyzer.filters.completion import Completion, completions
@@ -22,17 +21,27 @@ LINES = 2
 
 
 class FilterInput(Input):
-    """One line of text in which Tab completes the word before the cursor."""
+    """One line of text: Tab completes the word before the cursor, Enter submits it.
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", show=False, priority=True)]
+    `submit` is called while Enter is handled, so that no key typed behind it comes first.
+    """
 
-    def __init__(self, complete: Callable[[str, int], list[Completion]]) -> None:
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", show=False)]
+
+    def __init__(
+        self, complete: Callable[[str, int], list[Completion]], submit: Callable[[str], None]
+    ) -> None:
         super().__init__(compact=True, select_on_focus=False, id="filter")
         self._complete = complete
+        self._submit = submit
         self._offered: list[Completion] = []
         self._at = 0
         self._made = ""
         self._behind = ""
+
+    async def action_submit(self) -> None:
+        """Submit the line."""
+        self._submit(self.value.strip())
 
     def action_complete(self) -> None:
         """Write what all completions begin with; where that is written, each one in turn."""
@@ -55,7 +64,11 @@ class FilterInput(Input):
 
 
 class FilterPrompt(Vertical):
-    """Asks for a filter; it is hidden until `ask` is called."""
+    """Asks for a filter; it is hidden until `ask` is called.
+
+    `given` is called with a filter and its text ("" and None for none), `left` where it was left
+    without one.
+    """
 
     DEFAULT_CSS = """
     FilterPrompt { height: 2; display: none; }
@@ -65,22 +78,18 @@ class FilterPrompt(Vertical):
     FilterPrompt #help-line { height: 1; }
     """
 
-    class Given(Message):
-        """A filter was given, `text` "" for none."""
-
-        def __init__(self, text: str, test: Filter | None) -> None:
-            super().__init__()
-            self.text = text
-            self.test = test
-
-    class Left(Message):
-        """The prompt was left without a filter."""
-
-    def __init__(self, protocol: Protocol, start_wall: int) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        start_wall: int,
+        given: Callable[[str, Filter | None], None],
+        left: Callable[[], None],
+    ) -> None:
         super().__init__(id="prompt")
         self._protocol = protocol
         self._start_wall = start_wall
-        self._input = FilterInput(lambda text, at: completions(text, at, protocol))
+        self._given, self._left = given, left
+        self._input = FilterInput(lambda text, at: completions(text, at, protocol), self._submit)
         self._under = Static(id="help-line", markup=False)
 
     def compose(self) -> ComposeResult:
@@ -95,13 +104,13 @@ class FilterPrompt(Vertical):
         self.display = True
         self._input.value = text
         self._input.cursor_position = len(text)
-        self._input.focus()
+        self.screen.set_focus(self._input)
         self._tell(text)
 
     def leave(self) -> None:
         """Hide the prompt."""
         self.display = False
-        self.post_message(self.Left())
+        self._left()
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Say what the text lacks, or what it may become."""
@@ -109,17 +118,15 @@ class FilterPrompt(Vertical):
         if self.display:
             self._tell(event.value)
 
-    def on_input_submitted(self, event: Input.Submitted) -> None:
+    def _submit(self, text: str) -> None:
         """Give the filter, if it is one."""
-        event.stop()
-        text = event.value.strip()
         try:
             test = self._compiled(text) if text else None
         except FilterError as error:
             self._refuse(error)
             return
         self.display = False
-        self.post_message(self.Given(text, test))
+        self._given(text, test)
 
     def _tell(self, text: str) -> None:
         """Say what may come next, or what the filter lacks."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from shlex import quote
@@ -25,7 +26,7 @@ _OPENING = {
     ),
 }
 _LOSING = {
-    errno.EIO: "{name} disappeared while it was in use; plug it in again and start anew",
+    errno.EIO: "{name} disappeared while it was in use; plug it in again",
     errno.ECONNRESET: "{name} was closed by the other side; is the program that serves it running?",
 }
 # Error numbers that get the same sentence as another number.
@@ -73,6 +74,12 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
             f"there is no {name}; brltty has taken the adapter {usb.identity} {usb.title} for a "
             "Braille display: where nobody needs one, end it and plug the adapter in again",
             NO_BRAILLE,
+        )
+    if re.fullmatch(r"(tcp:)?[\w.-]*\w:\d+", name):
+        address = name.removeprefix("tcp:")
+        return LinkError(
+            f"{name} is no port of this machine; did you mean socket://{address}, a device that "
+            "is served over TCP?"
         )
     from difflib import get_close_matches
 

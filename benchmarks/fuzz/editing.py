@@ -37,7 +37,7 @@ def editing() -> Test:
         capture = open_capture(path)
         protocol = load_protocol()
         one, other = (exchanges(capture, protocol, _told) for _ in range(2))
-        alike = compared(one, other)
+        alike = compared(one, other, protocol)
         require(alike.exit == 0, "a capture differs from itself")
         return alike.same.bit_length(), _selected(path, capture), _joined(capture)
 

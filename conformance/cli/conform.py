@@ -327,12 +327,9 @@ def conform(
         try:
             deliver(outputs, [report], protocol)
         finally:
-            from rich.console import Console
+            from bilprov.conformance.report.summary import show, summary_console
 
-            from bilprov.conformance.report.summary import show
-
-            console = Console(stderr=onto_stdout, highlight=False, soft_wrap=True)
-            show(report, console, everything=verbose)
+            show(report, summary_console(stderr=onto_stdout), everything=verbose)
     if fresh is not None and not report.unusable:
         note(f"{fresh}: the profile of this device; give it again with --profile")
     if broken:

@@ -53,9 +53,7 @@ def merge_reports(
     seed and options; the devices may be several of a kind. The cases that open each run count once.
     Exit code: as conform; 3 also when a shard is missing and nothing failed.
     """
-    from rich.console import Console
-
-    from bilprov.conformance.report.summary import show
+    from bilprov.conformance.report.summary import show, summary_console
 
     promise_verdict()
     require_writable(outputs, inputs=files)
@@ -70,7 +68,7 @@ def merge_reports(
         raise MergeError(f"{parts[0].name}: {error}") from error
     merged = merge(parts, protocol, cases)
     report = with_expected(merged.report, known, expect_failures)
-    console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
+    console = summary_console(stderr=onto_standard_output(outputs))
     try:
         text = merged.as_json(report).decode()
         write_each((output.path, text) for output in outputs)

@@ -87,9 +87,9 @@ _SHOWN = 8  # changed lines
 expect_failures_option = click.option(
     "--expect-failures",
     metavar="FILE",
-    help="Failures that do not count: lines of GLOB : MESSAGE, a glob of case ids and how the "
-    "failure begins (answer: no answer came); # begins a comment. One that no longer fails is "
-    "itself a failure.",
+    help="Failures that do not count: lines of GLOB : AXIS: MESSAGE, a glob of case ids, the axis "
+    "that fails (answer, stop, state) and, if you like, how; # begins a comment. One that no "
+    "longer fails is itself a failure.",
 )
 update_expected_option = click.option(
     "--update-expected",

@@ -32,12 +32,14 @@ def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
       bilprov recheck run.mcap
 
     Every byte of FILE.mcap is checked against its hash and its checksums first. Then the cases are
-    judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and every case
-    that comes out otherwise than recorded is named. A hash shows damage, not forgery.
+    judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and each case
+    is named whose verdict, or that of one of its axes, is not the recorded one. A hash reveals
+    damage, not forgery.
 
     Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, or
-    there is no report for --json because the run strayed from its recording, 3 the same as far as a
-    recording goes that was never finished.
+    there is no report for --json because the run strayed from its recording, 3 the same as far as
+    it could be judged again: the recording was never finished, or another version of bilprov made
+    it with cases that this one no longer makes.
     """
     promise_verdict()
     require_writable(outputs, inputs=[path])
@@ -72,5 +74,5 @@ def _sum(found: Recheck) -> str:
     if found.differences:
         more = len(found.differences)
         return f"not the same: {more} {'difference' if more == 1 else 'differences'}"
-    far = "" if found.whole else ", as far as the recording goes"
+    far = "" if found.whole else ", as far as it could be judged again"
     return f"the same: {quantity(found.cases, 'case')}, verdict {found.verdict}{far}"

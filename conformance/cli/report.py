@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import click
+from msgspec import structs
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
@@ -44,17 +45,15 @@ def report(
     promise_verdict()
     require_writable(outputs, inputs=results)
     try:
-        reports = [read_report(path) for path in results]
+        reports = [structs.replace(read_report(path), file=path) for path in results]
     except ReportError as error:
         raise click.UsageError(str(error)) from error
     protocol = load_protocol(grammar)
     deliver(outputs, reports, protocol)
     if not outputs:
-        from rich.console import Console
+        from bilprov.conformance.report.summary import show, show_compared, summary_console
 
-        from bilprov.conformance.report.summary import show, show_compared
-
-        console = Console(highlight=False, soft_wrap=True)
+        console = summary_console()
         if len(reports) == 1:
             show(reports[0], console, everything=verbose)
         else:

@@ -1,9 +1,9 @@
 """Compares a run's results with expected failures: finds unexpected ones and stale entries. No I/O.
 
-The text of a file of expected failures has one entry a line, `GLOB : MESSAGE`. Empty lines and
-lines that begin with # are ignored. GLOB matches case ids, * crosses /. MESSAGE is how the failure
-begins: the axis (`answer`, `stop` or `state`), a colon, and its reason, as much of it as stays the
-same from run to run:
+The text of a file of expected failures has one entry per line, `GLOB : AXIS` or
+`GLOB : AXIS: MESSAGE`. Empty lines and lines that begin with # are ignored. GLOB matches case ids,
+* crosses /. AXIS is the axis that fails (`answer`, `stop` or `state`). MESSAGE is for the reader
+alone: another version of the kit may word a failure differently, and means the same one:
 
     # the board takes all eight bits of the LED byte (issue 12)
     bad-data/LED/* : answer: OK instead of BAD_DATA
@@ -24,11 +24,13 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.errors import UserError
 
 _SEPARATOR = " : "
+_AXES = ("answer", "stop", "state")
 _FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
-# Measured values differ from run to run: a message is written only up to the first of them.
-_MEASURED = re.compile(r"\s*\b\d+(\.\d+)?\s*(ms|s|us)\b")
 _MOST = 10_000  # entries: each is compared with each case
-_NEW_FILE = "# Failures that are expected, GLOB : MESSAGE; see bilprov conform --help\n"
+FORM = "GLOB : AXIS: MESSAGE"
+"""How an entry is written."""
+
+_NEW_FILE = f"# Failures that are expected, {FORM}; see bilprov conform --help\n"
 
 
 class ExpectedError(UserError):
@@ -37,15 +39,16 @@ class ExpectedError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line of the file: cases that match `glob` may fail with a message that begins so."""
+    """One line of the file: cases that match `glob` may fail on `axis`; `message` is a note."""
 
     glob: str
+    axis: str
     message: str
     line: int
 
-    def allows(self, message: str) -> bool:
-        """Whether the entry covers a failure with this message."""
-        return message.startswith(self.message)
+    def __str__(self) -> str:
+        failure = f"{self.axis}: {self.message}" if self.message else self.axis
+        return f"{printable(self.glob)}{_SEPARATOR}{printable(failure)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,20 +81,21 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
         words = line.strip()
         if not words or words.startswith("#"):
             continue
-        glob, separator, message = f"{words} ".partition(_SEPARATOR)
-        glob, message = glob.strip(), _plain(message)
-        if not (glob and separator and message):
+        glob, _, failure = words.partition(_SEPARATOR)
+        axis, _, message = failure.partition(":")
+        glob, axis = glob.strip(), axis.strip()
+        if not glob or axis not in _AXES:
             raise ExpectedError(
-                f"{file}, line {number} is {printable(words)!r}; write GLOB : "
-                "MESSAGE, a glob of case "
-                "ids and how the failure begins, or # and a comment"
+                f"{file}, line {number} is {printable(words)!r}; write {FORM} (a glob of case "
+                f"ids; {', '.join(_AXES[:-1])} or {_AXES[-1]}; a message if you like), or # and a "
+                "comment"
             )
         if len(glob) > LONGEST_GLOB:
             raise ExpectedError(
                 f"{file}, line {number}: the glob {printable(glob)!r} has {len(glob)} characters, "
                 f"allowed are {LONGEST_GLOB}; see the ids with bilprov conform sim --list"
             )
-        entries.append(Entry(glob, message, number))
+        entries.append(Entry(glob, axis, _plain(message), number))
         if len(entries) > _MOST:
             raise ExpectedError(f"{file} has more than {_MOST} entries; say several with one glob")
     return tuple(entries)
@@ -113,14 +117,13 @@ def require_known(entries: Iterable[Entry], file: str, known: Collection[str]) -
             )
 
 
-def failure_messages(result: CaseResult) -> tuple[str, ...]:
-    """The messages that entries are compared with: name and reason of each axis that fails."""
-    found = []
-    for name, axis in result.axes.items():
-        if axis.verdict is Verdict.FAIL:
-            reason = axis.reason or f"{axis.actual} instead of {axis.expected}"
-            found.append(_plain(f"{name}: {reason}"))
-    return tuple(found)
+def failures(result: CaseResult) -> dict[str, str]:
+    """Each axis that fails, with its reason in one line."""
+    return {
+        name: _plain(axis.reason or f"{axis.actual} instead of {axis.expected}")
+        for name, axis in result.axes.items()
+        if axis.verdict is Verdict.FAIL
+    }
 
 
 def compare(
@@ -147,8 +150,7 @@ def compare(
         if entry not in used and its and fine.issuperset(its):
             what = f"{printable(its[0])} does" if len(its) == 1 else f"its {len(its)} cases do"
             stale.append(
-                f"{file}, line {entry.line}: {printable(entry.glob)} : "
-                f"{printable(entry.message)}: {what} "
+                f"{file}, line {entry.line}: {entry}: {what} "
                 "not fail any more; take the entry out, or run with --update-expected"
             )
     return Comparison(file, frozenset(expected), unexpected, tuple(stale))
@@ -222,9 +224,9 @@ def _used(
     failed = [result for result in results if result.verdict is Verdict.FAIL]
     for result in failed:
         its = [entry for entry, fits in tests if fits(result.id)]
-        messages = failure_messages(result)
-        used.update(entry for entry in its if any(entry.allows(m) for m in messages))
-        if all(any(entry.allows(m) for entry in its) for m in messages):
+        axes = failures(result).keys()
+        used.update(entry for entry in its if entry.axis in axes)
+        if axes and axes <= {entry.axis for entry in its}:
             expected.add(result.id)
     return used, expected, sum(result.id not in expected for result in failed)
 
@@ -235,13 +237,8 @@ def _new_lines(kept: Sequence[Entry], results: Sequence[CaseResult]) -> Iterable
     for result in results:
         if result.verdict is not Verdict.FAIL:
             continue
-        its = [entry for entry, fits in tests if fits(result.id)]
-        for message in failure_messages(result):
-            if not any(entry.allows(message) for entry in its):
+        allowed = {entry.axis for entry, fits in tests if fits(result.id)}
+        for axis, reason in failures(result).items():
+            if axis not in allowed:
                 glob = re.sub(r"([*?[])", r"[\1]", result.id)
-                yield f"{glob}{_SEPARATOR}{_stable(message)}"
-
-
-def _stable(message: str) -> str:
-    """The beginning of a message, up to the first measured value."""
-    return _MEASURED.split(message, maxsplit=1)[0] or message
+                yield f"{glob}{_SEPARATOR}{axis}: {reason}"

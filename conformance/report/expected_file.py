@@ -8,6 +8,7 @@ from pathlib import Path
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import printable
 from bilprov.conformance.report.expected import (
+    FORM,
     ExpectedError,
     Update,
     all_fit,
@@ -91,13 +92,13 @@ def _read(path: Path, name: str, *, missing_ok: bool) -> str:
         text = read_bounded(path, _MOST).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ExpectedError(
-            f"{name} is no text in UTF-8 (byte {error.start}); it takes lines of GLOB : MESSAGE"
+            f"{name} is no text in UTF-8 (byte {error.start}); it takes lines of {FORM}"
         ) from error
     except OSError as error:
-        hint = "it takes lines of GLOB : MESSAGE"
+        hint = f"it takes lines of {FORM}"
         if isinstance(error, FileNotFoundError):
             hint = "--update-expected makes a new one"
         raise ExpectedError(f"{name} cannot be read ({error.strerror}); {hint}") from error
     if "\0" in text:
-        raise ExpectedError(f"{name} has zero bytes in it; it takes lines of GLOB : MESSAGE")
+        raise ExpectedError(f"{name} has zero bytes in it; it takes lines of {FORM}")
     return text.removeprefix("\ufeff")

@@ -76,15 +76,22 @@ def _merged(order: list[tuple[str, int]], more: list[tuple[str, int]]) -> list[t
 
 
 def names(reports: Sequence[Report]) -> list[str]:
-    """A distinct name for each report: the device, the fault that was set, a number if needed."""
+    """A distinct name for each report: its device and the fault that was set, else its file.
+
+    Files are named where several runs are of one device; numbers tell apart what is still alike.
+    """
     plain = [
         report.device + (f" --fault {report.link['fault']}" if report.link.get("fault") else "")
         for report in reports
     ]
     counts = Counter(plain)
-    seen: Counter[str] = Counter()
+    named = [
+        report.file if report.file and counts[name] > 1 else name
+        for name, report in zip(plain, reports, strict=True)
+    ]
+    counts, seen = Counter(named), Counter[str]()
     told = []
-    for name in plain:
+    for name in named:
         seen[name] += 1
         told.append(f"{name} ({seen[name]})" if counts[name] > 1 else name)
     return told

@@ -38,7 +38,8 @@ class Report(msgspec.Struct, frozen=True):
     many cases of each group a budget has left out, `proof` what the level `complete` has proven.
     `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
     name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
-    not known. `unseen` says what the probe did not show, and from which look on.
+    not known. `unseen` says what the probe did not show, and from which look on. `file` is where
+    the report was read from, "" for a run of this process.
     """
 
     grammar: dict[str, str]
@@ -64,6 +65,7 @@ class Report(msgspec.Struct, frozen=True):
     host: str = ""
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
+    file: str = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -199,11 +201,16 @@ def run_facts(report: Report) -> dict[str, str]:
 
 
 def evidence(result: CaseResult) -> list[tuple[str, str]]:
-    """Labels and words: what was sent, and what was expected and seen on each axis not passed."""
+    """Labels and words: what was sent, and what was expected and seen on the axes not passed.
+
+    Of a case that failed these are the axes that failed.
+    """
     frames = f"{result.frames} frames, made again with --only {result.id}"
     rows = [("sent", " | ".join(result.sent) or (frames if result.counted else "nothing"))]
     for name, axis in result.axes.items():
         if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
+            continue
+        if result.verdict is Verdict.FAIL and axis.verdict < Verdict.FAIL:
             continue
         reading = f" [{axis.reading}]" if axis.reading else ""
         said = [(name, axis.reason + reading), ("expected", axis.expected), ("got", axis.actual)]

@@ -24,6 +24,9 @@ _LISTED = (
     Verdict.NON_STRICT,
     Verdict.INFORMATIONAL,
 )
+# Short enough for all columns on 80 columns; the first is TTCN-3's own word.
+_HEADINGS = {Verdict.INCONCLUSIVE: "inconc", Verdict.INFORMATIONAL: "info"}
+_UNBROKEN = 100_000  # columns
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
 _DIFFERING = 20
@@ -34,6 +37,14 @@ _TIMED = {
 }
 
 
+def summary_console(*, stderr: bool = False) -> Console:
+    """A console for a summary: wrapped by words on a terminal, lines left whole elsewhere."""
+    console = Console(stderr=stderr, highlight=False)
+    if not console.is_terminal:
+        console.width = _UNBROKEN
+    return console
+
+
 def _visible(report: Report) -> Report:
     """The report with all control characters escaped, so that it cannot control the terminal."""
     return msgspec.convert(escape_all_controls(msgspec.to_builtins(report)), Report)
@@ -42,6 +53,9 @@ def _visible(report: Report) -> Report:
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
     """Print the summary; `everything` lists every case that did not pass."""
     report = _visible(report)
+    if report.unusable:
+        console.print(conclusion(report))
+        return
     if report.results:
         console.print(_table(report))
     for verdict in _LISTED:
@@ -54,7 +68,7 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
         else:
             _cases(report, found, console, len(found) if everything else _SHOWN)
     for name, (done, of) in report.coverage.items():
-        if report.results and done:
+        if done:
             console.print(Text(f"{name}: {done} of {of}", "dim"))
     for line in _facts(report):
         console.print(Text(line, "dim"))
@@ -110,9 +124,10 @@ def _table(report: Report) -> Table:
     columns = list(reversed(total))
     title = f"{report.device}, {report.grammar['name']} {report.grammar['version']}"
     table = Table(title=Text(title, "table.title"))
-    table.add_column("cases")
+    table.add_column("cases", no_wrap=True)
     for verdict in columns:
-        table.add_column(verdict.label, justify="right", style=STYLES[verdict])
+        heading = _HEADINGS.get(verdict, verdict.label)
+        table.add_column(heading, justify="right", style=STYLES[verdict], no_wrap=True)
     groups = by_group(report.results)
     for name, results in groups.items():
         counts = tally(results)
@@ -140,7 +155,7 @@ def _cases(report: Report, found: list[CaseResult], console: Console, most: int)
             more = f"      and {left} more of {name}; --verbose lists them"
             console.print(Text(more, "dim"))
     if found and found[0].verdict is Verdict.FAIL:
-        console.print(Text(f"again: {reproduce(report, found[0])}"))
+        console.print(Text(f"again: {reproduce(report, found[0])}"), soft_wrap=True)
 
 
 def _case(report: Report, result: CaseResult, console: Console) -> None:
@@ -157,7 +172,8 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
         rows.append(("again", reproduce(report, result)))
     for label, words in rows:
         line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
-        console.print(line)
+        # A terminal joins what it wrapped itself when the line is copied.
+        console.print(line, soft_wrap=label in ("sent", "again"))
 
 
 def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:

@@ -100,8 +100,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         known, confirmed = _named(case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
             shorter = yield from _shortened(run, case, first, first.mismatch)
-            sent = tuple(spaced(data) for data in shorter.sent)
-            known = msgspec.structs.replace(known, sent=sent, reproduce=reproducer(run, shorter))
+            place = replace(first.mismatch, burst=len(shorter.bursts) - 1)
+            known = _named(shorter, replace(first, mismatch=place))
+            known = msgspec.structs.replace(known, reproduce=reproducer(run, shorter))
     except _Stopped as stopped:
         # An interruption leaves the failure that is known; where the device made the rest
         # pointless, the last attempt shows why.

@@ -296,7 +296,7 @@ def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
         (("verdict",), "pass"),
         (("counts", "fail"), 0),
         (("profile", "latency_max_ms"), 0.5),
-        (("cases", 3, "axes", "answer", "actual"), "nothing"),
+        (("cases", 3, "axes", "answer", "verdict"), "non-strict"),
         (("cases", 3, "received"), []),
         (("cases", 3, "id"), "no/such/case"),
     ],
@@ -329,6 +329,57 @@ def test_a_recording_that_goes_on_after_the_run_is_not_the_same(
     found = recheck(str(forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())))
 
     assert found.exit == 1
+
+
+def test_what_is_worded_otherwise_is_no_difference(faulty: Path, tmp_path: Path) -> None:
+    report = json.loads(attachments_of(faulty)["verdict.json"])
+    for case in report["cases"]:
+        case["requirement"] = "as another version worded it"
+        for axis in case["axes"].values():
+            axis |= {"expected": "so", "actual": "so", "reason": "so"}
+    files = {"verdict_json": json.dumps(report).encode()}
+
+    def reworded(message: Message) -> Message:
+        if message.topic != topics.CASES:
+            return message
+        assert isinstance(message.value, dict)
+        return msgspec.structs.replace(message, value={**message.value, "reason": "so"})
+
+    found = recheck(str(forged(faulty, tmp_path / "f.mcap", reworded, **files)))
+
+    assert (found.exit, found.differences) == (0, ())
+
+
+OTHER_CASES = {"fewer": SOME[:1], "others": ("valid/Stop", *SOME)}
+
+
+@pytest.mark.parametrize("only", OTHER_CASES.values(), ids=OTHER_CASES)
+def test_cases_of_another_version_that_are_no_longer_made_are_no_difference(
+    faulty: Path, tmp_path: Path, only: tuple[str, ...]
+) -> None:
+    run = json.loads(attachments_of(faulty)["run.json"])
+    run |= {"kit": "0.0.1", "options": run["options"] | {"only": list(only)}}
+    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
+
+    result = command("recheck", str(file))
+
+    assert result.returncode == 3
+    assert "no longer makes all of its cases" in result.stderr.decode()
+    assert result.stdout.decode().endswith("as far as it could be judged again\n")
+
+
+def test_a_verdict_of_another_version_is_compared_as_far_as_its_cases_are_made(
+    faulty: Path, tmp_path: Path
+) -> None:
+    run = json.loads(attachments_of(faulty)["run.json"]) | {"kit": "0.0.1"}
+    run["options"]["only"] = list(SOME[:1])
+    forgery = changed(topics.LOOKS, 0, moving=True)
+    file = forged(faulty, tmp_path / "f.mcap", forgery, run_json=json.dumps(run).encode())
+
+    found = recheck(str(file))
+
+    assert found.exit == 1
+    assert found.differences[0].about == "power-on/at-rest"
 
 
 def test_another_version_of_the_kit_is_said(faulty: Path, tmp_path: Path) -> None:

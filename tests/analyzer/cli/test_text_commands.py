@@ -127,6 +127,16 @@ def test_explain_draws_bits_names_and_reasons() -> None:
         assert part in shown
 
 
+@pytest.mark.parametrize("items", [("91", "02"), ("81", "09"), ("40",)])
+def test_explain_shows_each_choice_of_a_reading_on_a_line_of_its_own(items: tuple[str]) -> None:
+    shown = text("explain", *items)
+
+    assert "\\" not in shown
+    lines = [line.strip() for line in shown.splitlines()]
+    assert any(line.startswith("our default: ") for line in lines)
+    assert any(line.startswith("otherwise: ") for line in lines)
+
+
 def test_explain_from_the_device_explains_responses() -> None:
     shown = text("explain", "--from", "device", "00", "05")
     assert "correct instruction received" in shown

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.edit.alignment import FAR, RUN, aligned
-from bilprov.analyzer.edit.compare import Latencies
 from bilprov.analyzer.edit.exchanges import Exchange
 from bilprov.captures.schemas import MS, Chunk, State
 from bilprov.captures.writer import CaptureWriter
@@ -187,14 +186,19 @@ def test_streams_that_have_nothing_in_common_are_told_in_whole() -> None:
     assert [second for _, second in pairs if second] == other
 
 
-@given(st.lists(st.integers(-(10**8), 2 * 10**9), min_size=1))
-def test_percentiles_are_right_to_three_digits(values: list[int]) -> None:
-    latencies = Latencies()
-    for value in values:
-        latencies.add(value)
-    for share in (50, 95, 100):
-        exact = sorted(values)[-(-len(values) * share // 100) - 1]
-        assert abs(latencies.percentile(share) - exact) <= abs(exact) / 200
+def test_latencies_are_those_that_the_statistics_show(tmp_path: Path) -> None:
+    draw = Random(1)
+    events = [
+        event
+        for at in range(20)
+        for event in conversation(TALK[at : at + 1], 20 * MS * (at + 1), draw.randrange(9 * MS))
+    ]
+    for path in (written(tmp_path / "a.mcap", events), SAMPLE):
+        told = json.loads(command("compare", str(path), str(path), "--json", "-").stdout)
+        shown = json.loads(command("stats", str(path), "--json", "-").stdout)["total"]
+        for name, both in told["latencies"].items():
+            spread = shown["by_instruction"][name]["latency"]
+            assert both["a"] == both["b"] == {key: spread[key] for key in both["a"]}
 
 
 def test_another_grammar_names_its_own_instructions(tmp_path: Path, horn_text: str) -> None:

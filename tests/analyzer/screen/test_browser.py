@@ -15,6 +15,7 @@ from textual.widgets import Input
 from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.output.row_columns import TimeStyle
 from bilprov.analyzer.screen.arrangement import arranged
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
@@ -200,6 +201,51 @@ def test_typed_letters_are_no_commands_while_a_filter_is_typed(screen: Browser) 
 
     assert operated(screen, steps) is None
     assert screen.return_value is None
+
+
+async def type_ahead(screen: Browser, pilot: Pilot[Any], *keys: str) -> None:
+    """Keys that have all come before the screen handles the first."""
+    for key in keys:
+        name = {"/": "slash", " ": "space", "=": "equals_sign"}.get(key, key)
+        screen.post_message(events.Key(name, key if len(key) == 1 else None))
+    await pilot.pause()
+    await pilot.pause()
+
+
+@pytest.mark.parametrize("text", ["sequence == 3", "faulty", "not quiet"])
+def test_keys_typed_ahead_behind_the_slash_are_the_filter(screen: Browser, text: str) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        follows, style = screen.follows, screen.frames.time_style
+        await type_ahead(screen, pilot, "/", *text)
+        assert screen.prompt.query_one(Input).value == text
+        assert screen.is_running
+        assert (screen.follows, screen.frames.time_style) == (follows, style)
+
+    operated(screen, steps)
+
+
+def test_tab_and_enter_typed_ahead_come_behind_the_text_before_them(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await type_ahead(screen, pilot, "/", *"faulty and lat", "tab")
+        assert screen.prompt.query_one(Input).value == "faulty and latency"
+        await type_ahead(screen, pilot, "escape", "/", *"faulty", "enter", "n", "t")
+        assert screen.filter_text == "faulty"
+        assert not screen.prompt.display
+        assert screen.frames.time_style is not TimeStyle.RELATIVE
+
+    operated(screen, steps)
+
+
+def test_a_filter_shows_how_many_rows_there_are_in_all(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        rows = screen.feed.recording.rows
+        assert f"1 of {rows}" in text_of(screen)[0]
+        await type_filter(pilot, "faulty and direction == host")
+        await pilot.press("enter")
+        await pilot.pause()
+        assert f"of 6 filtered from {rows}" in text_of(screen)[0]
+
+    operated(screen, steps)
 
 
 def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:

@@ -386,6 +386,12 @@ def test_a_port_that_is_not_there() -> None:
         assert found.path in sentence
 
 
+@pytest.mark.parametrize("name", ["127.0.0.1:7701", "tcp:127.0.0.1:7701", "robot.local:7701"])
+def test_an_address_is_answered_with_the_url_that_was_meant(name: str) -> None:
+    address = name.removeprefix("tcp:")
+    assert f"did you mean socket://{address}, " in refusal(name)
+
+
 def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
     already = f"{pty.name} is open in this program already; a port is opened once"
     assert refusal(pty.name) == refusal(f"spy://{pty.name}") == already

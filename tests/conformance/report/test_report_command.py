@@ -248,6 +248,15 @@ def test_runs_are_told_apart(protocol: Protocol) -> None:
     assert names([base, faulty, base]) == ["sim (1)", "sim --fault x", "sim (2)"]
 
 
+def test_runs_of_one_device_are_named_by_their_files(protocol: Protocol) -> None:
+    report = every_verdict(protocol)
+    monday, tuesday = replace(report, file="monday.json"), replace(report, file="tuesday.json")
+
+    assert names([monday, tuesday]) == ["monday.json", "tuesday.json"]
+    assert names([monday, monday]) == ["monday.json (1)", "monday.json (2)"]
+    assert names([monday]) == [report.device]
+
+
 def test_several_results_are_a_table_on_the_terminal(protocol: Protocol, tmp_path: Path) -> None:
     good = saved(a_run(protocol, "bad-data/LED/1?"), tmp_path, "good.json")
     report = a_run(protocol, "bad-data/LED/1?", "valid/LED/1", fault="restarts-by-itself")

@@ -77,3 +77,33 @@ def test_with_a_probe_the_verdicts_are_counted(protocol: Protocol) -> None:
 
     assert "pass" in words
     assert "answers right" not in words
+
+
+def test_the_reason_why_nothing_could_be_judged_stands_first(protocol: Protocol) -> None:
+    report = replace(every_verdict(protocol), unusable="nobody answered in 10 s", results=())
+
+    assert shown(report) == "not judged: nobody answered in 10 s\n"
+
+
+def test_no_column_is_cut_off_at_80_columns_or_in_a_file(protocol: Protocol) -> None:
+    report = every_verdict(protocol)
+    long = a_case("wrong-length/Right/3", Verdict.FAIL)
+    text = StringIO()
+
+    show(replace(report, results=(*report.results, long)), Console(file=text, width=80))
+
+    head = next(line for line in text.getvalue().splitlines() if "cases" in line)
+    words = ["cases", "skipped", "pass", "info", "non-strict", "inconc", "fail", "error"]
+    assert [word for word in head.replace("\u2503", " ").split() if word in words] == words
+    assert "\u2026" not in text.getvalue()
+
+
+def test_a_failed_case_lists_the_axes_that_failed(protocol: Protocol) -> None:
+    failed = a_case("made/two", Verdict.FAIL, "the wrong answer")
+    reset = Axis(Verdict.NON_STRICT, "moving", "moving", "another reading")
+    report = replace(
+        every_verdict(protocol), results=(replace(failed, axes=failed.axes | {"state": reset}),)
+    )
+
+    assert "the wrong answer" in shown(report)
+    assert "another reading" not in shown(report)
