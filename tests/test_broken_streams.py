@@ -416,7 +416,7 @@ SLOWLY_READ = {
 def read_late(*arguments: str, stream: str, late: float = 1.0) -> Result:
     """The command with a stream that is a full, non-blocking pipe, which is read `late` (s)."""
     reader, end = os.pipe()
-    with open(reader, "rb") as said:
+    with os.fdopen(reader, "rb") as said:
         fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
         os.set_blocking(end, False)
         os.write(end, b"x" * PAGE)
@@ -454,7 +454,7 @@ def test_a_recording_goes_on_while_a_nonblocking_stream_is_not_read(tmp_path: Pa
     path = tmp_path / "a.mcap"
     reader, end = os.pipe()
     os.set_blocking(end, False)
-    with open_pty() as host, open(reader, "rb") as said:
+    with open_pty() as host, os.fdopen(reader, "rb") as said:
         words = ("sniff", host.name, "-w", str(path), "--format", "jsonl")
         process = started(f"{STREAMS['stdout']} </dev/null", end, *words)
         os.close(end)
@@ -471,7 +471,7 @@ def test_a_recording_goes_on_while_a_nonblocking_stream_is_not_read(tmp_path: Pa
         _, err = process.communicate(timeout=PATIENCE)
 
     assert (process.returncode, shown.count(b"\n")) == (0, 4000)
-    assert err.startswith(b"4000 instructions, ")
+    assert err.startswith(b"4,000 instructions, ")
 
 
 def recorded(path: Path) -> int:

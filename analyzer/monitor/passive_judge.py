@@ -12,7 +12,7 @@ from collections import Counter
 
 import msgspec
 
-from bilprov.analyzer.decode.decoder import SIDES
+from bilprov.analyzer.decode.decoder import SIDES, UNREAD
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -64,12 +64,13 @@ class Findings(msgspec.Struct):
     `judged` counts the instructions whose answer was judged, and `looks` the probe readings of a
     robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
     by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
-    although the kit reads the document otherwise.
+    although the kit reads the document otherwise. `unread` is for how long (ns) nothing was read.
     """
 
     instructions: int = 0
     judged: int = 0
     looks: int = 0
+    unread: int = 0
     not_judged: Counter[str] = msgspec.field(default_factory=Counter)
     violations: Counter[str] = msgspec.field(default_factory=Counter)
     readings: Counter[str] = msgspec.field(default_factory=Counter)
@@ -88,8 +89,8 @@ class PassiveJudge:
     `paired` is true if both directions are heard; `attached` is true, as in Session, if listening
     began in running traffic.
 
-    Pairs of instruction and answer cannot be trusted after attaching, after a loss, and after a
-    frame with a pause that the device may have taken for its end: one wrong pair shifts all that
+    Pairs of instruction and answer cannot be trusted after attaching, after a loss, after a time in
+    which nothing was read, and after a frame with a pause that the device may have taken for its end: one wrong pair shifts all that
     follow. From then on no anomaly is judged, until both sides were silent for the answer deadline
     with no instruction waiting, or 64 answers in a row agreed.
     """
@@ -113,6 +114,7 @@ class PassiveJudge:
         self._in_step_from = _NEVER if attached else 0  # from when on pairs can be trusted
         self._agreed = 0
         self._heard = 0  # time of the last byte of either side
+        self._unread_from: int | None = None  # since when nothing was read, until the next event
         self._deadline = round(protocol.timing.answer_deadline * MS)
         self._idle = round(protocol.timing.truncation_timeout * MS)
         self._pause = round(protocol.timing.truncation_shortest * MS) // 2
@@ -120,6 +122,9 @@ class PassiveJudge:
 
     def event(self, event: Chunk | Line) -> None:
         """Note the time of an event, before the records that are decoded from it."""
+        if self._unread_from is not None:
+            self._findings.unread += event.t - self._unread_from
+            self._heard, self._unread_from = event.t, None
         if not isinstance(event, Chunk):
             return
         silent = event.t - self._heard >= self._deadline and not self._pending
@@ -254,6 +259,10 @@ class PassiveJudge:
             self._away |= taps
         elif event.event == "reconnected":
             self._away -= taps
+        if event.event == UNREAD:
+            self._unread_from = record.t
+            self._out_of_step()
+            self._stopped_by = None
         if record.lost or self._away:
             self._give_up(_LOST)
             self._heard = record.t
