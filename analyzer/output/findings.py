@@ -2,7 +2,8 @@
 
 The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
 `exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
-`looks`, `unread` (for how many ns nothing was read), `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
+`looks`, `unread` (for how many ns nothing was read),
+`not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
 `of`), `violations` (how many of each kind), `readings` (how often another legal reading was met),
 and `listed`: the first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
 `reason`, `instruction` (its sequence).

@@ -42,6 +42,17 @@ def counted(
             yield Line(t, kind, tap, f"{more} counted by the driver")
 
 
+def wall_clock() -> int:
+    """The wall clock in ns, as near as a capture holds it: 1970 where it is set to before that.
+
+    A clock set to after 2262, which Python cannot give in ns, is 2262.
+    """
+    try:
+        return max(0, time.time_ns())
+    except OverflowError:
+        return (1 << 63) - 1
+
+
 class Source(Closing):
     """A source of events: a clock, and one port per direction with its error counts.
 
@@ -66,7 +77,7 @@ class Source(Closing):
         self._places = {tap: Place(port.name) for tap, port in ports.items()}
         self._looked_at = 0.0
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
-        self.start_wall = time.time_ns()
+        self.start_wall = wall_clock()
         self._start = self._counted_at = time.monotonic_ns()
 
     @property
