@@ -90,8 +90,9 @@ class PassiveJudge:
     began in running traffic.
 
     Pairs of instruction and answer cannot be trusted after attaching, after a loss, after a time in
-    which nothing was read, and after a frame with a pause that the device may have taken for its end: one wrong pair shifts all that
-    follow. From then on no anomaly is judged, until both sides were silent for the answer deadline
+    which nothing was read, and after a frame with a pause that the device may have taken
+    for its end: one wrong pair shifts all that follow.
+    From then on no anomaly is judged, until both sides were silent for the answer deadline
     with no instruction waiting, or 64 answers in a row agreed.
     """
 
