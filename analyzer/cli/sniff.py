@@ -334,17 +334,15 @@ def _listen(
                     pause = min(pause, max(0.0, (at - now) / 1e9))
             events = source.poll(pause, [stopper.fileno()])
             collect(not events)
-            looked_until = now + round(pause * 1e9)
             if not events:
-                seen = max(seen, min(looked_until, source.now()))
+                seen = max(seen, min(now + round(pause * 1e9), source.now()))
                 continue
-            late = events[0].t - looked_until > LATE
-            if late or (recorder and recorder.waited_ns > waited):
+            unread = events[0].t - seen
+            if unread > LATE or (recorder and recorder.waited_ns > waited):
                 why = "this program was stopped or had no time"
                 if recorder and recorder.waited_ns > waited:
                     waited, why = recorder.waited_ns, "the capture file was too slow"
-                unread = (events[0].t - seen) / 1e9
-                detail = f"nothing was read for {unread:.3f} s: {why}"
+                detail = f"nothing was read for {unread / 1e9:.3f} s: {why}"
                 events.insert(0, Line(seen, UNREAD, "", detail))
             seen = events[-1].t
             pipeline.events(events)

@@ -31,7 +31,7 @@ from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import SILENCE_READING, other_choices
 from bilprov.spec.protocol import Protocol
 
-_IN_A_ROW = 64
+_CHANGES = 16
 _NEVER = 1 << 64  # ns
 KEPT = 20  # violations that are listed; all are counted
 
@@ -93,7 +93,8 @@ class PassiveJudge:
     which nothing was read, and after a frame with a pause that the device may have taken
     for its end: one wrong pair shifts all that follow.
     From then on no anomaly is judged, until both sides were silent for the answer deadline
-    with no instruction waiting, or 64 answers in a row agreed.
+    with no instruction waiting, or answers in a row agreed of which 16 were unlike the one before
+    (wrong pairs agree too while all answers are alike).
     """
 
     def __init__(self, protocol: Protocol, *, paired: bool = True, attached: bool = False) -> None:
@@ -113,7 +114,8 @@ class PassiveJudge:
         self._refused = 0  # when the instruction of `_stopped_by` was answered, or else ended
         self._stood = False  # whether the robot was seen standing still since then
         self._in_step_from = _NEVER if attached else 0  # from when on pairs can be trusted
-        self._agreed = 0
+        self._agreed = 0  # answers that agreed in a row and were unlike the one before
+        self._answer: int | None = None
         self._heard = 0  # time of the last byte of either side
         self._unread_from: int | None = None  # since when nothing was read, until the next event
         self._deadline = round(protocol.timing.answer_deadline * MS)
@@ -182,8 +184,8 @@ class PassiveJudge:
             self._stopped_by = None  # the device may have read these bytes as an instruction
             return
         self._findings.instructions += 1
-        if value.t < self._in_step_from:
-            self._out_of_step()  # it was buffered: the host was not silent when it seemed to be
+        if value.t < self._in_step_from:  # it was buffered: the host was not silent then
+            self._in_step_from = _NEVER
         self._coverage.frame(judgement, self._motion)
         self._motion = record.state.motion
         if not judgement.valid:
@@ -213,9 +215,10 @@ class PassiveJudge:
             self._flushes_until = -1  # it does not flush
         if record.answered and _is_short(record.answered) and number == self._newest:
             self._flushes_until = value.t + self._idle
-        self._agreed = self._agreed + 1 if value.agrees else 0
-        if self._agreed >= _IN_A_ROW:
-            self._in_step_from = min(self._in_step_from, value.t)
+        self._agreed = self._agreed + (value.byte != self._answer) if value.agrees else 0
+        self._answer = value.byte
+        if self._agreed >= _CHANGES:
+            self._in_step_from = 0
         if value.t < self._in_step_from and not value.agrees:
             self._findings.not_judged[_UNSEEN] += 1
             return
