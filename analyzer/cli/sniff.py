@@ -58,6 +58,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
+from bilprov.captures.wall_clock import EARLIEST, LATEST
 from bilprov.spec.errors import UserError
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
@@ -169,6 +170,8 @@ def sniff(
             return 0
         source = stack.enter_context(opened)
         note_hindrances(*source.names.values())
+        if path and source.start_wall in (EARLIEST, LATEST):
+            note("the clock of this computer is set to before 1970 or after 2262: set it right")
         skew = 0 if source.one_clock else SKEW
         if test:
             test = test.started(source.start_wall)

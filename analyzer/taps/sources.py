@@ -20,6 +20,7 @@ from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.wall_clock import wall_clock
 
 Events: TypeAlias = list[Chunk | Line]
 
@@ -40,17 +41,6 @@ def counted(
         more = total - before.get(kind, 0)
         if more > 0:
             yield Line(t, kind, tap, f"{more} counted by the driver")
-
-
-def wall_clock() -> int:
-    """The wall clock in ns, as near as a capture holds it: 1970 where it is set to before that.
-
-    A clock set to after 2262, which Python cannot give in ns, is 2262.
-    """
-    try:
-        return max(0, time.time_ns())
-    except OverflowError:
-        return (1 << 63) - 1
 
 
 class Source(Closing):
