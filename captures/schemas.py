@@ -40,9 +40,8 @@ class Line(Timed, frozen=True, gc=False):
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
     `overrun`, `modem`, `unplugged`, `reconnected` or `waited` (from `t` on nothing was
-    read until the next event, because this program was stopped, starved or kept by a slow capture
-    file: when the bytes came is not known); `tap` says on which line, or is empty for
-    both.
+    read until the next event, because this program was stopped or had no time or a slow disk: when
+    the bytes came is not known); `tap` says on which line, or is empty for both.
     """
 
     event: str

@@ -33,7 +33,6 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.columns.decoder import StreamDecoder, preload
-from bilprov.analyzer.decode.decoder import UNREAD
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
@@ -63,7 +62,6 @@ from bilprov.spec.errors import UserError
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
-LATE = 250_000_000  # ns; a reader that comes so much too late does not know when the bytes came
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
@@ -314,17 +312,16 @@ def _listen(
     is there again is not lost.
     """
     end = None if duration is None else round(duration * 1e9)
-    overrun, waited, told = "", 0, False
-    seen = 0  # up to when it is known what came
+    overrun, told = "", False
     unplugged: dict[str, str] = {}
     recorder = pipeline.recorder
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
             now, due = source.now(), pipeline.deadline
-            if due is None or due > seen:
+            if due is None or due > source.seen:
                 pipeline.tick(now)
             else:
-                pipeline.advance(seen)
+                pipeline.advance(source.seen)
                 due = pipeline.deadline
             if recorder and recorder.failure and not told:
                 told = True
@@ -338,16 +335,7 @@ def _listen(
             events = source.poll(pause, [stopper.fileno()])
             collect(not events)
             if not events:
-                seen = max(seen, min(now + round(pause * 1e9), source.now()))
                 continue
-            unread = events[0].t - seen
-            if unread > LATE or (recorder and recorder.waited_ns > waited):
-                why = "this program was stopped or had no time"
-                if recorder and recorder.waited_ns > waited:
-                    waited, why = recorder.waited_ns, "the capture file was too slow"
-                detail = f"nothing was read for {unread / 1e9:.3f} s: {why}"
-                events.insert(0, Line(seen, UNREAD, "", detail))
-            seen = events[-1].t
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":
