@@ -556,6 +556,25 @@ def test_another_grammar_is_followed(tmp_path: Path, horn_text: str) -> None:
     assert [line["hex"] for line in json_lines(out)] == ["91 03"]
 
 
+WRONG_CLOCK = """
+import sys, time
+time.time_ns = lambda: -3_600 * 10**9
+import bilprov
+bilprov.main(sys.argv[1:])
+"""
+
+
+def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(tmp_path: Path) -> None:
+    with open_pty() as host:
+        path = tmp_path / "run.mcap"
+        words = ("sniff", host.name, "-w", str(path), "--duration", "0.1")
+        result = commands.process(*words, code=WRONG_CLOCK)
+
+    assert result.returncode == 0
+    assert b"the clock of this computer is set to before 1970 or after 2262" in result.stderr
+    assert open_capture(path).start == 0
+
+
 STOPPED = 1.2  # s; longer than a device may take to answer
 
 
