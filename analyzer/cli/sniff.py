@@ -204,7 +204,7 @@ def sniff(
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
             lost = _listen(source, pipeline, stopper, duration, tell, wait=wait)
-            pipeline.events([Line(source.now(), "close")])
+            pipeline.events([Line(source.seen, "close")])  # of later it is not known what came
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
                 recorder.finish()
