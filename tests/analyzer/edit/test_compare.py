@@ -194,7 +194,7 @@ def test_latencies_are_those_that_the_statistics_show(tmp_path: Path) -> None:
         for event in conversation(TALK[at : at + 1], 20 * MS * (at + 1), draw.randrange(9 * MS))
     ]
     for path in (written(tmp_path / "a.mcap", events), SAMPLE):
-        told = json.loads(command("compare", str(path), str(path), "--json", "-").stdout)
+        told = json.loads(command("capture", "diff", str(path), str(path), "--json", "-").stdout)
         shown = json.loads(command("stats", str(path), "--json", "-").stdout)["total"]
         for name, both in told["latencies"].items():
             spread = shown["by_instruction"][name]["latency"]
