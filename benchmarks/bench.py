@@ -127,7 +127,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "-o", dest="folder", type=Path, default=ROOT / "build/bench", metavar="FOLDER"
     )
-    parser.add_argument("--publish", action="store_true", help="renew docs/performance.md and its plot")
+    parser.add_argument(
+        "--publish", action="store_true", help="renew docs/performance.md and its plot"
+    )
     options = parser.parse_args()
     if not any(fnmatch(work.name, options.only) for work in WORKS):
         parser.error(f"no row is {options.only}: there are {', '.join(w.name for w in WORKS)}")

@@ -30,7 +30,7 @@ NOT_RUN = {
     r"make": "is how the project is built; the other tests are what it runs",
     r"pytest --robot-port": "tests/conformance/pytest_plugin runs it",
     r"\.venv/bin/python -m benchmarks": "takes minutes",
-    r"bilprov (conform emulator|simulate --firmware)": "needs built firmware; tests/firmware runs it",
+    r"bilprov (conform emulator|simulate --firmware)": "needs firmware; tests/firmware runs it",
     r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
     r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
     r"bilprov ports .*--ask": "takes a minute at all rates; tests/analyzer/doctor runs it",
@@ -38,6 +38,7 @@ NOT_RUN = {
 }
 # What a command needs beside Python.
 NEEDS = ("tshark", "jq")
+SIDES = ("host", "device")
 
 
 def runs() -> dict[str, list[Step]]:
@@ -67,29 +68,33 @@ def command_lines() -> list[tuple[str, str]]:
     found = []
     for name, text in TEXTS.items():
         lines = [step.line for step in steps(text)]
-        prose = re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+        prose = re.sub(r"^```\w*$.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
         inline = re.findall(r"`bilprov ([a-z][^`]*)`", " ".join(prose.split("\n")))
         shown = re.findall(r"^(?:\.venv/bin/)?bilprov (.*)$", "\n".join(lines), re.MULTILINE)
         found += [(Path(name).name, line.removesuffix(" &")) for line in [*shown, *inline]]
     return list(dict.fromkeys(found))
 
 
+def record(path: Path, *sides: str) -> None:
+    """Write a capture of a short drive, or of one side of it."""
+    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
+        for number, frame in enumerate(("1150", "20", "8109", "00")):
+            answer = b"\x02" if frame == "8109" else b"\x00"
+            if "host" in sides:
+                capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
+            if "device" in sides:
+                capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A working folder with the capture that the pages read."""
-    path = tmp_path / "drive.mcap"
-    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
-        for number, frame in enumerate(("1150", "20", "8109", "00")):
-            capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
-            answer = b"\x02" if frame == "8109" else b"\x00"
-            capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
+    record(tmp_path / "drive.mcap", *SIDES)
     return tmp_path
 
 
 @pytest.mark.waits
-@pytest.mark.parametrize(
-    ("text", "output"), named_snippets().values(), ids=named_snippets().keys()
-)
+@pytest.mark.parametrize(("text", "output"), named_snippets().values(), ids=named_snippets().keys())
 def test_a_python_snippet_runs_as_it_stands(text: str, output: str | None, folder: Path) -> None:
     path = f"{PROGRAMS}{os.pathsep}{os.environ['PATH']}"
     result = subprocess.run(
@@ -111,9 +116,9 @@ def typed(page: str, folder: Path, *, whole: bool) -> None:
     """Type what a page shows; each command has to end as the page says, and print what it shows."""
     text = TEXTS[page]
     written = re.findall(r"-w (\S+)", text)
-    for name in ("host", "device", "monday", "tuesday", "broken"):
+    for name in ("host", "device", "monday", "tuesday"):
         if f"{name}.mcap" in text:
-            shutil.copy(folder / "drive.mcap", folder / f"{name}.mcap")
+            record(folder / f"{name}.mcap", *([name] if name in ("host", "device") else SIDES))
     if "drive.mcap" in written:
         (folder / "drive.mcap").unlink()
     with Reader(folder, whole=whole).at_the_desk(text) as reader:
@@ -123,7 +128,9 @@ def typed(page: str, folder: Path, *, whole: bool) -> None:
             elif kind == "diff":
                 reader.patch(block)
         for step in RUNS[page]:
-            if any(re.search(rf"\b{need}\b", step.command) for need in NEEDS if not shutil.which(need)):
+            if any(
+                re.search(rf"\b{need}\b", step.command) for need in NEEDS if not shutil.which(need)
+            ):
                 continue
             status, printed = reader.types(step)
             told = f"{step.line}\n{printed}"
@@ -142,9 +149,7 @@ def test_the_readme_shows_what_happens(folder: Path, request: pytest.FixtureRequ
 @pytest.mark.waits
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])
-def test_a_page_shows_what_happens(
-    page: str, folder: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_page_shows_what_happens(page: str, folder: Path, request: pytest.FixtureRequest) -> None:
     typed(page, folder, whole=request.config.getoption("--whole"))
 
 

@@ -18,13 +18,14 @@ from pathlib import Path
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
 from tests.support.robots import simulate
+from tests.support.signals import ignoring
 
 PATIENCE = 100.0  # s; a command that takes longer hangs
 PROGRAMS = Path(sys.executable).parent
 
 # A block behind a fence, or a run of lines that are indented behind an empty line.
 _BLOCK = re.compile(
-    r"^```(?P<kind>\w+)\n(?P<fenced>.*?)^```$|(?<=\n\n)(?P<indented>(?:(?: {4}.*)?\n)+)",
+    r"^```(?P<kind>\w+)\n(?P<fenced>.*?)^```$|(?<=\n\n)(?P<indented>(?:(?: {4}[^\n]*)?\n)+)",
     re.DOTALL | re.MULTILINE,
 )
 
@@ -177,16 +178,17 @@ class Reader:
             line = re.sub(r"(bilprov conform \S+)", r"\1 --only 'link/*'", line)
             line = re.sub(r"--level (standard|deep|complete)|$", " --level smoke", line, count=1)
         with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
-            process = subprocess.Popen(
-                ["bash", "-o", "pipefail", "-c", line],
-                cwd=self.folder,
-                env=self._environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,
-            )
+            with ignoring():
+                process = subprocess.Popen(
+                    ["bash", "-o", "pipefail", "-c", line],
+                    cwd=self.folder,
+                    env=self._environment(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    start_new_session=True,
+                )
             if step.background:
                 self._background.append(process)
                 _wait_for_output(process, output.fileno())
