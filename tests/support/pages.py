@@ -32,7 +32,8 @@ _BLOCK = re.compile(
 
 # Commands that go on until Ctrl-C, which a reader types when he has seen enough.
 _ENDLESS = re.compile(r"bilprov (sniff(?!.*--(count|duration))|simulate(?!.*--list-)|lab line)")
-# On a device in real time these take a minute, and on a busy machine may be unable to time a pause.
+# On a device in real time these take a minute, so a part of them is run. What they find on a busy
+# machine is not for a test of the pages to judge.
 _IN_REAL_TIME = re.compile(r"bilprov conform (?!sim)")
 _TAPS = re.compile(r"bilprov (sniff|ports) /dev/tty\w+ /dev/tty\w+|bilprov sniff /dev/tty\w+ *$")
 
@@ -65,7 +66,7 @@ class Step:
         """
         if self.output is not None:
             return {0, 1, 2, 3}
-        found = {3} if _IN_REAL_TIME.match(self.line) else set()
+        found = {1, 3} if _IN_REAL_TIME.match(self.line) else set()
         named = re.search(r"# .*exit status (\d)( or \d| if )?", self.line)
         if not named:
             return found | {0}
@@ -98,10 +99,10 @@ def snippets(text: str) -> list[tuple[str, str | None]]:
 
 
 def steps(text: str) -> list[Step]:
-    """The commands of a page's `console` and indented blocks, in their order."""
+    """The commands of a page's `console`, `sh` and indented blocks, in their order."""
     found: list[Step] = []
     for kind, block in blocks(text):
-        if kind == "indented":
+        if kind in ("indented", "sh"):
             lines = re.sub(r"(\||\\)\n\s*", r"\1 ", block).splitlines()
             found += [Step(line.strip()) for line in lines]
         elif kind == "console":
