@@ -17,7 +17,17 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from tests.support import ROOT
 from tests.support.commands import parsed
-from tests.support.pages import PROGRAMS, Reader, Step, blocks, matches, pages, snippets, steps
+from tests.support.pages import (
+    PROGRAMS,
+    Reader,
+    Step,
+    blocks,
+    matches,
+    pages,
+    paragraphs,
+    snippets,
+    steps,
+)
 
 README = ROOT / "README.md"
 PAGES = pages()
@@ -150,6 +160,13 @@ def test_the_readme_shows_what_happens(folder: Path) -> None:
 @pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])
 def test_a_page_shows_what_happens(page: str, folder: Path) -> None:
     typed(page, folder)
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_a_block_of_commands_is_shown_as_one(text: str) -> None:
+    lines = [line for paragraph in paragraphs(text) for line in paragraph.splitlines()]
+
+    assert [line for line in lines if re.match(r"(bilprov|pip|make|sudo) [^`]*  # ", line)] == []
 
 
 def test_the_readme_is_short() -> None:

@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from markdown_it import MarkdownIt
+
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
 from tests.support.robots import simulate
@@ -23,12 +25,6 @@ from tests.support.signals import ignoring
 
 PATIENCE = 60.0  # s; a command that takes longer hangs
 PROGRAMS = Path(sys.executable).parent
-
-# A block behind a fence, or a run of lines that are indented behind an empty line.
-_BLOCK = re.compile(
-    r"^```(?P<kind>\w+)\n(?P<fenced>.*?)^```$|(?<=\n\n)(?P<indented>(?:(?: {4}[^\n]*)?\n)+)",
-    re.DOTALL | re.MULTILINE,
-)
 
 # Commands that go on until Ctrl-C, which a reader types when he has seen enough.
 _ENDLESS = re.compile(r"bilprov (sniff(?!.*--(count|duration))|simulate(?!.*--list-)|lab line)")
@@ -80,22 +76,30 @@ def pages() -> list[Path]:
     return sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
 
 
-def blocks(text: str) -> Iterator[tuple[str, str]]:
-    """Each block of a page: its language (`indented` for those without a fence) and its text."""
-    for found in _BLOCK.finditer(text):
-        if found["indented"] is None:
-            yield found["kind"], found["fenced"]
-        elif found["indented"].strip():
-            lines = found["indented"].splitlines()
-            yield "indented", "\n".join(line[4:] for line in lines if line.strip()) + "\n"
+def blocks(text: str) -> list[tuple[str, str]]:
+    """Each block of code of a page: its language (`indented` without a fence) and its text."""
+    return [
+        (token.info if token.type == "fence" else "indented", token.content)
+        for token in MarkdownIt().parse(text)
+        if token.type in ("fence", "code_block")
+    ]
+
+
+def paragraphs(text: str) -> list[str]:
+    """What is shown as prose: paragraphs, headings, list items, cells of tables."""
+    return [token.content for token in MarkdownIt().parse(text) if token.type == "inline"]
 
 
 def snippets(text: str) -> list[tuple[str, str | None]]:
-    """Each Python snippet of a page, and what a `text` block right below it shows as its output."""
-    found = re.finditer(
-        r"^```python\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?", text, re.DOTALL | re.MULTILINE
-    )
-    return [(match[1], match[2]) for match in found]
+    """Each Python snippet of a page, and the output that is shown right below it.
+
+    That is a `text` block, or a line in the words "It prints".
+    """
+    output = r"(?:\n\n(?:```text\n(?P<block>.*?)^```$|It prints `(?P<line>[^`\n]*)`))?"
+    found = re.finditer(rf"^```python\n(.*?)^```${output}", text, re.DOTALL | re.MULTILINE)
+    return [
+        (match[1], match["block"] or (match["line"] and match["line"] + "\n")) for match in found
+    ]
 
 
 def steps(text: str) -> list[Step]:
@@ -104,7 +108,7 @@ def steps(text: str) -> list[Step]:
     for kind, block in blocks(text):
         if kind in ("indented", "sh"):
             lines = re.sub(r"(\||\\)\n\s*", r"\1 ", block).splitlines()
-            found += [Step(line.strip()) for line in lines]
+            found += [Step(line.strip()) for line in lines if line.strip()]
         elif kind == "console":
             first, *rest = re.split(r"^\$ ", block, flags=re.MULTILINE)
             assert not first, f"output without a command: {first}"
