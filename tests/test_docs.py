@@ -174,6 +174,12 @@ def test_the_readme_is_short() -> None:
     assert len(TEXTS["README.md"].encode()) <= 9_000
 
 
+def test_what_is_not_run_is_on_a_page() -> None:
+    lines = [step.line for text in TEXTS.values() for step in steps(text)]
+
+    assert [p for p in NOT_RUN if not any(re.match(p, line) for line in lines)] == []
+
+
 def test_a_page_is_held_to_what_it_shows() -> None:
     printed = "one 1.5 ms\ntwo\nthree\n"
 
