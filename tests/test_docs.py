@@ -29,7 +29,6 @@ from tests.support.pages import (
     steps,
 )
 
-README = ROOT / "README.md"
 PAGES = pages()
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 _PATIENCE = 60  # s
