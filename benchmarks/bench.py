@@ -2,7 +2,8 @@
 
 `python -m benchmarks.bench [--quick] [--only NAME] [--seconds N] [-o FOLDER] [--publish]`.
 FOLDER gets bench.json, bench.md and performance.svg. With --publish a run of all rows also renews
-the README's table and docs/performance.svg. It ends with 1 if a row failed; no figure is asserted.
+the table in docs/performance.md and docs/performance.svg. Exit status: 1 if a row failed; no figure
+is asserted.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from benchmarks.report import (
 from benchmarks.setting import FULL, QUICK, Setting, Work
 
 _FOLDER = ROOT / "build/bench"
-_README, _PLOT = ROOT / "README.md", ROOT / "docs/performance.svg"
+_PAGE, _PLOT = ROOT / "docs/performance.md", ROOT / "docs/performance.svg"
 BOTH_WAYS = "both directions"
 WORKS = (
     Work("columns", "bytes to verdict and state columns", decoding.columns),
@@ -126,7 +127,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "-o", dest="folder", type=Path, default=ROOT / "build/bench", metavar="FOLDER"
     )
-    parser.add_argument("--publish", action="store_true", help="renew the README and its plot")
+    parser.add_argument(
+        "--publish", action="store_true", help="renew docs/performance.md and its plot"
+    )
     options = parser.parse_args()
     if not any(fnmatch(work.name, options.only) for work in WORKS):
         parser.error(f"no row is {options.only}: there are {', '.join(w.name for w in WORKS)}")
@@ -173,11 +176,11 @@ def _write(folder: Path, rows: Sequence[Row], on: Machine, mode: str) -> None:
 
 
 def _publish(rows: Sequence[Row], on: Machine, mode: str) -> None:
-    text = _README.read_text(encoding="utf-8")
+    text = _PAGE.read_text(encoding="utf-8")
     told = between_markers(text, as_markdown(rows, on, mode, short=True))
-    _README.write_text(told, encoding="utf-8")
+    _PAGE.write_text(told, encoding="utf-8")
     _PLOT.write_text(as_svg(rows), encoding="utf-8")
-    _tell(f"renewed: the table in {_README} and {_PLOT}")
+    _tell(f"renewed: the table in {_PAGE} and {_PLOT}")
 
 
 def _tell(line: str) -> None:

@@ -176,7 +176,7 @@ def _cell(text: str) -> str:
 
 
 def between_markers(text: str, table: str) -> str:
-    """The README's text with the table between its markers. Raises ValueError without them."""
+    """The page's text with the table between its markers. Raises ValueError without them."""
     head, begin, rest = text.partition(_BEGIN)
     _, end, tail = rest.partition(_END)
     if not begin or not end:

@@ -1,4 +1,4 @@
-"""Draws the README's pictures: a drive live and as a plot, a faulty robot's report, a port.
+"""Draws the pictures of README and docs: a drive live and as a plot, a report, a port.
 
 Pages are taken by Chromium (apt-get install chromium); the same browser and fonts give the same
 picture again.

@@ -1,9 +1,10 @@
-"""What people read: each Python snippet runs as it stands, each command line is one that exists."""
+"""What people read: each snippet and command runs as it stands, and prints what a page shows."""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,49 +14,97 @@ import pytest
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.storage import messages, records, recovery
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from tests.support import ROOT
 from tests.support.commands import parsed
+from tests.support.pages import (
+    PROGRAMS,
+    Reader,
+    Step,
+    blocks,
+    matches,
+    pages,
+    paragraphs,
+    snippets,
+    steps,
+)
 
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
+PAGES = pages()
+TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 _PATIENCE = 60  # s
 
+# What a page shows and no test runs, and why. The first words of a command, as a pattern.
+NOT_RUN = {
+    r"apt-get|pip|pipx|npm|sudo|setserial|echo .*sudo": "installs, or changes the machine",
+    r"make": "is how the project is built; the other tests are what it runs",
+    r"pytest --robot-port": "tests/conformance/pytest_plugin runs it",
+    r"\.venv/bin/python -m benchmarks": "takes minutes",
+    r"bilprov (conform emulator|simulate --firmware)": "needs firmware; tests/firmware runs it",
+    r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
+    r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
+    r"bilprov ports .*--ask": "takes a minute at all rates; tests/analyzer/doctor runs it",
+}
+# What a command needs beside Python.
+NEEDS = ("tshark", "jq")
+SIDES = ("host", "device")
 
-def snippets() -> list[tuple[str, str]]:
-    """Each Python snippet of the pages, named by page and number."""
-    found = []
-    for page in PAGES:
-        texts = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
-        found += [(f"{page.name}-{number}", text) for number, text in enumerate(texts, 1)]
+
+def runs() -> dict[str, list[Step]]:
+    """The steps of each page that a test runs."""
+    found = {}
+    for name, text in TEXTS.items():
+        kept = [s for s in steps(text) if not any(re.match(p, s.line) for p in NOT_RUN)]
+        if kept:
+            found[name] = kept
     return found
 
 
+RUNS = runs()
+
+
+def named_snippets() -> dict[str, tuple[str, str | None]]:
+    """Each Python snippet with its output, named by page and number."""
+    return {
+        f"{Path(name).name}-{number}": snippet
+        for name, text in TEXTS.items()
+        for number, snippet in enumerate(snippets(text), 1)
+    }
+
+
 def command_lines() -> list[tuple[str, str]]:
-    """Each command line that a page shows, with the page's name."""
+    """Each command line of ours that a page shows, with the page's name."""
     found = []
-    for page in PAGES:
-        text = re.sub(r"^```python\n.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
-        lines = re.findall(r"^    (?:\.venv/bin/)?bilprov (.*)$", text, re.MULTILINE)
-        inline = re.findall(r"`bilprov ([a-z][^`]*)`", " ".join(text.split("\n")))
-        found += [(page.name, line) for line in [*lines, *inline]]
+    for name, text in TEXTS.items():
+        lines = [step.line for step in steps(text)]
+        prose = re.sub(r"^```\w*$.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+        inline = re.findall(r"`bilprov ([a-z][^`]*)`", " ".join(prose.split("\n")))
+        shown = re.findall(r"^(?:\.venv/bin/)?bilprov (.*)$", "\n".join(lines), re.MULTILINE)
+        found += [(Path(name).name, line.removesuffix(" &")) for line in [*shown, *inline]]
     return list(dict.fromkeys(found))
+
+
+def record(path: Path, *sides: str) -> None:
+    """Write a capture of a short drive, or of one side of it."""
+    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
+        for number, frame in enumerate(("1150", "20", "8109", "00")):
+            answer = b"\x02" if frame == "8109" else b"\x00"
+            if "host" in sides:
+                capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
+            if "device" in sides:
+                capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A working folder with the capture that the snippets read."""
-    path = tmp_path / "drive.mcap"
-    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
-        for number, frame in enumerate(("1150", "20", "8109", "00")):
-            capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
-            answer = b"\x02" if frame == "8109" else b"\x00"
-            capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
+    """A working folder with the capture that the pages read."""
+    record(tmp_path / "drive.mcap", *SIDES)
     return tmp_path
 
 
 @pytest.mark.waits
-@pytest.mark.parametrize(("name", "text"), snippets(), ids=[name for name, _ in snippets()])
-def test_a_python_snippet_runs_as_it_stands(name: str, text: str, folder: Path) -> None:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+@pytest.mark.parametrize(("text", "output"), named_snippets().values(), ids=named_snippets().keys())
+def test_a_python_snippet_runs_as_it_stands(text: str, output: str | None, folder: Path) -> None:
+    path = f"{PROGRAMS}{os.pathsep}{os.environ['PATH']}"
     result = subprocess.run(
         [sys.executable, "-W", "error", "-c", text],
         cwd=folder,
@@ -67,6 +116,106 @@ def test_a_python_snippet_runs_as_it_stands(name: str, text: str, folder: Path) 
 
     assert (result.returncode, result.stderr) == (0, b"")
     assert result.stdout or "print" not in text or "except" in text
+    if output is not None:
+        assert result.stdout.decode() == output
+
+
+def typed(page: str, folder: Path) -> None:
+    """Type what a page shows; each command has to end as the page says, and print what it shows."""
+    text = TEXTS[page]
+    written = re.findall(r"-w (\S+)", text)
+    for name in ("host", "device", "monday", "tuesday"):
+        if f"{name}.mcap" in text:
+            record(folder / f"{name}.mcap", *([name] if name in ("host", "device") else SIDES))
+    if "drive.mcap" in written:
+        (folder / "drive.mcap").unlink()
+    with Reader(folder).at_the_desk(text) as reader:
+        for kind, block in blocks(text):
+            if kind == "toml":
+                reader.settings(block)
+            elif kind == "diff":
+                reader.patch(block)
+        for step in RUNS[page]:
+            if any(
+                re.search(rf"\b{need}\b", step.command) for need in NEEDS if not shutil.which(need)
+            ):
+                continue
+            status, printed = reader.types(step)
+            told = f"{step.line}\n{printed}"
+            assert "Traceback" not in printed, told
+            assert status in step.statuses, f"exit status {status}: {told}"
+            if step.output is not None:
+                assert matches(step.output, printed), told
+
+
+@pytest.mark.waits
+def test_the_readme_shows_what_happens(folder: Path) -> None:
+    typed("README.md", folder)
+
+
+@pytest.mark.sample(2)
+@pytest.mark.waits
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])
+def test_a_page_shows_what_happens(page: str, folder: Path) -> None:
+    typed(page, folder)
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_a_block_of_commands_is_shown_as_one(text: str) -> None:
+    lines = [line for paragraph in paragraphs(text) for line in paragraph.splitlines()]
+
+    assert [line for line in lines if re.match(r"(bilprov|pip|make|sudo) [^`]*  # ", line)] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len(TEXTS["README.md"].splitlines()) <= 150
+    assert len(TEXTS["README.md"].encode()) <= 9_000
+
+
+def test_what_is_not_run_is_on_a_page() -> None:
+    lines = [step.line for text in TEXTS.values() for step in steps(text)]
+
+    assert [p for p in NOT_RUN if not any(re.match(p, line) for line in lines)] == []
+
+
+def test_a_page_is_held_to_what_it_shows() -> None:
+    printed = "one 1.5 ms\ntwo\nthree\n"
+
+    for shown in ("one 2 ms\ntwo\nthree\n", "...\nthree\n", "one ...\n...\n", "...\n"):
+        assert matches(shown, printed), shown
+    for shown in ("one\ntwo\nthree\n", "two\n", "...\ntwo\n", "one ...\nthree\n", ""):
+        assert not matches(shown, printed), shown
+
+
+def test_the_exit_status_of_a_command_is_the_one_that_its_comment_names() -> None:
+    assert Step("bilprov ports").statuses == {0}
+    assert Step("bilprov conform sim   # 6 s; exit status 3: nothing sees it").statuses == {3}
+    assert Step("bilprov capture diff a b   # exit status 1 if they differ").statuses == {0, 1}
+
+
+def _values(instruction: InstructionSpec) -> str:
+    return ", ".join(f"{one.low} to {one.high}" for one in instruction.fields)
+
+
+def test_the_protocol_page_is_what_the_grammar_says(protocol: Protocol) -> None:
+    text = TEXTS["docs/protocol.md"]
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in text.splitlines()
+        if re.match(r"\| \d+ \|", line)
+    ]
+    instructions = [
+        [str(one.id), one.name, one.document, str(one.length), _values(one)]
+        for one in protocol.instructions
+    ]
+    answers = [[str(one.code), one.name, one.prose] for one in protocol.responses]
+
+    assert [row[:5] for row in rows if len(row) == 6] == instructions
+    assert [row for row in rows if len(row) == 3] == answers
+    timing = protocol.timing
+    for number in (timing.truncation_timeout, timing.answer_deadline, timing.stop_longest):
+        assert f"{number} ms" in text
 
 
 @pytest.mark.parametrize(("page", "line"), command_lines())
