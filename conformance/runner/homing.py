@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from bilprov.captures.schemas import MS
+from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of
@@ -229,10 +229,15 @@ def _leave(run: Run) -> Procedure[Ended | None]:
 
 
 class SetUp(NamedTuple):
-    """What a preamble led to: what is missing, "" if nothing, and the state the robot must have."""
+    """What a preamble led to: what is missing, "" if nothing, and the state the robot must have.
+
+    `frames` are those that were sent; `look` is the last look before the stimulus, if there is one.
+    """
 
     missing: str
     expected: ExpectedState
+    frames: tuple[bytes, ...]
+    look: Look | None = None
 
 
 def set_up(run: Run, state: State) -> Procedure[SetUp]:
@@ -241,7 +246,8 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
     Something is missing where the answers are not as many as the instructions.
     """
     expected = run.model.homed(run.model.found())
-    frames = [frame for frame in frames_to(run.protocol, state) if run.wire(frame)]
+    frames = tuple(frame for frame in frames_to(run.protocol, state) if run.wire(frame))
+    sent_frames = tuple(map(run.wire, frames))
     answered = 0
     for frame in frames:
         sent = yield from send(run.wire(frame))
@@ -251,10 +257,10 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
         run.answered(run.wire(frame), heard, sent)
     expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
-        return SetUp("", expected)
+        return SetUp("", expected, sent_frames)
     run.strays.missing(max(0, len(frames) - answered))  # more answers than frames are a flood
     answers, asked = quantity(answered, "answer"), quantity(len(frames), "instruction")
-    return SetUp(f"{answers} to {asked} of the set-up", expected)
+    return SetUp(f"{answers} to {asked} of the set-up", expected, sent_frames)
 
 
 def watch(

@@ -191,7 +191,15 @@ def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
 
 
 def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
-    """The result with the clause that the failing step breaks, and the bytes sent up to it."""
+    """The result with the clause that the failing step breaks, and the bytes sent up to it.
+
+    What the preamble of a single frame did wrong is named with it. Only the final result says so:
+    attempts are compared by the reasons that the look after the stimulus gives.
+    """
+    state = tried.result.axes.get("state")
+    if tried.already and state and state.verdict is Verdict.FAIL:
+        told = msgspec.structs.replace(state, reason=tried.already)
+        return msgspec.structs.replace(tried.result, axes=tried.result.axes | {"state": told})
     if tried.mismatch is None or not isinstance(case, SequenceCase):
         return tried.result
     sent = tuple(spaced(data) for data in up_to(case, tried.mismatch).sent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Received, Reconnected
@@ -42,7 +43,8 @@ class Trial:
     It is `begun` once its stimulus has been sent: answers from then on belong to the case. `sent`
     is when that was (ns), `expected` the state that the robot must have now, `before` the one
     before the stimulus. It is `settled` once a silence has shown that its stimulus was not answered
-    twice.
+    twice. `preamble` are the frames before the stimulus and `look_before` the look after them, if
+    there was one; `already` is how the state that failed was wrong even then, "" if it was not.
     """
 
     def __init__(self, run: Run, case: Case | SequenceCase) -> None:
@@ -53,6 +55,9 @@ class Trial:
         self.sent = 0
         self.settled = False
         self.before = self.expected = run.model.found()
+        self.preamble: tuple[bytes, ...] = ()
+        self.look_before: Look | None = None
+        self.already = ""
 
     def begin(
         self, case: Case | SequenceCase, axes: dict[str, Axis], heard: Received, sent: int
