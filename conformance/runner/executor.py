@@ -7,8 +7,16 @@ Every exit homes the robot.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from bilprov.conformance.cases.budget import Pace, before_the_cases, emptied, seconds, within
+from bilprov.conformance.cases.budget import (
+    Pace,
+    before_the_cases,
+    emptied,
+    seconds,
+    waits_in_vain,
+    within,
+)
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected, followed
@@ -19,7 +27,7 @@ from bilprov.conformance.runner.first_choices import first_choices
 from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
-from bilprov.conformance.runner.retry import judge_case
+from bilprov.conformance.runner.retry import TRUSTED, judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
 from bilprov.conformance.runner.slow_preambles import find_speed
@@ -27,6 +35,7 @@ from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs
 from bilprov.conformance.runner.waiting import GaveUp
 
 _SLOW = 0.005  # s for an answer or a look
+_MENTIONED = 2.0  # s; what takes less longer than was announced is not told
 SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
 
 
@@ -111,6 +120,7 @@ class Runner:
                 yield from measure_timeout(run)
             if self._discover:
                 yield from discover(run)
+            self._tell_time_out()
             yield from settle_failures(run)
             self._fit()
             self._require_each_group()
@@ -189,6 +199,32 @@ class Runner:
             )
             return
         run.note(f"{self._slow_words(pace)}: {about}")
+
+    def _tell_time_out(self) -> None:
+        """Tell of a device with a long time-out for frames that are cut short, or with none."""
+        run = self.run
+        if run.profile.keeps_waiting:
+            run.notices.append(
+                "the device never gives up a frame that was cut short: the document is silent on a "
+                f"time-out; this kit asks for one because of {run.protocol.clauses.safety} (a "
+                "faulty instruction stops the robot at once)"
+            )
+        if run.config.virtual:
+            return
+        pace, whole = self._pace(), run.timers.run_budget
+        timing = run.protocol.timing
+        usual = replace(pace, timeout=timing.truncation_timeout / 1000)
+        cases = sum(map(self._cost, self._left))
+        more = cases - sum(seconds(run.protocol, case, usual) for case in self._left)
+        what = f"ends a frame that was cut short only after {pace.timeout * 1e3:.0f} ms"
+        if run.profile.keeps_waiting:
+            more = waits_in_vain(self._left, timing.answer_longest / 1000, TRUSTED)
+            what = "never gives up a frame that was cut short"
+        if whole is not None and is_slow(max(pace.answer, pace.look)):
+            cases = min(cases, whole / 1e9)
+        if more >= _MENTIONED:
+            run.limit.announce(cases + more)
+            run.note(f"this device {what}: the run takes about {more:.0f} s more")
 
     def _slow_words(self, pace: Pace) -> str:
         """What is slow, and how long it takes."""

@@ -43,10 +43,10 @@ def pad(run: Run) -> bytes:
     return bytes([run.protocol.pad_byte]) * run.protocol.longest_frame
 
 
-def home(run: Run) -> Procedure[None]:
+def home(run: Run) -> Procedure[Homed]:
     """Home the line outside any case: what comes late is stray.
 
-    Raises GaveUp when the device no longer answers.
+    Returns what that has shown. Raises GaveUp when the device no longer answers.
     """
     homed = yield from home_after(run, None)
     for late in homed.late:
@@ -56,6 +56,7 @@ def home(run: Run) -> Procedure[None]:
             run.strays.silent(late.reason)
     if homed.stopped:
         raise homed.stopped
+    return homed
 
 
 def home_again(run: Run) -> Procedure[None]:
@@ -85,13 +86,14 @@ def home_after(run: Run, trial: Trial | None) -> Procedure[Homed]:
     """
     late: list[Late] = []
     try:
-        yield from _home(run, trial, late)
+        first = yield from _home(run, trial, late)
     except (Ended, GaveUp) as stopped:
         return Homed(tuple(late), stopped)
-    return Homed(tuple(late))
+    return Homed(tuple(late), first=first)
 
 
-def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
+def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | None]:
+    """Home the line, and add what comes late; returns the first answer to stops sent together."""
     waiting, due = run.waiting, run.protocol.longest_frame
     patience = waiting.usual
     pause = max(run.profile.truncation_timeout or 0, run.profile.flushes_for or 0) + patience
@@ -114,9 +116,11 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     settle = 0 if settled else run.timers.settle
     between_frames = in_step or trial is None
     lost = owed = 0
+    first: int | None = None
     for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience, settle)
+        first = next((code for _, code in got), None) if first is None else first
         # What is owed to the stops before is late, and neither lost nor unasked.
         belated = min(owed, max(0, len(got) - count))
         owed, lost = owed - belated, max(0, lost - belated)
@@ -124,14 +128,14 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
             yield from _too_many(run, got[: len(got) - count - belated], late)
         if len(got) >= count:
             run.strays.missing(lost)
-            return
+            return first
         # It waited for data, or discards bytes until the line is idle: a pause ends both.
         more = yield from listen(None, pause)
         short = max(0, count - len(got) - len(more.answers))
         owed, lost = owed + short, lost + short * between_frames
         if not short:
             run.strays.missing(lost)
-            return
+            return first
     # A device that loses instructions sent ahead still takes one at a time. It may take the first
     # of them for data that it still waits for, or discard them until the line is idle for longer.
     in_time = tries = 0
@@ -143,7 +147,7 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
         in_time = in_time + 1 if heard.answers else 0
         if in_time == 2:
             run.strays.missing(lost)
-            return
+            return first
     late.append(Late((), "the device stopped answering"))
     after = f"after {trial.case.id}" if trial else "before the first case"
     raise GaveUp(f"the device stopped answering {after}")

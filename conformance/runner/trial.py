@@ -31,10 +31,14 @@ class Late:
 
 @dataclass(frozen=True, slots=True)
 class Homed:
-    """What homing has shown: late answers in order, and what stopped it, None if nothing did."""
+    """What homing has shown: late answers in order, and what stopped it, None if nothing did.
+
+    `first` is the first answer that its stops got together, None if they got none.
+    """
 
     late: tuple[Late, ...] = ()
     stopped: Ended | GaveUp | None = None
+    first: int | None = None
 
 
 class Trial:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-
 from bilprov.conformance.api import Options, conform, run_suite
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
