@@ -13,6 +13,7 @@ from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
     emptied,
+    pauses_after_faults,
     seconds,
     waits_in_vain,
     within,
@@ -120,9 +121,10 @@ class Runner:
                 yield from measure_timeout(run)
             if self._discover:
                 yield from discover(run)
-            self._tell_time_out()
+            self._tell_notices()
             yield from settle_failures(run)
             self._fit()
+            self._tell_longer()
             self._require_each_group()
             while self._left and not self._enough():
                 case = self._left[0]
@@ -200,8 +202,8 @@ class Runner:
             return
         run.note(f"{self._slow_words(pace)}: {about}")
 
-    def _tell_time_out(self) -> None:
-        """Tell of a device with a long time-out for frames that are cut short, or with none."""
+    def _tell_notices(self) -> None:
+        """Note for the report what the user should know of the device before its cases."""
         run = self.run
         if run.profile.keeps_waiting:
             run.notices.append(
@@ -209,22 +211,38 @@ class Runner:
                 f"time-out; this kit asks for one because of {run.protocol.clauses.safety} (a "
                 "faulty instruction stops the robot at once)"
             )
+
+    def _tell_longer(self) -> None:
+        """Announce anew how long the run takes with what was found out about the device."""
+        run, pace = self.run, self._pace()
         if run.config.virtual:
             return
-        pace, whole = self._pace(), run.timers.run_budget
-        timing = run.protocol.timing
-        usual = replace(pace, timeout=timing.truncation_timeout / 1000)
-        cases = sum(map(self._cost, self._left))
-        more = cases - sum(seconds(run.protocol, case, usual) for case in self._left)
-        what = f"ends a frame that was cut short only after {pace.timeout * 1e3:.0f} ms"
+        usual = replace(pace, timeout=run.protocol.timing.truncation_timeout / 1000)
+        cases = sum(seconds(run.protocol, case, usual) for case in self._left)
+        found = {
+            f"ends a frame that was cut short only after {pace.timeout * 1e3:.0f} ms": (
+                sum(map(self._cost, self._left)) - cases
+            )
+        }
         if run.profile.keeps_waiting:
-            more = waits_in_vain(self._left, timing.answer_longest / 1000, TRUSTED)
-            what = "never gives up a frame that was cut short"
+            longest = run.protocol.timing.answer_longest / 1000
+            wasted, most = waits_in_vain(self._left, longest, TRUSTED), run.timers.waiting_budget
+            found["never gives up a frame that was cut short"] = (
+                wasted if most is None else min(wasted, most / 1e9)
+            )
+        if run.profile.flushes:
+            pauses = sum(map(pauses_after_faults, self._left))
+            found["discards what follows a fault until the line is idle"] = (
+                pauses * run.waiting.idle / 1e9
+            )
+        longer = {what: more for what, more in found.items() if more >= _MENTIONED}
+        if not longer:
+            return
+        whole, more = run.timers.run_budget, sum(longer.values())
         if whole is not None and is_slow(max(pace.answer, pace.look)):
             cases = min(cases, whole / 1e9)
-        if more >= _MENTIONED:
-            run.limit.announce(cases + more)
-            run.note(f"this device {what}: the run takes about {more:.0f} s more")
+        run.limit.announce(cases + more)
+        run.note(f"this device {' and '.join(longer)}: the run takes about {more:.0f} s more")
 
     def _slow_words(self, pace: Pace) -> str:
         """What is slow, and how long it takes."""
