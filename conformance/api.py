@@ -298,6 +298,7 @@ def run_suite(
             device=environment.device,
             link=environment.link,
             unseen=tuple(run.sight.sentences(grammar.limits)),
+            notices=tuple(run.notices),
             timing=meter.report(run.waiting.timeouts),
             dropped=_dropped(grammar, options, cases, target.line),
         )

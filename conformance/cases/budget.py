@@ -23,6 +23,8 @@ _LOOKS = 3  # at each setting of a sweep
 _LOOKS_ONCE, _LOOKS_AT_STOP, _LOOKS_AT_RECOVERY = 2, 5, 3  # in a case of a single frame
 _ANSWERS_BEFORE, _LOOKS_BEFORE = 190, 60  # that are waited for before the first case
 _WATCHED_BEFORE = 1.8  # s for which a probe watches the robot before the first case
+_PAUSES = 2  # after a fault in a case of a single frame, for a setting and a motion
+_RETRIED = 10  # answers that a failed case waits for in vain where it is tried again
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line
 _LOCAL_LOOK = 0.001  # s that a look takes at most there
 
@@ -160,6 +162,30 @@ def looks_in(case: AnyCase, *, few: bool = False) -> int:
     if case.then:
         return _LOOKS_AT_RECOVERY
     return _LOOKS_AT_STOP if case.stop else _LOOKS_ONCE
+
+
+def waits_in_vain(cases: Sequence[AnyCase], longest: float, retried: int) -> float:
+    """About how long (s) the cases take more with a device that gives up no frame cut short.
+
+    Each case with such a frame fails: it waits for answers that do not come, up to `longest` s for
+    one, and the first `retried` of them are tried again and made shorter.
+    """
+    cut = sum(cuts_short(case) for case in cases)
+    return longest * (cut + _RETRIED * min(cut, retried))
+
+
+def pauses_after_faults(case: AnyCase) -> int:
+    """How many pauses a case makes for a device that discards what follows a fault."""
+    if isinstance(case, SequenceCase):
+        return sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
+    return 0 if isinstance(case, WheelSweep) else _PAUSES * case.faulty
+
+
+def cuts_short(case: AnyCase) -> bool:
+    """Whether a case sends a frame that is cut short."""
+    if isinstance(case, SequenceCase):
+        return any(step.truncated for step in case.steps)
+    return not isinstance(case, WheelSweep) and case.truncated
 
 
 def before_the_cases(pace: Pace) -> float:

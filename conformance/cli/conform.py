@@ -375,8 +375,8 @@ def _tested(
             look = target.look_time
             slow = f"a look takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
             note(
-                f"{quantity(count, 'case')}, about {_time(seconds)}; {slow}"
-                "what goes wrong may add a few"
+                f"{quantity(count, 'case')}, {_time(seconds)} or more: {slow}"
+                "a device that answers late or not at all takes longer"
             )
             if not patient and not asks_person(robot.probe):
                 environment = msgspec.structs.replace(target.environment, announced=seconds)

@@ -104,7 +104,7 @@ def judge_state(
     words = state_words(expected_state.state), look_words(look)
     for facet, wanted, actual in differences(model, expected_state, look):
         if facet not in ignore:
-            return Axis(Verdict.FAIL, *words, f"{facet} is {actual}, expected is {wanted}")
+            return Axis(Verdict.FAIL, *words, deviation(facet, wanted, actual))
     if not expected_state.rests_on:
         return Axis(Verdict.PASS, *words)
     choices = model.choices
@@ -112,6 +112,11 @@ def judge_state(
     reading = POINTS[worst].reading
     reason = f"{choices.word(worst)}: another reading of {reading}"
     return Axis(choices.verdict(worst), *words, reason, reading)
+
+
+def deviation(facet: str, wanted: object, actual: object) -> str:
+    """One of the `differences` in words."""
+    return f"{facet} is {actual}, expected is {wanted}"
 
 
 def contradiction(

@@ -47,6 +47,7 @@ class Profile:
 
     `flushes` is true for a device that discards what follows a fault until the line is idle,
     `flushes_for` is how long it must be idle where the truncation time-out is not enough.
+    `keeps_waiting` is true for one that never gives up a frame that was cut short.
     `whole_frame` is true for one whose time-out counts over the whole frame. `stop_latency` is how
     late it was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the
     time to the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
@@ -62,6 +63,7 @@ class Profile:
 
     truncation_timeout: int | None = None
     truncation_answered: bool | None = None
+    keeps_waiting: bool = False
     latencies: list[int] = field(default_factory=list)
     slowest: int = 0
     delays: list[int] = field(default_factory=list)

@@ -28,7 +28,7 @@ NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 # The values that a Report and its JSON have in common, and those whose "" is null in the JSON.
 _SAME = (
     *("kit", "device", "link", "options", "seed", "exit", "timing", "dropped", "profile"),
-    *("took_s", "versions", "unseen"),
+    *("took_s", "versions", "unseen", "notices"),
 )
 _NULLED = ("unusable", "ended", "ended_by", "proof", "begun", "host")
 _MOST = 1 << 28  # bytes of a report

@@ -222,6 +222,7 @@ def merge(parts: Sequence[ShardReport], protocol: Protocol, cases: Sequence[AnyC
             for part in parts
             for sentence in part.report.unseen
         ),
+        notices=tuple(dict.fromkeys(n for part in parts for n in part.report.notices)),
         **_run_facts(parts),
         again={ident: raw["reproduce"] for ident, raw in raws.items()},
     )

@@ -38,8 +38,9 @@ class Report(msgspec.Struct, frozen=True):
     many cases of each group a budget has left out, `proof` what the level `complete` has proven.
     `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
     name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
-    not known. `unseen` says what the probe did not show, and from which look on. `file` is where
-    the report was read from, "" for a run of this process.
+    not known. `unseen` says what the probe did not show, and from which look on, `notices` what
+    else the user should know of device, line and probe. `file` is where the report was read from,
+    "" for a run of this process.
     """
 
     grammar: dict[str, str]
@@ -65,6 +66,7 @@ class Report(msgspec.Struct, frozen=True):
     host: str = ""
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
     file: str = ""
 
     @property
@@ -189,7 +191,7 @@ def coverage(
 
 
 def run_facts(report: Report) -> dict[str, str]:
-    """When, where and with what the run was made, and what was not seen: labels and words.
+    """When, where and with what the run was made, and what to know of it: labels and words.
 
     What is not known is left out.
     """
@@ -197,6 +199,7 @@ def run_facts(report: Report) -> dict[str, str]:
     versions = ", ".join(f"{name} {version}" for name, version in report.versions.items())
     told = {"begun": report.begun, "took": took, "host": report.host, "versions": versions}
     told["not seen"] = "; ".join(report.unseen)
+    told["notice"] = "; ".join(report.notices)
     return {name: words for name, words in told.items() if words}
 
 

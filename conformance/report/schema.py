@@ -114,7 +114,8 @@ class Head(msgspec.Struct, kw_only=True):
     for a shard, else null. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
     (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
     of Python, its platform and the libraries that reports depend on. `unseen` has a sentence for
-    what the probe did not show, and from which look on.
+    what the probe did not show, and from which look on, `notices` one for each thing to know of
+    device, line and probe.
     """
 
     kit: str
@@ -140,6 +141,7 @@ class Head(msgspec.Struct, kw_only=True):
     host: str | None = None
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
 
 
 class Document(Head, kw_only=True):

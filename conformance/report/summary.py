@@ -72,9 +72,9 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
             console.print(Text(f"{name}: {done} of {of}", "dim"))
     for line in _facts(report):
         console.print(Text(line, "dim"))
-    for sentence in report.unseen:
+    for sentence in (*report.notices, *report.unseen):
         console.print(Text(sentence, STYLES[Verdict.INCONCLUSIVE]))
-    about = run_facts(msgspec.structs.replace(report, unseen=()))
+    about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
     if about:
         console.print(Text(", ".join(f"{name} {said}" for name, said in about.items()), "dim"))
     level = report.options.get("level", "")

@@ -25,7 +25,8 @@ class Attempt:
 
     `stopped` is what ended the run, or why it is to be ended, None if nothing. `started` is how
     many frames there were before it since power-on, `cycles` how many power cycles
-    (`runner.tally`). `looks` is how many looks were made in it.
+    (`runner.tally`). `looks` is how many looks were made in it. `already` is how the state that
+    failed was wrong before the frame under test, "" if it was not.
     """
 
     result: CaseResult
@@ -34,6 +35,7 @@ class Attempt:
     started: int = 0
     cycles: int = 0
     looks: int = 0
+    already: str = ""
 
     @property
     def failed(self) -> bool:
@@ -87,4 +89,5 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         if mismatch and mismatch.burst >= 0 and isinstance(case, SequenceCase):
             first = over - len(case.bursts[mismatch.burst].steps) + 1
         tally.places.append(Place(first, tally.frames if only_late else over))
-    return Attempt(result, mismatch, homed.stopped, started, cycles, run.looks.made - looks)
+    looks = run.looks.made - looks
+    return Attempt(result, mismatch, homed.stopped, started, cycles, looks, trial.already)

@@ -7,8 +7,17 @@ Every exit homes the robot.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from bilprov.conformance.cases.budget import Pace, before_the_cases, emptied, seconds, within
+from bilprov.conformance.cases.budget import (
+    Pace,
+    before_the_cases,
+    emptied,
+    pauses_after_faults,
+    seconds,
+    waits_in_vain,
+    within,
+)
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected, followed
@@ -19,7 +28,7 @@ from bilprov.conformance.runner.first_choices import first_choices
 from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
-from bilprov.conformance.runner.retry import judge_case
+from bilprov.conformance.runner.retry import TRUSTED, judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
 from bilprov.conformance.runner.slow_preambles import find_speed
@@ -27,6 +36,7 @@ from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs
 from bilprov.conformance.runner.waiting import GaveUp
 
 _SLOW = 0.005  # s for an answer or a look
+_MENTIONED = 2.0  # s; what takes less longer than was announced is not told
 SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
 
 
@@ -111,8 +121,10 @@ class Runner:
                 yield from measure_timeout(run)
             if self._discover:
                 yield from discover(run)
+            self._tell_notices()
             yield from settle_failures(run)
             self._fit()
+            self._tell_longer()
             self._require_each_group()
             while self._left and not self._enough():
                 case = self._left[0]
@@ -189,6 +201,48 @@ class Runner:
             )
             return
         run.note(f"{self._slow_words(pace)}: {about}")
+
+    def _tell_notices(self) -> None:
+        """Note for the report what the user should know of the device before its cases."""
+        run = self.run
+        if run.profile.keeps_waiting:
+            run.notices.append(
+                "the device never gives up a frame that was cut short: the document is silent on a "
+                f"time-out; this kit asks for one because of {run.protocol.clauses.safety} (a "
+                "faulty instruction stops the robot at once)"
+            )
+
+    def _tell_longer(self) -> None:
+        """Announce anew how long the run takes with what was found out about the device."""
+        run, pace = self.run, self._pace()
+        if run.config.virtual:
+            return
+        usual = replace(pace, timeout=run.protocol.timing.truncation_timeout / 1000)
+        cases = sum(seconds(run.protocol, case, usual) for case in self._left)
+        found = {
+            f"ends a frame that was cut short only after {pace.timeout * 1e3:.0f} ms": (
+                sum(map(self._cost, self._left)) - cases
+            )
+        }
+        if run.profile.keeps_waiting:
+            longest = run.protocol.timing.answer_longest / 1000
+            wasted, most = waits_in_vain(self._left, longest, TRUSTED), run.timers.waiting_budget
+            found["never gives up a frame that was cut short"] = (
+                wasted if most is None else min(wasted, most / 1e9)
+            )
+        if run.profile.flushes:
+            pauses = sum(map(pauses_after_faults, self._left))
+            found["discards what follows a fault until the line is idle"] = (
+                pauses * run.waiting.idle / 1e9
+            )
+        longer = {what: more for what, more in found.items() if more >= _MENTIONED}
+        if not longer:
+            return
+        whole, more = run.timers.run_budget, sum(longer.values())
+        if whole is not None and is_slow(max(pace.answer, pace.look)):
+            cases = min(cases, whole / 1e9)
+        run.limit.announce(cases + more)
+        run.note(f"this device {' and '.join(longer)}: the run takes about {more:.0f} s more")
 
     def _slow_words(self, pace: Pace) -> str:
         """What is slow, and how long it takes."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from bilprov.captures.schemas import MS
+from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of
@@ -43,10 +43,10 @@ def pad(run: Run) -> bytes:
     return bytes([run.protocol.pad_byte]) * run.protocol.longest_frame
 
 
-def home(run: Run) -> Procedure[None]:
+def home(run: Run) -> Procedure[Homed]:
     """Home the line outside any case: what comes late is stray.
 
-    Raises GaveUp when the device no longer answers.
+    Returns what that has shown. Raises GaveUp when the device no longer answers.
     """
     homed = yield from home_after(run, None)
     for late in homed.late:
@@ -56,6 +56,7 @@ def home(run: Run) -> Procedure[None]:
             run.strays.silent(late.reason)
     if homed.stopped:
         raise homed.stopped
+    return homed
 
 
 def home_again(run: Run) -> Procedure[None]:
@@ -85,13 +86,14 @@ def home_after(run: Run, trial: Trial | None) -> Procedure[Homed]:
     """
     late: list[Late] = []
     try:
-        yield from _home(run, trial, late)
+        first = yield from _home(run, trial, late)
     except (Ended, GaveUp) as stopped:
         return Homed(tuple(late), stopped)
-    return Homed(tuple(late))
+    return Homed(tuple(late), first=first)
 
 
-def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
+def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | None]:
+    """Home the line, and add what comes late; returns the first answer to stops sent together."""
     waiting, due = run.waiting, run.protocol.longest_frame
     patience = waiting.usual
     pause = max(run.profile.truncation_timeout or 0, run.profile.flushes_for or 0) + patience
@@ -114,9 +116,11 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
     settle = 0 if settled else run.timers.settle
     between_frames = in_step or trial is None
     lost = owed = 0
+    first: int | None = None
     for count in () if run.profile.one_by_one else at_once:
         yield from send(pad(run)[:count])
         got = yield from _as_they_come(run, count, patience, settle)
+        first = next((code for _, code in got), None) if first is None else first
         # What is owed to the stops before is late, and neither lost nor unasked.
         belated = min(owed, max(0, len(got) - count))
         owed, lost = owed - belated, max(0, lost - belated)
@@ -124,14 +128,14 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
             yield from _too_many(run, got[: len(got) - count - belated], late)
         if len(got) >= count:
             run.strays.missing(lost)
-            return
+            return first
         # It waited for data, or discards bytes until the line is idle: a pause ends both.
         more = yield from listen(None, pause)
         short = max(0, count - len(got) - len(more.answers))
         owed, lost = owed + short, lost + short * between_frames
         if not short:
             run.strays.missing(lost)
-            return
+            return first
     # A device that loses instructions sent ahead still takes one at a time. It may take the first
     # of them for data that it still waits for, or discard them until the line is idle for longer.
     in_time = tries = 0
@@ -143,7 +147,7 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[None]:
         in_time = in_time + 1 if heard.answers else 0
         if in_time == 2:
             run.strays.missing(lost)
-            return
+            return first
     late.append(Late((), "the device stopped answering"))
     after = f"after {trial.case.id}" if trial else "before the first case"
     raise GaveUp(f"the device stopped answering {after}")
@@ -229,10 +233,15 @@ def _leave(run: Run) -> Procedure[Ended | None]:
 
 
 class SetUp(NamedTuple):
-    """What a preamble led to: what is missing, "" if nothing, and the state the robot must have."""
+    """What a preamble led to: what is missing, "" if nothing, and the state the robot must have.
+
+    `frames` are those that were sent; `look` is the last look before the stimulus, if there is one.
+    """
 
     missing: str
     expected: ExpectedState
+    frames: tuple[bytes, ...]
+    look: Look | None = None
 
 
 def set_up(run: Run, state: State) -> Procedure[SetUp]:
@@ -241,7 +250,8 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
     Something is missing where the answers are not as many as the instructions.
     """
     expected = run.model.homed(run.model.found())
-    frames = [frame for frame in frames_to(run.protocol, state) if run.wire(frame)]
+    frames = tuple(frame for frame in frames_to(run.protocol, state) if run.wire(frame))
+    sent_frames = tuple(map(run.wire, frames))
     answered = 0
     for frame in frames:
         sent = yield from send(run.wire(frame))
@@ -251,10 +261,10 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
         run.answered(run.wire(frame), heard, sent)
     expected = replace(expected, rests_on=frozenset())
     if answered == len(frames):
-        return SetUp("", expected)
+        return SetUp("", expected, sent_frames)
     run.strays.missing(max(0, len(frames) - answered))  # more answers than frames are a flood
     answers, asked = quantity(answered, "answer"), quantity(len(frames), "instruction")
-    return SetUp(f"{answers} to {asked} of the set-up", expected)
+    return SetUp(f"{answers} to {asked} of the set-up", expected, sent_frames)
 
 
 def watch(

@@ -36,7 +36,7 @@ _TRIES, _TWICE = 3, 2
 _MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
 _BYTES = 8000  # most bytes on the line for all tries of a case
 _FLAKY = 8
-_TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
+TRUSTED = 6  # failures reproduced, none flaky: the line is good, no more retries
 
 
 class _Stopped(Exception):
@@ -65,7 +65,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if first.stopped or not first.failed:
         return first
     if run.line.explains(first.result):  # over such a line it would not tell more another time
-        return Attempt(_named(case, first))
+        return Attempt(_named(run, case, first))
     answer = first.result.axes.get("answer")
     # How fast the wheels turn explains no wrong answer.
     if isinstance(case, Case) and (answer is None or answer.verdict < Verdict.INCONCLUSIVE):
@@ -77,10 +77,10 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             return replace(first, stopped=stopped)
         if too_slow:
             return (yield from judge_case(run, case))
-    trusted = run.counters.reproduced >= _TRUSTED and not run.counters.flaky
+    trusted = run.counters.reproduced >= TRUSTED and not run.counters.flaky
     if trusted and not first.held_up:
-        return Attempt(_named(case, first))
-    known = _named(case, first) if run.config.lossless else first.result
+        return Attempt(_named(run, case, first))
+    known = _named(run, case, first) if run.config.lossless else first.result
     confirmed = False
     try:
         same_place, tries, more = yield from _again(run, case, first)
@@ -94,14 +94,14 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             run.counters.flaky += 1
             rhythm = yield from find_rhythm(run, case, first)
             if rhythm:
-                return Attempt(_rhythmic(_named(case, first), rhythm))
+                return Attempt(_rhythmic(_named(run, case, first), rhythm))
             return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
-        known, confirmed = _named(case, first), True
+        known, confirmed = _named(run, case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
             shorter = yield from _shortened(run, case, first, first.mismatch)
             place = replace(first.mismatch, burst=len(shorter.bursts) - 1)
-            known = _named(shorter, replace(first, mismatch=place))
+            known = _named(run, shorter, replace(first, mismatch=place))
             known = msgspec.structs.replace(known, reproduce=reproducer(run, shorter))
     except _Stopped as stopped:
         # An interruption leaves the failure that is known; where the device made the rest
@@ -190,8 +190,40 @@ def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
     return missed > 1
 
 
-def _named(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
-    """The result with the clause that the failing step breaks, and the bytes sent up to it."""
+def _named(run: Run, case: Case | SequenceCase, tried: Attempt) -> CaseResult:
+    """The result that names where it failed, and the frame that the device never gave up."""
+    result = _placed(case, tried)
+    frame = _cut_short(case, tried.mismatch) if run.profile.keeps_waiting else b""
+    if not frame:
+        return result
+    why = f"the device never gave up the frame {spaced(frame)}, which had been cut short"
+    axes = {
+        name: msgspec.structs.replace(axis, reason=f"{axis.reason}; {why}")
+        if axis.verdict is Verdict.FAIL
+        else axis
+        for name, axis in result.axes.items()
+    }
+    return msgspec.structs.replace(result, axes=axes)
+
+
+def _cut_short(case: Case | SequenceCase, mismatch: Mismatch | None) -> bytes:
+    """The last frame that was cut short until a case failed, b"" if none was."""
+    if isinstance(case, Case):
+        return case.frame if case.truncated else b""
+    steps = up_to(case, mismatch).steps if mismatch and mismatch.burst >= 0 else ()
+    return next((step.frame for step in reversed([*steps]) if step.truncated), b"")
+
+
+def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
+    """The result with the clause that the failing step breaks, and the bytes sent up to it.
+
+    What the preamble of a single frame did wrong is named with it. Only the final result says so:
+    attempts are compared by the reasons that the look after the stimulus gives.
+    """
+    state = tried.result.axes.get("state")
+    if tried.already and state and state.verdict is Verdict.FAIL:
+        told = msgspec.structs.replace(state, reason=tried.already)
+        return msgspec.structs.replace(tried.result, axes=tried.result.axes | {"state": told})
     if tried.mismatch is None or not isinstance(case, SequenceCase):
         return tried.result
     sent = tuple(spaced(data) for data in up_to(case, tried.mismatch).sent)

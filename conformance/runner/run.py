@@ -155,7 +155,8 @@ def result_of(
 class Run:
     """State of one run. `begin` and `report` are called when a case begins and when it is final.
 
-    `note` is called with a sentence that the user should read while the run goes on.
+    `note` is called with a sentence that the user should read while the run goes on; `notices` are
+    sentences that belong to the report too.
 
     `limit` ends the run where it takes too long.
 
@@ -200,6 +201,7 @@ class Run:
         self.doubt = ""
         self.waiting_failures: list[CaseResult] = []
         self.note = note
+        self.notices: list[str] = []
         self._begin = begin
         self._report = report
         self._told_coarse = False
@@ -242,6 +244,11 @@ class Run:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""
         return on_the_wire(self.protocol, self.profile.choices, frame)
 
+    def notice(self, sentence: str) -> None:
+        """Show a sentence while the run goes on, and keep it for the report."""
+        self.note(sentence)
+        self.notices.append(sentence)
+
     def begin(self, ident: str) -> None:
         """Begin a case: its looks count for its result."""
         self.sight.begin(ident)
@@ -256,7 +263,7 @@ class Run:
         """
         if self.profile.truncation_timeout and self.line.coarse and not self._told_coarse:
             self._told_coarse = True
-            self.note(self.line.sentence)
+            self.notice(self.line.sentence)
         if not certain:
             result = self.line.judged(result)
         result = self.sight.judged(result)
@@ -275,7 +282,7 @@ class Run:
     def distrust(self, why: str) -> None:
         """Believe no look any more, and why: what rests on looks is not observable from here on."""
         self.doubt = why
-        self.note(f"{why}; what rests on looks is inconclusive from here on")
+        self.notice(f"{why}; what rests on looks is inconclusive from here on")
         sees = Observability(available=False, why=why, foreign=True)
         self.config = replace(self.config, observability=sees)
         if self.profile.truncation_answered is False:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.case import Case
@@ -17,6 +19,8 @@ from bilprov.conformance.dut.operations import (
 from bilprov.conformance.oracle.judge import (
     MOVING,
     contradiction,
+    deviation,
+    differences,
     judge_answers,
     judge_state,
 )
@@ -29,6 +33,7 @@ from bilprov.conformance.runner.homing import SetUp, home, set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import preamble_of
 from bilprov.conformance.runner.trial import Trial
+from bilprov.spec.codec import spaced
 from bilprov.spec.fields import Outcome
 
 
@@ -49,7 +54,7 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
         trial.begin(case, {"answer": axis}, Received((), 0), 0)
         return
     sent = yield from send(case.frame)
-    trial.before = ready.expected
+    trial.before, trial.look_before, trial.preamble = ready.expected, ready.look, ready.frames
     trial.expected = run.model.after(ready.expected, case.frame_effect)
     heard, filled = yield from _answers(run, case, sent)
 
@@ -91,6 +96,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
             run.profile.preamble_speed = None
             yield from home(run)
             return (yield from _precondition(run, case, looks))
+        ready = ready._replace(look=seen.look)
         if not seen.look.moving:
             missing = f"not seen moving ({case.setup.motion.value}) before the stimulus"
             ready = ready._replace(missing=missing)
@@ -185,7 +191,9 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
     _note_followed(run, trial.expected, seen.look)
     elsewhere = MOVING if case.stop and seen.look.moving else ()
     axis = judge_state(run.model, trial.expected, seen.look, elsewhere)
+    trial.already = ""
     if axis.verdict is Verdict.FAIL:
+        trial.already = _already(trial, case, seen.look, elsewhere)
         reading, why = contradiction(run.model, trial.before, case.frame_effect, seen.look)
         if why:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
@@ -202,6 +210,29 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
         reason = f"{NOT_OBSERVABLE}: {blind}"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
     return axis
+
+
+def _already(trial: Trial, case: Case, look: Look, ignore: Container[str]) -> str:
+    """What was wrong before the stimulus in the same way, with the preamble; "" if nothing was."""
+    model = trial.run.model
+    if trial.look_before is None:
+        return ""
+    wrong = [d for d in differences(model, trial.expected, look) if d[0] not in ignore]
+    earlier = {d[0]: d for d in differences(model, trial.before, trial.look_before)}
+    effect = case.frame_effect.effect or trial.run.protocol.on_fault
+    kept = [d for d in wrong if earlier.get(d[0]) == d]
+    for facet, wanted, actual in wrong:
+        own = effect.sets("motion" if facet in MOVING else facet)
+        # The wheels show a wrong steering at each speed otherwise.
+        follows = facet == "wheels" and facet in earlier
+        if own or not (follows or (facet, wanted, actual) in kept):
+            return ""
+    named = next((d for d in kept if d[0] != "wheels"), earlier[wrong[0][0]])
+    preamble = " | ".join(map(spaced, trial.preamble))
+    return (
+        f"already so before the frame under test, after its preamble {preamble}: "
+        f"{deviation(*named)}"
+    )
 
 
 def _note_followed(run: Run, expected: ExpectedState, look: Look) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.operations import Ended, Received, Reconnected
@@ -30,10 +31,14 @@ class Late:
 
 @dataclass(frozen=True, slots=True)
 class Homed:
-    """What homing has shown: late answers in order, and what stopped it, None if nothing did."""
+    """What homing has shown: late answers in order, and what stopped it, None if nothing did.
+
+    `first` is the first answer that its stops got together, None if they got none.
+    """
 
     late: tuple[Late, ...] = ()
     stopped: Ended | GaveUp | None = None
+    first: int | None = None
 
 
 class Trial:
@@ -42,7 +47,8 @@ class Trial:
     It is `begun` once its stimulus has been sent: answers from then on belong to the case. `sent`
     is when that was (ns), `expected` the state that the robot must have now, `before` the one
     before the stimulus. It is `settled` once a silence has shown that its stimulus was not answered
-    twice.
+    twice. `preamble` are the frames before the stimulus and `look_before` the look after them, if
+    there was one; `already` is how the state that failed was wrong even then, "" if it was not.
     """
 
     def __init__(self, run: Run, case: Case | SequenceCase) -> None:
@@ -53,6 +59,9 @@ class Trial:
         self.sent = 0
         self.settled = False
         self.before = self.expected = run.model.found()
+        self.preamble: tuple[bytes, ...] = ()
+        self.look_before: Look | None = None
+        self.already = ""
 
     def begin(
         self, case: Case | SequenceCase, axes: dict[str, Axis], heard: Received, sent: int

@@ -161,7 +161,8 @@ def _chosen(one: Step) -> Experiment:
         return Finding(((step.point, word),), expected, actual, "", heard.answers)
 
     requirement = "answers in one way throughout"
-    return Experiment(_name(one.point), (one.point,), requirement, make, one.frame)
+    ident, points = _name(one.point), (one.point,)
+    return Experiment(ident, points, requirement, make, one.frame, cut=one.truncated)
 
 
 def _answer_point(run: Run, many: Step, some: Step) -> Procedure[Finding]:

@@ -22,6 +22,7 @@ from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.noise import case_bytes, is_no_chance
 from bilprov.conformance.runner.power_on import first_frames_lost
 from bilprov.conformance.runner.run import Run
+from bilprov.spec.fields import Outcome
 from bilprov.spec.open_points import FLUSH_POINTS, POINTS
 from bilprov.spec.protocol import Protocol
 
@@ -58,6 +59,7 @@ def _case(protocol: Protocol, experiment: Experiment) -> Case:
 
 def discover(run: Run) -> Procedure[None]:
     """Make every experiment that device, probe and options allow, and record the choices shown."""
+    kept = False
     for experiment in _experiments(run.protocol):
         if experiment.option and experiment.option not in run.profile.choices.allowed:
             continue
@@ -74,24 +76,31 @@ def discover(run: Run) -> Procedure[None]:
             reason = "never seen moving in any kind of motion: is the motor power on?"
             run.conclude(case, {"state": Axis(Verdict.INCONCLUSIVE, "moving", "stopped", reason)})
         else:
-            yield from _settle(run, experiment, case)
+            kept = (yield from _settle(run, experiment, case)) or kept
+    # One that answers or gives up the data of its own instructions has a time-out.
+    run.profile.keeps_waiting = kept and run.profile.choices.differs("R-truncated-known")
     if run.config.experiments is not None:
         run.profile.choices.record_split("an older recording")
     yield from first_frames_lost(run)
 
 
-def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
+def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[bool]:
     """Make an experiment until two findings agree, and judge its case.
 
-    Six times at most, twelve where noise may be why another finding came more than once.
+    Six times at most, twelve where noise may be why another finding came more than once. Returns
+    whether the stops of the homing were taken for the data of a frame that had been cut short.
     """
+    taken = 0
     shown: Counter[Finding] = Counter()
     once = 1 if experiment.long else _AGREE
     while (max(shown.values(), default=0) < once and sum(shown.values()) < _TRIES) or (
         sum(shown.values()) < _MOST and _may_be_noise(run, shown, case)
     ):
         found = yield from experiment.make(run)
-        yield from home(run)
+        homed = yield from home(run)
+        # A stop is answered OK, unless it was the data that a header had announced.
+        ok = run.protocol.answers[Outcome.VALID].code
+        taken += experiment.cut and not found.heard and homed.first not in (None, ok)
         _count(shown, found)
         if len(_told(shown)) > 1 or found.fault:
             once = _AGREE + 1  # findings differ, or a fault: one more, to rule out noise
@@ -109,7 +118,7 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
         if coarse:  # then it may have been noise
             verdict, reason = Verdict.INCONCLUSIVE, f"flaky: {coarse}"
         run.conclude(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})
-        return
+        return taken >= _AGREE
     judged = _judged(run, best, case)
     # What only a single try has shown does not stay in the profile either.
     choices, profile = run.profile.choices, run.profile
@@ -137,6 +146,7 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[None]:
             reason += f"line that loses nothing: {other.actual}"
         judged = Axis(verdict, best.expected, best.actual, reason, case.reading)
     run.conclude(case, {axis: judged}, best.heard)
+    return taken >= _AGREE
 
 
 def _count(shown: Counter[Finding], found: Finding) -> None:

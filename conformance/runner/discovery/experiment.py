@@ -43,7 +43,8 @@ class Experiment:
 
     `sees` if it needs looks, `safety` if it is about the stop, `long` if it is repeated only where
     necessary, `timed` if it rests on pauses near the time-out, which in real time may come out
-    longer at the device, `option` the option of `--allow` without which it is not made.
+    longer at the device, `cut` if its frame is cut short, `option` the option of `--allow` without
+    which it is not made.
     """
 
     name: str
@@ -55,4 +56,5 @@ class Experiment:
     safety: bool = False
     long: bool = False
     timed: bool = False
+    cut: bool = False
     option: str = ""

@@ -28,6 +28,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import open_recorder
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.spec.protocol import Protocol
@@ -108,6 +109,47 @@ def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol
 
     assert robot.link.now > 65 * SECOND
     assert (report.exit, report.ended) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("never-times-out", "never gives up a frame that was cut short"),
+        ("R-truncation-timeout=1500-ms", "ends a frame that was cut short only after 1500 ms"),
+        ("R-drain-known=flushed-after-any", "discards what follows a fault until the line is idle"),
+    ],
+)
+def test_what_a_device_turns_out_to_take_is_announced_once_and_moves_the_limit(
+    protocol: Protocol, name: str, words: str
+) -> None:
+    fault = fault_bank(protocol).get(name) or variants(protocol)[name].fault
+    robot, notes = Robot(protocol, announced=0.01, fault=fault), []
+
+    class Noting(RunListener):
+        def note(self, sentence: str) -> None:
+            notes.append((robot.link.now / 1e9, sentence))
+
+    report = run_suite(robot.target, SMOKE, [Noting()])
+
+    assert not report.ended
+    ((at, sentence),) = notes
+    told = re.fullmatch(rf"this device {words}: the run takes about (\d+) s more", sentence)
+    assert told, sentence
+    took = robot.link.now / 1e9
+    assert 0.4 * took < at + int(told[1]) < 1.6 * took
+
+
+@pytest.mark.parametrize("name", ["R-truncated-known=silent", "R-led-state=off"])
+def test_a_device_that_takes_no_longer_is_not_announced_anew(protocol: Protocol, name: str) -> None:
+    robot, notes = Robot(protocol, fault=variants(protocol)[name].fault), []
+
+    class Noting(RunListener):
+        def note(self, sentence: str) -> None:
+            notes.append(sentence)
+
+    run_suite(robot.target, SMOKE, [Noting()])
+
+    assert notes == []
 
 
 class Delayed(Simulator):
