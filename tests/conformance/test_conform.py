@@ -157,6 +157,7 @@ class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     host: str
     versions: dict[str, str]
     unseen: list[str]
+    notices: list[str]
 
 
 def report_of(data: bytes) -> ReportForm:
