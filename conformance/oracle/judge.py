@@ -55,7 +55,8 @@ def judge_answers(
             verdict = max(verdict, Verdict.NON_STRICT)
             reading = reading or "R-answer-deadline"
             reason = reason or (
-                f"slow: answered after {late / MS:.0f} ms, {timers.deadline / MS:g} ms are expected"
+                f"slow: answered after {late / MS:.0f} ms, expected within "
+                f"{timers.deadline / MS:g} ms"
             )
     return Axis(verdict, expected, actual, reason, reading)
 
@@ -104,7 +105,7 @@ def judge_state(
     words = state_words(expected_state.state), look_words(look)
     for facet, wanted, actual in differences(model, expected_state, look):
         if facet not in ignore:
-            return Axis(Verdict.FAIL, *words, f"{facet} is {actual}, expected is {wanted}")
+            return Axis(Verdict.FAIL, *words, f"{facet} is {actual}, expected {wanted}")
     if not expected_state.rests_on:
         return Axis(Verdict.PASS, *words)
     choices = model.choices

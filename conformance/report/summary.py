@@ -104,7 +104,7 @@ def _facts(report: Report) -> Iterator[str]:
     readings = profile.get("readings") or {}  # null where merged shards differ
     chosen = {p: w for p, w in readings.items() if w != default_of(p)}
     if chosen:
-        yield "reads the document otherwise: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
+        yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if report.dropped:
         left = ", ".join(f"{count} of {name}" for name, count in report.dropped.items())
         yield f"left out for the budget of {report.options.get('budget') or 0:g} s: {left}"

@@ -75,8 +75,8 @@ class TimeLimit:
             )
             told = ", ".join(f"{_seconds(time)} {what}" for time, what in parts)
             raise Ended(
-                f"about {_seconds(announced)} were announced and {_seconds(self._taken)} are over "
-                f"({told}); --patient goes on however long it takes",
+                f"about {_seconds(announced)} were announced and {_seconds(self._taken)} have "
+                f"passed ({told}); --patient continues however long it takes",
                 error=False,
                 line_works=True,
                 by="time",

@@ -35,7 +35,7 @@ Result = pytest.RunResult
 COARSE = re.compile(
     r"SKIPPED \[(\d+)\] conformance:1: "
     r"(?:informational|inconclusive): "
-    r".*(?:time-out|whole-frame|between-bytes|tries do not tell the same)"
+    r".*(?:time-out|whole-frame|between-bytes|tries do not agree)"
 )
 
 

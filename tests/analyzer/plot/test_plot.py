@@ -214,7 +214,7 @@ def test_a_recording_of_nothing_still_makes_a_page(tmp_path: Path) -> None:
     text = page_of(written(tmp_path / "c.mcap", []))
 
     assert "No answer was paired" in text
-    assert "There is none." in text
+    assert "None." in text
 
 
 def test_times_that_only_a_forged_file_has_make_a_page_too(tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def test_a_sample_has_the_topics_that_it_had(sample: str, tmp_path: Path) -> Non
     assert open_capture(new).metadata == open_capture(path).metadata
     assert attachments_of(new) == attachments_of(path)
     assert (open_capture(new).damage, open_capture(new).unfinished) == ((), False)
-    assert done.stderr.decode() == f"{path} is in {new}, with all that is decoded from it\n"
+    assert done.stderr.decode() == f"{path} is in {new}, with everything decoded from it\n"
     if "conform" in sample:
         assert command("recheck", str(new)).stdout.startswith(b"the same: 26 cases, verdict pass")
 
@@ -256,7 +256,7 @@ def test_a_start_outside_of_the_format_is_one_sentence(tmp_path: Path) -> None:
         writer.finish()
     done = command("capture", "decode", str(path), str(tmp_path / "new.mcap"))
     assert done.returncode == 2
-    assert b"cannot be written anew: log time is 99999999999999999999" in done.stderr
+    assert b"cannot be decoded into a new file: log time is 99999999999999999999" in done.stderr
     assert done.stderr.count(b"\n") == 1
     assert not (tmp_path / "new.mcap").exists()
 

@@ -77,7 +77,7 @@ def test_a_flag_is_true_or_false(protocol: Protocol, word: str) -> None:
 
 @pytest.mark.parametrize("identity", [-1, 0, 8, 16])
 def test_the_leds_other_id_is_an_unused_one(protocol: Protocol, identity: int) -> None:
-    with pytest.raises(ValueError, match=f"led_id = {identity} is no unused ID"):
+    with pytest.raises(ValueError, match=f"led_id = {identity} is not an unused ID"):
         profile_from(protocol, _text(protocol, led_id=identity), LED_ID)
 
 

@@ -209,7 +209,7 @@ def test_the_parts_of_the_time_are_told_apart() -> None:
     assert told == (
         "time: about 30 s were announced and 101 s are over (40 s waiting for answers, 8 s "
         "looks (4000 ms each), 38 s silences, 15 s delays of this computer); "
-        "--patient goes on however long it takes"
+        "--patient continues however long it takes"
     )
 
 
