@@ -381,7 +381,7 @@ def _tested(
             slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
             note(
                 f"{quantity(count, 'case')}, about {_time(seconds)}; {slow}"
-                "what goes wrong may add a few"
+                "failures take longer"
             )
             if not patient and not asks_person(robot.probe):
                 environment = msgspec.structs.replace(target.environment, announced=seconds)

@@ -110,7 +110,7 @@ def learn(
 
     Every instruction with representative data and every kind of fault is sent in every state that
     the device shows, by its answers and what the probe sees. Before each sequence the line is homed
-    and the settings are brought to rest; what was not expected is sent again. Where the machines
+    and the settings are brought to rest; an unexpected answer is tried again. Where the machines
     differ, the shortest sequences are printed as `bilprov send` lines.
 
     Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
@@ -193,7 +193,7 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
     words = movement_words(target.protocol, all_movement(target.protocol))
     what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
     confirm_motion(target.protocol, what, yes=robot.yes)
-    note(f"about {seconds:.0f} s; what is not expected is sent again, which takes longer")
+    note(f"about {seconds:.0f} s; unexpected answers are tried again, which takes longer")
 
 
 def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | None) -> None:

@@ -510,7 +510,7 @@ local function draw_device(item, tree, range)
     generated(branch, F.agrees, agrees)
     if not agrees then
         local expected = GRAMMAR.codes[frame.verdict.code]
-        words = words .. ", expected is " .. expected
+        words = words .. ", expected " .. expected
         generated(branch, F.judgement, frame.verdict.code)
         branch:add_proto_expert_info(X.disagreeing, string.format(
             "The device answers %s to %s, expected %s", answered, described(frame.verdict), expected))
