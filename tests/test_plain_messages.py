@@ -53,7 +53,9 @@ def messages(source: str) -> Iterator[tuple[int, str]]:
     pieces = {id(piece) for node in ast.walk(tree) for piece in _pieces(node)}
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
-            text = "".join(str(p.value) if isinstance(p, ast.Constant) else "X" for p in node.values)
+            text = "".join(
+                str(p.value) if isinstance(p, ast.Constant) else "X" for p in node.values
+            )
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             text = node.value
         else:

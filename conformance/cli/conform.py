@@ -379,10 +379,7 @@ def _tested(
             confirm_motion(target.protocol, what, yes=robot.yes)
             look = target.look_time
             slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
-            note(
-                f"{quantity(count, 'case')}, about {_time(seconds)}; {slow}"
-                "failures take longer"
-            )
+            note(f"{quantity(count, 'case')}, about {_time(seconds)}; {slow}failures take longer")
             if not patient and not asks_person(robot.probe):
                 environment = msgspec.structs.replace(target.environment, announced=seconds)
                 target = replace(target, environment=environment)

@@ -69,7 +69,7 @@ class TimeLimit:
             each = f" ({sum(self._looks) / count / 1e6:.0f} ms each)" if count else ""
             parts = (
                 (self._answers, "waiting for answers"),
-                (sum(self._looks), f"looks{each}"),
+                (sum(self._looks), f"observations{each}"),
                 (self._silences, "silences"),
                 (self._late, "delays of this computer"),
             )

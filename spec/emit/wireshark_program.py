@@ -513,7 +513,8 @@ local function draw_device(item, tree, range)
         words = words .. ", expected " .. expected
         generated(branch, F.judgement, frame.verdict.code)
         branch:add_proto_expert_info(X.disagreeing, string.format(
-            "The device answers %s to %s, expected %s", answered, described(frame.verdict), expected))
+            "The device answers %s to %s, expected "
+            "%s", answered, described(frame.verdict), expected))
     end
     if latency > GRAMMAR.answer_deadline * MS then
         branch:add_proto_expert_info(X.late, string.format("After %.1f ms, allowed are %g",

@@ -118,7 +118,7 @@ def test_a_failure_shows_expected_actual_and_the_command_and_no_traceback(
         [
             "valid/LED/1 (section 3, table 1): LED: *",
             "sent*81 01",
-            "state*led is 4, expected is 1",
+            "state*led is 4, expected 1",
             "expected*led 1*",
             "got*led 4*",
             "reproduce*bilprov conform sim --seed 1 --only valid/LED/1 --fault led-order-reversed",

@@ -251,9 +251,9 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
     assert [row["_ws.expert.message"] for row in rows] == [
         "",
         "",
-        "The device says BAD_HEADER to Forward, expected is OK",
+        "The device says BAD_HEADER to Forward, expected OK",
         "",
-        "Unused response|The device says unused 7 to Forward, expected is OK"
+        "Unused response|The device says unused 7 to Forward, expected OK"
         "|After 200.0 ms, allowed are 100",
         "No response",
         "It responds to no instruction",

@@ -344,7 +344,7 @@ def test_wrong_use_is_one_sentence_and_overwrites_nothing(files: list[str], tmp_
     before = Path(files[0]).read_bytes()
     wrong = [
         (("merge",), "Missing argument"),
-        (("merge", str(tmp_path)), "no regular file"),
+        (("merge", str(tmp_path)), "not a regular file"),
         (("merge", str(tmp_path / "none.json")), "cannot be read"),
         (("merge", *files, "--json", files[0]), "name another"),
         (("merge", *files, "--json", str(tmp_path / "no" / "f")), "cannot be written"),

@@ -214,7 +214,7 @@ def test_a_result_is_read_from_a_pipe_but_not_from_a_folder(
 
     assert piped.returncode == 0, piped.stderr
     assert folder.returncode == 2
-    assert "no regular file" in sentence(folder)
+    assert "not a regular file" in sentence(folder)
 
 
 # -- side by side ---------------------------------------------------------------------------------
