@@ -39,9 +39,9 @@ class Line(Timed, frozen=True, gc=False):
     """Something that happened to a line and is not a byte (topic `/line`).
 
     `event` is `open`, `close`, `gap` (bytes are known to be lost), `break`, `parity`, `framing`,
-    `overrun`, `modem`, `unplugged`, `reconnected` or `waited` (nothing was read for a while,
-    because the capture file was too slow); `tap` says on which line, or is empty for
-    both.
+    `overrun`, `modem`, `unplugged`, `reconnected` or `waited` (from `t` on nothing was
+    read until the next event, because this program was stopped or had no time or a slow disk: when
+    the bytes came is not known); `tap` says on which line, or is empty for both.
     """
 
     event: str

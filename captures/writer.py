@@ -180,6 +180,9 @@ class CaptureWriter(Closing):
             return
         self.flush()
         self._guarded(self._mcap.finish)
+        # A buffered file that cannot be flushed is closed all the same when it is closed, and then
+        # the half-written end can no longer be cut off.
+        self._guarded(self._file.flush)
         self._guarded(self._file.close)
         self._closed = True
 
@@ -286,6 +289,8 @@ class CaptureWriter(Closing):
         # Closing the raw file discards the buffered data that cannot be written; truncating the
         # half-written chunk leaves complete records only.
         with suppress(OSError):
+            if self._file.closed:  # a file system may report only then that it lost something
+                raise CaptureError(sentence) from cause
             if os.fstat(self._file.fileno()).st_size > self._kept_bytes:
                 os.ftruncate(self._file.fileno(), self._kept_bytes)
         with suppress(OSError):

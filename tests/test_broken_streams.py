@@ -10,6 +10,7 @@ import fcntl
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import termios
@@ -24,6 +25,7 @@ import pytest
 
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk
 from tests.support import ROOT
 from tests.support.commands import PATIENCE, command
 from tests.support.reports import timeless
@@ -395,3 +397,80 @@ def test_a_terminal_that_goes_away_ends_what_drives_the_robot_without_a_verdict(
     assert [json.loads(file.read_bytes())["exit"] for file in tmp_path.iterdir()] == (
         [3] if "--json" in given else []
     )
+
+
+# -- streams that are non-blocking -----------------------------------------------------------------
+
+SLOWLY_READ = {
+    "conform": f"conform sim {FEW} -v",
+    "cases": "conform sim --list --level smoke",
+    "faults": "simulate --list-faults",
+    "replay": "replay {runs}/good.mcap --rate 0 --format jsonl",
+    "export": "export {runs}/good.mcap -o - --format jsonl",
+    "send": "send {port} Stop 'Speed 255' Forward Stop --yes",
+}
+
+
+def read_late(*arguments: str, stream: str, late: float = 1.0) -> Result:
+    """The command with a stream that is a full, non-blocking pipe, which is read `late` (s)."""
+    reader, end = os.pipe()
+    with os.fdopen(reader, "rb") as said:
+        fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
+        os.set_blocking(end, False)
+        os.write(end, b"x" * PAGE)
+        process = started(f"{STREAMS[stream]} </dev/null", end, *arguments)
+        os.close(end)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(late)
+        shown = said.read()[PAGE:]
+        out, err = process.communicate(timeout=PATIENCE)
+    assert b"Traceback" not in err
+    return subprocess.CompletedProcess(arguments, process.returncode, out or shown, err or shown)
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("name", SLOWLY_READ)
+def test_a_slow_reader_of_a_nonblocking_stream_is_waited_for(name: str, runs: Path) -> None:
+    with simulate() as robot:
+        given = shlex.split(SLOWLY_READ[name].format(runs=runs, port=robot.port))
+        whole = command(*given)
+        result = read_late(*given, stream="stdout")
+        moving = robot.state()["moving"]
+
+    assert (result.returncode, moving) == (whole.returncode, False), result
+    if name in ("send", "conform"):  # which show times
+        assert len(result.stdout.splitlines()) == len(whole.stdout.splitlines())
+    else:
+        assert result.stdout == whole.stdout
+
+
+def test_an_error_is_said_though_standard_error_is_nonblocking() -> None:
+    assert read_late("decode", "zz", stream="stderr").stderr == command("decode", "zz").stderr
+
+
+def test_a_recording_goes_on_while_a_nonblocking_stream_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    reader, end = os.pipe()
+    os.set_blocking(end, False)
+    with open_pty() as host, os.fdopen(reader, "rb") as said:
+        words = ("sniff", host.name, "-w", str(path), "--format", "jsonl")
+        process = started(f"{STREAMS['stdout']} </dev/null", end, *words)
+        os.close(end)
+        give_up = time.monotonic() + PATIENCE
+        while not path.exists():
+            assert time.monotonic() < give_up
+        for count in range(1, 5):
+            os.write(host.master, b"\x00" * 1000)  # more text than a pipe takes
+            while path.stat().st_size == 0 or recorded(path) < 1000 * count:
+                assert process.poll() is None, process.communicate()
+                assert time.monotonic() < give_up
+        process.send_signal(signal.SIGINT)
+        shown = said.read()
+        _, err = process.communicate(timeout=PATIENCE)
+
+    assert (process.returncode, shown.count(b"\n")) == (0, 4000)
+    assert err.startswith(b"4,000 instructions, ")
+
+
+def recorded(path: Path) -> int:
+    return sum(len(event.data) for event in open_capture(path) if isinstance(event, Chunk))

@@ -207,11 +207,21 @@ def test_a_bug_shows_its_traceback_and_does_not_blame_the_device() -> None:
     assert said.splitlines()[-1].startswith("bilprov: this is a bug in bilprov, not in the device")
 
 
-def test_a_fault_of_the_system_is_one_sentence() -> None:
-    result = process(
-        code=BROKEN_COMMAND.format(error="OSError(28, 'No space left on device', 'x')")
-    )
-    assert said(result) == "bilprov: x: No space left on device"
+OPEN = "too many files are open: close some, or raise the limit (ulimit -n)"
+SYSTEM = {
+    "OSError(28, 'No space left on device', 'x')": "x: No space left on device",
+    "OSError(24, 'Too many open files', 'x')": f"x cannot be opened, because {OPEN}",
+    "OSError(24, 'Too many open files')": OPEN,
+    "MemoryError()": (
+        "memory ran out: close other programs, raise its limit (ulimit -v), or ask for less"
+    ),
+}
+
+
+@pytest.mark.parametrize("error", SYSTEM)
+def test_a_fault_of_the_system_is_one_sentence(error: str) -> None:
+    result = process(code=BROKEN_COMMAND.format(error=error))
+    assert said(result) == f"bilprov: {SYSTEM[error]}"
 
 
 @pytest.mark.parametrize(

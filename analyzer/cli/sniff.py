@@ -58,6 +58,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
+from bilprov.captures.wall_clock import EARLIEST, LATEST
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
@@ -175,6 +176,8 @@ def sniff(
             return 0
         source = stack.enter_context(opened)
         note_hindrances(*source.names.values())
+        if path and source.start_wall in (EARLIEST, LATEST):
+            note("the clock of this computer is set to before 1970 or after 2262: set it right")
         skew = 0 if source.one_clock else SKEW
         if test:
             test = test.started(source.start_wall)
@@ -209,7 +212,7 @@ def sniff(
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
             lost = _listen(source, pipeline, stopper, duration, tell, wait=wait)
-            pipeline.events([Line(source.now(), "close")])
+            pipeline.events([Line(source.seen, "close")])  # of later it is not known what came
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
                 recorder.finish()
@@ -331,16 +334,16 @@ def _listen(
     is there again is not lost.
     """
     end = None if duration is None else round(duration * 1e9)
-    overrun, waited, told = "", 0, False
+    overrun, told = "", False
     unplugged: dict[str, str] = {}
     recorder = pipeline.recorder
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
             now, due = source.now(), pipeline.deadline
-            if due is None or due > now:
+            if due is None or due > source.seen:
                 pipeline.tick(now)
             else:
-                pipeline.advance(now)
+                pipeline.advance(source.seen)
                 due = pipeline.deadline
             if recorder and recorder.failure and not told:
                 told = True
@@ -355,10 +358,6 @@ def _listen(
             collect(not events)
             if not events:
                 continue
-            if recorder and recorder.waited_ns > waited:
-                more, waited = recorder.waited_ns - waited, recorder.waited_ns
-                detail = f"nothing was read for {more / 1e9:.3f} s: the capture file was too slow"
-                events.insert(0, Line(events[0].t, "waited", "", detail))
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":

@@ -8,6 +8,8 @@ writes to a stream that was closed before the command began. Later output to it 
 - Any other command ends without a message and with 0 when the reader closes its standard output; a
   full disk there is an error (2). A broken standard error, and a stream that was closed from the
   start, do not matter.
+
+A reader that is slow is waited for, also where a stream is non-blocking.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -42,7 +45,11 @@ class _Descriptor(io.FileIO):
         """Write to the descriptor. Raises SystemExit if it breaks and the command should end."""
         if self.broke is None:
             try:
-                return super().write(data)
+                # Another program may have made the pipe or terminal that it shares with this one
+                # non-blocking, and then nothing is written while there is no room.
+                while (written := super().write(data)) is None:
+                    select.select([], [self], [])
+                return written
             except OSError as error:
                 self.broke = error
                 if self.needed and not self.verdict and not self.was_closed:

@@ -25,7 +25,7 @@ LINE_SEVERITY = {
     "gap": Severity.WARNING,
     "overrun": Severity.WARNING,
     "reconnected": Severity.INFO,
-    "waited": Severity.WARNING,
+    "waited": Severity.INFO,
     "break": Severity.WARNING,
     "parity": Severity.WARNING,
     "framing": Severity.WARNING,

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+import msgspec
+
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
 from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, WaitingGroups
@@ -30,8 +32,10 @@ from bilprov.spec.steps import Step, Steps
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
+# The line event from which on nothing was read, until the event that follows it.
+UNREAD: Final = "waited"
 # Line events after which decoding goes on in another way.
-TURNS = LOSSES | {"unplugged"}
+TURNS = LOSSES | {"unplugged", UNREAD}
 
 SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 
@@ -59,6 +63,7 @@ class Decoder:
         self._sequence = 0
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
+        self._unread_from: int | None = None  # since when nothing was read, until the next event
         # Whether nothing falls due in the moment in which a frame or its answer has come.
         self._unhurried = min(timeout, self._pairing.longest) > 0
 
@@ -67,6 +72,32 @@ class Decoder:
         """The time (ns) at which `until` is next needed without an event, None if it is not."""
         due = self._due()
         return due[0] if due else None
+
+    @property
+    def unread(self) -> bool:
+        """Whether nothing is read at this time, so that nothing falls due before the next event."""
+        return self._unread_from is not None
+
+    def go_on(self, now: int) -> None:
+        """Read again at `now` (ns): for all that is under way no time passed while nothing was.
+
+        What came meanwhile has the time at which it was read, so how long it took is not known.
+        """
+        if self._unread_from is None:
+            return
+        pause, self._unread_from = now - self._unread_from, None
+        start, end = self._framer.span if self._framer.missing else (0, 0)
+        self._framer.resume(self._framer.held, start, end + pause)
+        waiting, replace = self._pairing.waiting, msgspec.structs.replace
+        later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in waiting]
+        waiting.clear()
+        waiting.extend(later)
+        self._groups = WaitingGroups()
+        held = [replace(one, t=one.t + pause) for one in self._pairing.held]
+        self._pairing.held.clear()
+        self._pairing.held.extend(held)
+        if self._out_of_step is not None:
+            self._out_of_step += pause
 
     def until(self, now: int, out: list[Record]) -> None:
         """Append the records that fall due up to `now` (ns), in the order in which they are due."""
@@ -120,6 +151,8 @@ class Decoder:
     def line(self, event: Line, out: list[Record]) -> None:
         """Handle a line event; after a loss, framing and pairing start anew."""
         lost = event.event in LOSSES
+        if event.event == UNREAD:
+            self._unread_from = event.t
         if event.event in ("unplugged", "reconnected"):
             taps: frozenset[Direction] = frozenset({event.tap} if event.tap else SIDES)
             self._turn(self._away - taps if lost else self._away | taps)
@@ -217,6 +250,8 @@ class Decoder:
 
     def _due(self) -> tuple[int, _Due] | None:
         """The next due time and its handler; at equal times the end of the frame comes first."""
+        if self._unread_from is not None:
+            return None
         due: tuple[int, _Due] | None = None
         frame_end = self._framer.deadline
         if frame_end is not None:

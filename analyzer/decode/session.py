@@ -13,7 +13,7 @@ import msgspec
 
 from bilprov.analyzer.decode import anomalies, checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
-from bilprov.analyzer.decode.decoder import LOSSES, Decoder
+from bilprov.analyzer.decode.decoder import LOSSES, UNREAD, Decoder
 from bilprov.analyzer.decode.records import LineRecord, Record, written_state
 from bilprov.analyzer.decode.resync import Resync
 from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Resumption
@@ -47,6 +47,9 @@ class Session:
     While frame boundaries are unknown (after attaching, and after a loss), events are buffered
     until the boundaries are found, the host pauses for the time-out, or the buffer holds as many
     bytes as four of the longest frames.
+
+    From an event `waited` on nothing was read until the next event: nothing falls due in between,
+    and the latency of an answer that is read after it does not count that time.
 
     At a Resumption decoding goes on from its checkpoint, if that is of this grammar and of these
     settings: what falls due by then comes out, and all else that is under way is dropped silently.
@@ -87,7 +90,8 @@ class Session:
     @property
     def regular(self) -> bool:
         """Whether it is known where frames begin, and nothing odd is under way."""
-        return self._resync is None and self._unsynced_since is None and self._decoder.regular
+        hunts = self._resync is not None or self._unsynced_since is not None
+        return not hunts and not self._decoder.unread and self._decoder.regular
 
     def feed(self, event: Chunk | Line) -> list[Record]:
         """Take an event and return the records it completes.
@@ -99,6 +103,10 @@ class Session:
         out: list[Record] = []
         self._until(event.t, out)
         self._time = event.t
+        if self._decoder.unread:
+            self._decoder.go_on(event.t)
+            if self._unsynced_since is not None:
+                self._unsynced_since = event.t  # whether the host was silent is not known
         self._event(event, out)
         return out
 
@@ -123,8 +131,11 @@ class Session:
         return out
 
     def saved(self) -> DecoderState | None:
-        """All that is needed to go on from here; None while frame boundaries are looked for."""
-        if self._resync:
+        """All that is needed to go on from here.
+
+        None while frame boundaries are looked for, or nothing is read.
+        """
+        if self._resync or self._decoder.unread:
             return None
         return self._decoder.save(
             DecoderState(
@@ -172,6 +183,10 @@ class Session:
             self._decoder.line(event, out)
             if event.tap != "device":
                 self._unsynced_since, self._spoken = event.t, False
+        elif isinstance(event, Line) and event.event == UNREAD:
+            self._give_up_hunt(out)
+            self._decoder.until(event.t, out)
+            self._decoder.line(event, out)
         elif self._resync:
             self._resync.other(event)
             if self._resync.over:

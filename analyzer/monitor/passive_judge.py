@@ -12,7 +12,7 @@ from collections import Counter
 
 import msgspec
 
-from bilprov.analyzer.decode.decoder import SIDES
+from bilprov.analyzer.decode.decoder import SIDES, UNREAD
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -31,7 +31,7 @@ from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import SILENCE_READING, other_choices
 from bilprov.spec.protocol import Protocol
 
-_IN_A_ROW = 64
+_CHANGES = 16
 _NEVER = 1 << 64  # ns
 KEPT = 20  # violations that are listed; all are counted
 
@@ -64,12 +64,13 @@ class Findings(msgspec.Struct):
     `judged` counts the instructions whose answer was judged, and `looks` the probe readings of a
     robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
     by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
-    although the kit reads the document otherwise.
+    although the kit reads the document otherwise. `unread` is for how long (ns) nothing was read.
     """
 
     instructions: int = 0
     judged: int = 0
     looks: int = 0
+    unread: int = 0
     not_judged: Counter[str] = msgspec.field(default_factory=Counter)
     violations: Counter[str] = msgspec.field(default_factory=Counter)
     readings: Counter[str] = msgspec.field(default_factory=Counter)
@@ -88,10 +89,12 @@ class PassiveJudge:
     `paired` is true if both directions are heard; `attached` is true, as in Session, if listening
     began in running traffic.
 
-    Pairs of instruction and answer cannot be trusted after attaching, after a loss, and after a
-    frame with a pause that the device may have taken for its end: one wrong pair shifts all that
-    follow. From then on no anomaly is judged, until both sides were silent for the answer deadline
-    with no instruction waiting, or 64 answers in a row agreed.
+    Pairs of instruction and answer cannot be trusted after attaching, after a loss, after a time in
+    which nothing was read, and after a frame with a pause that the device may have taken
+    for its end: one wrong pair shifts all that follow.
+    From then on no anomaly is judged, until both sides were silent for the answer deadline
+    with no instruction waiting, or answers in a row agreed of which 16 were unlike the one before
+    (wrong pairs agree too while all answers are alike).
     """
 
     def __init__(self, protocol: Protocol, *, paired: bool = True, attached: bool = False) -> None:
@@ -111,8 +114,10 @@ class PassiveJudge:
         self._refused = 0  # when the instruction of `_stopped_by` was answered, or else ended
         self._stood = False  # whether the robot was seen standing still since then
         self._in_step_from = _NEVER if attached else 0  # from when on pairs can be trusted
-        self._agreed = 0
+        self._agreed = 0  # answers that agreed in a row and were unlike the one before
+        self._answer: int | None = None
         self._heard = 0  # time of the last byte of either side
+        self._unread_from: int | None = None  # since when nothing was read, until the next event
         self._deadline = round(protocol.timing.answer_deadline * MS)
         self._idle = round(protocol.timing.truncation_timeout * MS)
         self._pause = round(protocol.timing.truncation_shortest * MS) // 2
@@ -120,6 +125,9 @@ class PassiveJudge:
 
     def event(self, event: Chunk | Line) -> None:
         """Note the time of an event, before the records that are decoded from it."""
+        if self._unread_from is not None:
+            self._findings.unread += event.t - self._unread_from
+            self._heard, self._unread_from = event.t, None
         if not isinstance(event, Chunk):
             return
         silent = event.t - self._heard >= self._deadline and not self._pending
@@ -176,8 +184,8 @@ class PassiveJudge:
             self._stopped_by = None  # the device may have read these bytes as an instruction
             return
         self._findings.instructions += 1
-        if value.t < self._in_step_from:
-            self._out_of_step()  # it was buffered: the host was not silent when it seemed to be
+        if value.t < self._in_step_from:  # it was buffered: the host was not silent then
+            self._in_step_from = _NEVER
         self._coverage.frame(judgement, self._motion)
         self._motion = record.state.motion
         if not judgement.valid:
@@ -207,9 +215,10 @@ class PassiveJudge:
             self._flushes_until = -1  # it does not flush
         if record.answered and _is_short(record.answered) and number == self._newest:
             self._flushes_until = value.t + self._idle
-        self._agreed = self._agreed + 1 if value.agrees else 0
-        if self._agreed >= _IN_A_ROW:
-            self._in_step_from = min(self._in_step_from, value.t)
+        self._agreed = self._agreed + (value.byte != self._answer) if value.agrees else 0
+        self._answer = value.byte
+        if self._agreed >= _CHANGES:
+            self._in_step_from = 0
         if value.t < self._in_step_from and not value.agrees:
             self._findings.not_judged[_UNSEEN] += 1
             return
@@ -254,6 +263,10 @@ class PassiveJudge:
             self._away |= taps
         elif event.event == "reconnected":
             self._away -= taps
+        if event.event == UNREAD:
+            self._unread_from = record.t
+            self._out_of_step()
+            self._stopped_by = None
         if record.lost or self._away:
             self._give_up(_LOST)
             self._heard = record.t

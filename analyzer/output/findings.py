@@ -2,7 +2,8 @@
 
 The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
 `exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
-`looks`, `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
+`looks`, `unread` (for how many ns nothing was read),
+`not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
 `of`), `violations` (how many of each kind), `readings` (how often another legal reading was met),
 and `listed`: the first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
 `reason`, `instruction` (its sequence).
@@ -47,6 +48,8 @@ def sentences(findings: Findings) -> Iterator[str]:
     yield f"judged {findings.judged} of {quantity(findings.instructions, 'instruction')}" + (
         f" and {quantity(findings.looks, 'observation')} after a fault" if findings.looks else ""
     )
+    if findings.unread:
+        yield f"not observed: {findings.unread / 1e9:.1f} s, in which nothing was read"
     for reason, count in findings.not_judged.items():
         yield f"not judged: {count} ({reason})"
     for reading, count in findings.readings.items():

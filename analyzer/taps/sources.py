@@ -20,11 +20,14 @@ from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.wall_clock import wall_clock
 
 Events: TypeAlias = list[Chunk | Line]
 
 SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 
+LATE = 250_000_000  # ns; a reader that comes so much too late does not know when the bytes came
+FOREVER = 1 << 62  # ns
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
 _LINGER = 0.0003  # s that a bridge waits for an answer before what was said is decoded
 _MOST_LINGER = 5_000_000  # ns for which it goes on to do so
@@ -65,8 +68,9 @@ class Source(Closing):
         self._settings = {tap: port.settings for tap, port in ports.items()}
         self._places = {tap: Place(port.name) for tap, port in ports.items()}
         self._looked_at = 0.0
+        self.seen = 0  # ns; up to when it is known what came
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
-        self.start_wall = time.time_ns()
+        self.start_wall = wall_clock()
         self._start = self._counted_at = time.monotonic_ns()
 
     @property
@@ -89,8 +93,12 @@ class Source(Closing):
 
         `also` are descriptors (such as a Stopper's) that end the wait too. When both sides have
         bytes the host comes first, since an instruction is older than its answer.
+
+        If this program was stopped or had no time meanwhile, a Line event `waited` with the time up
+        to which bytes were read comes first; without a timeout this cannot be noticed.
         """
         events: Events = []
+        asked = self.now()
         missing = self._missing
         if missing:
             self._reopen(missing, events)
@@ -99,7 +107,20 @@ class Source(Closing):
         if missing or not self.ended:
             self._gather(events, timeout_s, also)
             self._count(events)
+        self._note_unread(events, asked, FOREVER if timeout_s is None else round(timeout_s * 1e9))
         return events
+
+    def _note_unread(self, events: Events, asked: int, timeout: int) -> None:
+        """Put a `waited` before events that came much later than they were asked for (ns)."""
+        if not events:
+            self.seen = max(self.seen, min(asked + timeout, self.now()))
+            return
+        unread = events[0].t - self.seen
+        if unread > timeout + LATE:
+            why = "this program was stopped, or had no time or a slow disk"
+            detail = f"nothing was read for {unread / 1e9:.3f} s: {why}"
+            events.insert(0, Line(self.seen, "waited", "", detail))
+        self.seen = events[-1].t
 
     @abstractmethod
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:

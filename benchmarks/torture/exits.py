@@ -130,6 +130,7 @@ with Robot(sys.argv[1]) as robot:
 
 _IN_A_THREAD = """
 import threading
+from bilprov import Robot
 def drive():
 {}
 thread = threading.Thread(target=drive)

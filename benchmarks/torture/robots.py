@@ -41,6 +41,7 @@ class Probe:
         """All that it sees now."""
         self._socket.sendall(b"state\n")
         look: dict[str, Any] = json.loads(self._answers.readline())
+        look.pop("number", None)  # a probe that hands looks on numbers its own replies, or none
         return look
 
     @property
@@ -192,6 +193,8 @@ def _row(what: str, came: list[Judged]) -> Row:
     left = sum(one.left_moving for one in came)
     told = verdicts((one.robot.good, one.code) for one in came)
     wrong = tuple(one.wrong for one in came if one.wrong)
+    if all(one.code == 2 for one in came):
+        wrong += (f"no robot was judged: {came[0].told.strip()[-300:]}",)
     return Row(f"the suite {what}", len(came), f"{told}; {left} left moving", wrong)
 
 

@@ -404,6 +404,27 @@ def test_around_a_loss_nobody_is_accused(protocol: Protocol, event: str) -> None
     assert sum(findings.not_judged.values()) >= 3
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_answers_that_are_all_alike_do_not_show_which_instruction_they_answer(
+    protocol: Protocol, alike: bool
+) -> None:
+    frames = ["20"] * 200 + ["90", "20", "20"]
+    if not alike:
+        frames = ["20", "90"] * 100 + frames
+    answers = ["01" if frame == "90" else "00" for frame in frames]
+    events: list[Event] = []
+    for number, frame in enumerate(frames):
+        events.append(host(10 * number, frame))
+        if number == 0:
+            events.append(Line(1 * MS, "gap", "host"))
+        else:  # each answer comes after the next instruction
+            events.append(device(10 * number + 5, answers[number - 1]))
+    findings = judged(protocol, events)
+
+    assert findings.exit == 0
+    assert findings.not_judged["it is not clear which instruction was answered"] >= 2
+
+
 def test_a_banner_before_the_first_instruction_is_none(protocol: Protocol) -> None:
     findings = judged(protocol, [device(0, "48 69 0a"), *(host(500, "20"), device(501, "00"))])
 

@@ -327,6 +327,44 @@ def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) 
     assert open_capture(path).unfinished
 
 
+END = """
+import json, resource, signal, sys
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True  # a compiled file would be cut short too
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+said = []
+with CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0") as capture:
+    capture.chunk(Chunk(0, "host", b"kept"))
+    capture.flush()
+    size = capture.size
+    try:
+        capture.close()
+    except CaptureError as error:
+        said.append(str(error))
+print(json.dumps([said, size]))
+"""
+
+
+def test_a_disk_with_no_room_for_the_end_of_a_file_keeps_all_before_it(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    output, _ = child(END, whole, 1_000_000).communicate()
+    said, size = json.loads(output)
+    assert said == []
+    for room in range(size, whole.stat().st_size, 1_500):
+        path = tmp_path / f"{room}.mcap"
+        output, _ = child(END, path, room).communicate()
+        assert json.loads(output) == [
+            [f"disk full: what was captured until 0.0 s is kept in {path}"],
+            size,
+        ]
+        assert path.stat().st_size == size
+        assert [chunk.data for chunk in chunks(open_capture(path))] == [b"kept"]
+        assert (open_capture(path).damage, open_capture(path).unfinished) == ((), True)
+
+
 def test_the_official_reader_reads_all_with_checksums_on(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with writer(path, grammar="g") as capture:

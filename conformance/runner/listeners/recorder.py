@@ -8,7 +8,6 @@ environment (`run.json`); at the end: what was measured (`profile.json`) and the
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
@@ -21,6 +20,7 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
+from bilprov.captures.wall_clock import wall_clock
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.operations import (
     OPERATION_NAMES,
@@ -60,7 +60,7 @@ def open_recorder(
         heard=("host", "device"),
     )
     session = Session(protocol, timeout=timeout, skew=0)
-    return RunRecorder(path, session, time.time_ns(), metadata)
+    return RunRecorder(path, session, wall_clock(), metadata)
 
 
 class RunRecorder(Closing, RunListener):

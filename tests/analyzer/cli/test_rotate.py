@@ -28,7 +28,7 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import commands
 from tests.support.attaching import Talk, attached
-from tests.support.wires import PATIENCE, Running, json_lines, running
+from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
 
 START = 1_790_000_000_000_000_000
 NAME = "drive.mcap"
@@ -203,6 +203,39 @@ def test_a_disk_that_fills_up_before_a_seam_ends_the_recording_alone(tmp_path: P
     assert totals == "3 instructions, 0 answers, 0 faults"
     assert part_paths(path) == {1: first}
     assert kept(path) == b"\x11\x01"
+
+
+@pytest.mark.waits
+def test_a_bridge_hands_on_though_a_part_cannot_be_closed(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    path = tmp_path / NAME
+    with (
+        served(PtyRobot(protocol)) as port,
+        running(
+            *("sniff", "--bridge", port, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
+        ) as command,
+    ):
+        name = command.stderr.readline().decode().strip()
+        command.wait_for(part_path(path, 2))
+        # With room for the next part, and for all of its end but the last bytes.
+        size = part_path(path, 1).stat().st_size - 100
+        resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (size, size))
+        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        try:
+            os.write(descriptor, b"\x20")  # a part in which nothing was said is not closed
+            answers = os.read(descriptor, 1)
+            at_once = command.stderr.readline().decode()
+            os.write(descriptor, b"\x20")
+            answers += os.read(descriptor, 1)
+        finally:
+            os.close(descriptor)
+        code, out, err = command.end()
+    sentence = err.decode().splitlines()[-1]
+    assert (answers, code, len(json_lines(out))) == (b"\x00" * 2, 2, 4)
+    assert at_once == f"{sentence}; listening goes on, without recording\n"
+    assert sentence.startswith("bilprov: disk full: what was captured until ")
+    assert not open_capture(part_path(path, 1)).unfinished
 
 
 @pytest.mark.waits

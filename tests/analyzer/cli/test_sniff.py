@@ -17,6 +17,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.support import commands
 from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
@@ -553,3 +554,62 @@ def test_another_grammar_is_followed(tmp_path: Path, horn_text: str) -> None:
 
     assert code == 0
     assert [line["hex"] for line in json_lines(out)] == ["91 03"]
+
+
+WRONG_CLOCK = """
+import sys, time
+time.time_ns = lambda: -3_600 * 10**9
+import bilprov
+bilprov.main(sys.argv[1:])
+"""
+
+
+def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(tmp_path: Path) -> None:
+    with open_pty() as host:
+        path = tmp_path / "run.mcap"
+        words = ("sniff", host.name, "-w", str(path), "--duration", "0.1")
+        result = commands.process(*words, code=WRONG_CLOCK)
+
+    assert result.returncode == 0
+    assert b"the clock of this computer is set to before 1970 or after 2262" in result.stderr
+    assert open_capture(path).start == 0
+
+
+STOPPED = 1.2  # s; longer than a device may take to answer
+
+
+def test_a_good_device_is_good_though_the_sniffer_was_stopped(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    frames = [b"\x20", b"\x81\x09", b"\x00", b"\xf0", b"\x11\x01"] * 40
+    with open_pty() as host, open_pty() as device, ExitStack() as stack:
+        arguments, path = _taps(tmp_path, host, device, "--judge")
+        command = stack.enter_context(running(*arguments))
+        command.wait_for(path)
+        time.sleep(0.1)  # silence, after which a byte begins a frame
+        shown: list[bytes] = []
+        for number, frame in enumerate(frames):
+            _write(host, frame)
+            if number == 50:  # between the frame and its answer
+                while sum(b'"instruction"' in line for line in shown) <= number:
+                    shown += _read(command, 1)
+                _stop(command)
+            _write(device, bytes([judge(protocol, frame).response.code]))
+            time.sleep(STOPPED if number == 50 else 0.005)
+            if number == 60:
+                command.process.send_signal(signal.SIGCONT)
+        code, out, err = command.end()
+
+    findings = json_lines(out)[-1]
+    assert (code, findings["violations"], findings["not_judged"]) == (0, {}, {}), (findings, err)
+    assert findings["judged"] == len(frames)
+    assert findings["unread"] >= STOPPED * 1e9
+    assert any(isinstance(e, Line) and e.event == "waited" for e in open_capture(path))
+    replayed = commands.command("replay", str(path), "--rate", "0", "--judge", "--format", "jsonl")
+    assert json_lines(replayed.stdout)[-1] == findings
+
+
+def _stop(command: Running) -> None:
+    """Stop the process, and return when it is stopped."""
+    command.process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, command.process.pid, os.WSTOPPED | os.WNOWAIT)

@@ -6,6 +6,7 @@ import itertools
 import os
 import select
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from bilprov.analyzer.taps import sources
 from bilprov.analyzer.taps.sources import (
+    LATE,
     TAPS,
     Bridge,
     Tap,
@@ -138,6 +140,21 @@ def test_times_never_go_back_and_start_at_the_source(
     times = [0, *(event.t for event in events), taps.now()]
     assert all(before <= after for before, after in itertools.pairwise(times))
     assert taps.start_wall > 0
+
+
+def test_a_reader_that_comes_too_late_notes_since_when_nothing_was_read(
+    taps: Taps, host_line: PtyPair
+) -> None:
+    host_line.write_some(b"\x10")
+    (*_, before) = taps.poll(1)
+    host_line.write_some(b"\x20")
+    time.sleep(LATE / 1e9 + 0.1)
+    waited, after = taps.poll(0.05)
+
+    assert isinstance(waited, Line)
+    assert (waited.event, waited.t) == ("waited", before.t)
+    assert isinstance(after, Chunk)
+    assert taps.seen == after.t
 
 
 def test_a_poll_with_nothing_to_hear_ends(taps: Taps) -> None:

@@ -1,0 +1,123 @@
+"""A reader that was stopped, in virtual time: nothing falls due while nothing is read."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.monitor.passive_judge import Findings, PassiveJudge
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import Protocol
+from tests.support.traffic import records_of
+
+FRAMES = (b"\x20", b"\x11\x01", b"\x00", b"\x81\x09", b"\xf0", b"\x41\xff")
+CUT = b"\x11"
+PERIOD = 20 * MS
+GIVEN_UP = 60 * MS  # how long the device waits for the rest of a frame
+Event = Chunk | Line
+
+
+def traffic(
+    protocol: Protocol,
+    rng: random.Random,
+    answer: Callable[[int, int], int],
+    count: int = 600,
+    frames: Sequence[bytes] = FRAMES,
+) -> list[Chunk]:
+    """Frames and their answers, each at its own time."""
+    events, t = [], 0
+    for number in range(count):
+        frame = rng.choice(frames)
+        byte = answer(number, judge(protocol, frame).response.code)
+        wait = GIVEN_UP if frame == CUT else 0
+        events += [
+            Chunk(t, "host", frame),
+            Chunk(t + wait + rng.randrange(1, 9) * MS, "device", b"%c" % byte),
+        ]
+        t += wait + PERIOD
+    return events
+
+
+def read(events: list[Chunk], pauses: list[tuple[int, int]]) -> list[Event]:
+    """What a reader makes of the traffic that is stopped from time to time."""
+    got: list[Event] = []
+    for begin, end in pauses:
+        before = [event for event in events if event.t <= begin]
+        meanwhile = [event for event in events if begin < event.t <= end]
+        events = [event for event in events if event.t > end]
+        got += before
+        if meanwhile:
+            got.append(Line(begin, "waited", "", "stopped"))
+        for side in ("host", "device"):
+            data = b"".join(event.data for event in meanwhile if event.direction == side)
+            if data:
+                got.append(Chunk(end, side, data))
+    return got + events
+
+
+def pauses_of(rng: random.Random) -> list[tuple[int, int]]:
+    begins = sorted(rng.sample(range(0, 12_000, 4_000), 2))
+    return [
+        ((at + rng.randrange(1_000)) * MS, (at + 1_000 + rng.randrange(3_000)) * MS)
+        for at in begins
+    ]
+
+
+def judged(protocol: Protocol, events: list[Event]) -> Findings:
+    session = Session(protocol, skew=20 * MS)
+    found = PassiveJudge(protocol)
+    for event in events:
+        found.event(event)
+        for record in session.feed(event):
+            found.record(record)
+    for record in session.advance(events[-1].t + 3_000 * MS):
+        found.record(record)
+    return found.finish()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_good_device_is_good_however_the_reader_was_stopped(
+    protocol: Protocol, seed: int
+) -> None:
+    rng = random.Random(seed)
+    pauses = pauses_of(rng)
+    events = read(traffic(protocol, rng, lambda _, code: code), pauses)
+    findings = judged(protocol, events)
+    assert findings.listed == []
+    assert findings.exit == 0
+    assert findings.unread == sum(end - begin for begin, end in pauses)
+    assert findings.judged == findings.instructions == 600
+    assert not findings.readings
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_frames_cut_short_while_nothing_is_read_accuse_nobody(
+    protocol: Protocol, seed: int
+) -> None:
+    rng = random.Random(seed)
+    events = traffic(protocol, rng, lambda _, code: code, 600, [*FRAMES, CUT])
+    assert judged(protocol, read(events, pauses_of(rng))).listed == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_fault_outside_of_the_pauses_is_found(protocol: Protocol, seed: int) -> None:
+    rng = random.Random(seed)
+    pauses = pauses_of(rng)
+    number = (pauses[-1][1] // PERIOD) + 100  # more than enough right answers later
+    events = traffic(protocol, rng, lambda at, code: 99 if at == number else code, number + 9)
+    assert judged(protocol, read(events, pauses)).exit == 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_columns_decode_what_a_session_does(protocol: Protocol, seed: int) -> None:
+    rng = random.Random(seed)
+    events = read(traffic(protocol, rng, lambda _, code: code, 600), pauses_of(rng))
+    session, stream = Session(protocol), StreamDecoder(protocol)
+    stream._fed = 1 << 20  # from the first byte on
+    expected = [record for event in events for record in session.feed(event)] + session.finish()
+    assert records_of([*stream.feed(events), *stream.finish()]) == expected
