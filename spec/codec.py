@@ -98,9 +98,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     identity, length = protocol.headers[frame[0]]
     arrived = len(frame) - 1
     if arrived > length:
-        raise ValueError(
-            f"frame {spaced(frame)} has {_bytes(arrived)}, its header announces {length}"
-        )
+        raise ValueError(f"frame {spaced(frame)} has {_bytes(arrived)}, its header says {length}")
     instruction = protocol.by_id.get(identity)
     fields: tuple[tuple[str, int], ...] = ()
     clause, reading = protocol.clauses.instructions, ""
@@ -116,9 +114,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         reading = "R-truncated-long" if length > instruction.length else "R-truncated-known"
     elif length != instruction.length:
         outcome = Outcome.TOO_MANY if length > instruction.length else Outcome.TOO_FEW
-        reason = (
-            f"{instruction.name} takes {_bytes(instruction.length)}, the header announces {length}"
-        )
+        reason = f"{instruction.name} takes {_bytes(instruction.length)}, the header says {length}"
         clause = protocol.clauses.responses
         reading = "R-known-length"
     else:

@@ -18,7 +18,6 @@ PACKAGES = ("analyzer", "captures", "conformance", "spec", "src")
 MESSAGE_TURNS = {
     r"otherwise than": "reads the document otherwise than the machine",
     r"(?<!there )(?:is|are) no (?!longer\b|more\b)\w+": "'x' is no number",
-    r"expected (?:is|are)": "expected is 227",
     r"what is whole|all that is whole": "all that is whole is shown",
     r"which is not this": "expected OK, which is not this",
     r"in \w+ looks|\d looks|looks? (?:that|of|at)": "looks that agree",
@@ -30,8 +29,10 @@ MESSAGE_TURNS = {
     r"(?:is|are) wanted": "a value is wanted",
     r"is asked for": "is asked for twice",
 }
-# docs/ and scripts name this line of `bilprov lab score`.
-KEPT = ("that can be told apart",)
+# What scripts stand on: a line of `bilprov lab score`, and the reasons that captures hold.
+KEPT = ("that can be told apart", "header says", "the device says", "expected is")
+# The dissector's program is Lua, whose names are not words of a message.
+PROGRAMS = ("spec/emit/wireshark_program.py",)
 
 
 def message_turns(text: str) -> list[str]:
@@ -76,6 +77,7 @@ def test_a_message_is_in_plain_english(package: str) -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {turn}"
         for path in sorted((ROOT / package).rglob("*.py"))
+        if path.relative_to(ROOT).as_posix() not in PROGRAMS
         for line, text in messages(path.read_text(encoding="utf-8"))
         for turn in message_turns(text)
     ]

@@ -157,6 +157,6 @@ def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Cause:
     return Cause(
         "disagreeing",
         Severity.WARNING if held.byte in choices else Severity.ERROR,
-        f"the device answers {said.name} to {judgement.describe()}, expected "
+        f"the device says {said.name} to {judgement.describe()}, expected is "
         f"{judgement.response.name}{because}{reading}",
     )

@@ -52,7 +52,7 @@ local F = {
     name = declared("string", "name", "Name"),
     kind = declared("string", "kind", "Kind"),
     outcome = declared("string", "outcome", "Outcome"),
-    judgement = declared("uint8", "judgement", "A conforming device answers", base.DEC,
+    judgement = declared("uint8", "judgement", "A conforming device says", base.DEC,
         GRAMMAR.codes),
     reason = declared("string", "reason", "Reason"),
     sequence = declared("uint32", "sequence", "Number of the instruction"),
@@ -143,7 +143,7 @@ local function judged(data)
             came)
     elseif length ~= spec.length then
         outcome = length > spec.length and "TOO_MANY" or "TOO_FEW"
-        verdict.reason = string.format("%s takes %s, the header announces %d", spec.name,
+        verdict.reason = string.format("%s takes %s, the header says %d", spec.name,
             counted(spec.length), length)
     else
         verdict.values = {}
@@ -225,7 +225,7 @@ local function after(verdict, state)
 end
 
 -- The response that came before the frame's end: one tap may be late, or the device's time-out is
--- the shorter one. A packet reports only when the last of its bytes came.
+-- the shorter one. A packet tells only when the last of its bytes came.
 local function early_answer(frame)
     local begun = frame.begun
     if frame.parts == 1 then
@@ -277,7 +277,7 @@ local function cut_short(number)
     note(number, { kind = "cut short", frame = frame })
 end
 
--- Let time pass until `t` (ns), which packet `number` reports.
+-- Let time pass until `t` (ns), which packet `number` tells.
 local function pass(t, number)
     if now.open and t >= now.open.t + robot.prefs.truncation_timeout * US then
         cut_short(number)
@@ -493,7 +493,7 @@ local function draw_device(item, tree, range)
     local branch = tree:add(robot, range, GRAMMAR.title .. ": " .. words)
     branch:add(F.response, range)
     generated(branch, F.kind, "response")
-    local answered = words
+    local said = words
     if not name then
         branch:add_proto_expert_info(X.unused, "Unused response")
     end
@@ -510,11 +510,10 @@ local function draw_device(item, tree, range)
     generated(branch, F.agrees, agrees)
     if not agrees then
         local expected = GRAMMAR.codes[frame.verdict.code]
-        words = words .. ", expected " .. expected
+        words = words .. ", expected is " .. expected
         generated(branch, F.judgement, frame.verdict.code)
         branch:add_proto_expert_info(X.disagreeing, string.format(
-            "The device answers %s to %s, expected "
-            "%s", answered, described(frame.verdict), expected))
+            "The device says %s to %s, expected is %s", said, described(frame.verdict), expected))
     end
     if latency > GRAMMAR.answer_deadline * MS then
         branch:add_proto_expert_info(X.late, string.format("After %.1f ms, allowed are %g",
@@ -552,9 +551,9 @@ function robot.dissector(buffer, pinfo, tree)
     local words = {}
     for i, item in ipairs(items) do
         local range = item.size and payload(item.at, item.size) or nil
-        local drawn = draw[item.kind](item, tree, range, pinfo.number)
+        local said = draw[item.kind](item, tree, range, pinfo.number)
         if i <= MOST_WORDS then
-            words[i] = drawn
+            words[i] = said
         end
     end
     if #items > MOST_WORDS then

@@ -298,8 +298,8 @@ WRONG = [
     (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
     (("--robot-port", "sim", "--robot-probe", "none"), "brings its own probe"),
     (("--robot-port", "emulator:simavr:none.elf"), "there is no firmware none.elf"),
-    (("--robot-port", f"emulator:simavr:{__file__}"), "is no ELF file"),
-    (("--robot-port", f"emulator:qemu:{__file__}"), "is no ELF file"),
+    (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
+    (("--robot-port", f"emulator:qemu:{__file__}"), "is not an ELF file"),
     (("--robot-port", f"emulator:qemu:{__file__}", "--robot-probe", "ask"), "brings its own"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]

@@ -143,7 +143,7 @@ def test_no_bytes_cannot_be_judged(protocol: Protocol) -> None:
 
 
 def test_more_bytes_than_announced_are_not_one_frame(protocol: Protocol) -> None:
-    with pytest.raises(ValueError, match=r"^frame 20 ff has 1 data byte, its header announces 0$"):
+    with pytest.raises(ValueError, match=r"^frame 20 ff has 1 data byte, its header says 0$"):
         judge(protocol, b"\x20\xff")
 
 
@@ -152,9 +152,9 @@ def test_more_bytes_than_announced_are_not_one_frame(protocol: Protocol) -> None
     [
         ("81 09", "LED.rgb is 9, allowed are 0 to 7 (frame 81 09, byte 1)"),
         ("91 02", "no instruction has ID 9, used are 0, 1, 2, 3, 4, 5, 6, 7, 8"),
-        ("12 ff ff", "Speed takes 1 data byte, the header announces 2"),
-        ("40", "Right takes 1 data byte, the header announces 0"),
-        ("21 00", "Forward takes 0 data bytes, the header announces 1"),
+        ("12 ff ff", "Speed takes 1 data byte, the header says 2"),
+        ("40", "Right takes 1 data byte, the header says 0"),
+        ("21 00", "Forward takes 0 data bytes, the header says 1"),
         ("41", "Right: 1 data byte announced, 0 came"),
         ("43 01", "Right: 3 data bytes announced, 1 came"),
     ],

@@ -251,9 +251,9 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
     assert [row["_ws.expert.message"] for row in rows] == [
         "",
         "",
-        "The device says BAD_HEADER to Forward, expected OK",
+        "The device says BAD_HEADER to Forward, expected is OK",
         "",
-        "Unused response|The device says unused 7 to Forward, expected OK"
+        "Unused response|The device says unused 7 to Forward, expected is OK"
         "|After 200.0 ms, allowed are 100",
         "No response",
         "It responds to no instruction",
@@ -330,7 +330,7 @@ def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
 
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.decode().count("\n") == 1
-    assert "Speed.speed is no plain integer of 1 to 6 bytes" in done.stderr.decode()
+    assert "Speed.speed is not a plain integer of 1 to 6 bytes" in done.stderr.decode()
 
 
 def test_the_command_writes_the_script_whole(protocol: Protocol, tmp_path: Path) -> None:

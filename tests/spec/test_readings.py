@@ -99,8 +99,7 @@ def test_a_finding_says_what_came_and_what_was_allowed(protocol: Protocol) -> No
     right, led = check(protocol)
 
     assert right.reason == (
-        "Right takes 1 data byte, the header announces 0; 1 byte more in the line, read as a "
-        "new header"
+        "Right takes 1 data byte, the header says 0; 1 byte more in the line, read as a new header"
     )
     assert led.reason == "no instruction has ID 9, used are 0, 1, 2, 3, 4, 5, 6, 7, 8"
 

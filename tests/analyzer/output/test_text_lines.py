@@ -44,7 +44,7 @@ def test_a_faulty_frame_says_why(protocol: Protocol) -> None:
     )
 
     assert "allowed are 0 to 7" in said
-    assert "expected BAD_DATA" in answered
+    assert "expected is BAD_DATA" in answered
 
 
 def test_colour_codes_come_only_where_they_are_wanted(protocol: Protocol) -> None:

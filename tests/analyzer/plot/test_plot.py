@@ -237,7 +237,7 @@ def test_wrong_use_is_one_sentence_and_overwrites_nothing(tmp_path: Path) -> Non
         (line,) = result.stderr.decode().splitlines()
         return line
 
-    assert "say --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
+    assert "give --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
     assert older.read_text() == "older"
     assert "would overwrite the input" in wrong(EXAMPLES, "--html", EXAMPLES, "--force")
     assert "cannot be written" in wrong(EXAMPLES, "--html", str(tmp_path / "no" / "x.html"))

@@ -193,7 +193,7 @@ def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> 
         writer.add_message(camera, START + 1, b"picture", 0)
         writer.finish()
     new, done = converted(path)
-    assert b"left out, since they are none of bilprov's topics: /camera\\x1b[2J" in done.stderr
+    assert b"left out, since they are not bilprov's topics: /camera\\x1b[2J" in done.stderr
     assert list(open_capture(new).events()) == [
         Chunk(0, "host", b"\x81\x05"),
         Chunk(5, "device", b"\0"),
