@@ -448,7 +448,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
     assert re.search(
         r"ERROR: the robot at \S+ will move for about \d+ s: it drives and turns, at speeds up to "
         r"255 of 255; its wheels should be off the ground: there is no terminal to ask "
-        r"on, so say --robot-yes if it may move",
+        r"on, so give --robot-yes if it may move",
         text(refused),
     )
     # Without a power switch one of the opening cases is skipped.

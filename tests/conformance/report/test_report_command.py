@@ -148,7 +148,11 @@ WRONG = [
     ("cases", {}, "not a report of bilprov"),
     ("cases.0.log", [{"t": 0, "kind": "eaten", "hex": "", "look": ""}], "not a report of bilprov"),
     ("cases.0.log", [{"t": -1, "kind": "sent", "hex": "", "look": ""}], "not a report of bilprov"),
-    ("cases.0.log", [{"t": 1e300, "kind": "sent", "hex": "", "look": ""}], "not a report of bilprov"),
+    (
+        "cases.0.log",
+        [{"t": 1e300, "kind": "sent", "hex": "", "look": ""}],
+        "not a report of bilprov",
+    ),
     ("cases.0.sent", ["<b>"], "not a report of bilprov"),
     ("cases.0.received", [{"hex": "00", "t": 1e308}], "not a report of bilprov"),
     ("coverage", {"headers": {"done": -1, "of": 1}}, "not a report of bilprov"),
