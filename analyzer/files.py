@@ -27,7 +27,7 @@ def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
     """
     try:
         if path.exists() and not (path.is_file() or (pipes and path.is_fifo())):
-            raise OSError(errno.EINVAL, "it is no regular file")
+            raise OSError(errno.EINVAL, "it is not a regular file")
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(descriptor, "rb", buffering=0) as file:
             is_pipe = stat.S_ISFIFO(os.fstat(descriptor).st_mode)

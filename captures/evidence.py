@@ -73,7 +73,7 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
             )
         capture = open_capture(path)
         if capture.damage:
-            raise CaptureError(_damaged(path, "a checksum (CRC) told", capture.damage))
+            raise CaptureError(_damaged(path, "a checksum (CRC) does not match", capture.damage))
         end = seals[-1] if seals else len(content)
         try:
             attachments = _attachments(content, end, wanted)

@@ -97,7 +97,7 @@ def select_cases(
     for glob in options.only:
         if not glob.isprintable() or len(glob) > LONGEST_GLOB:
             raise ValueError(
-                f"{printable(glob)} is no glob of case ids, which are letters, digits, - and /, "
+                f"{printable(glob)} is not a glob of case ids, which are letters, digits, - and /, "
                 f"of up to {LONGEST_GLOB} characters; see them with --list"
             )
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):

@@ -180,13 +180,14 @@ def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
     if topics.HISTORY in evidence.capture.metadata:
         raise CaptureError(
-            f"{printable(path)} is no recording as it was made, but an edited one (bilprov capture "
+            f"{printable(path)} is not a recording as it was made but an edited one (bilprov "
+            "capture "
             "info shows how): judge the recording itself again"
         )
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(
-            f"{printable(path)} is no recording of a conformance run that can "
-            "be judged again: make "
+            f"{printable(path)} is not a recording of a conformance run that can be judged "
+            "again: make "
             "one with bilprov conform PORT --record FILE.mcap"
         )
     try:
@@ -302,13 +303,12 @@ def _notes(
     if run.kit != kit_version():
         yield (
             f"it was recorded by bilprov {printable(run.kit)}, this is "
-            f"{kit_version()}: what differs "
-            "may be the kit's"
+            f"{kit_version()}: differences may come from the kit"
         )
     if run.grammar.get("sha256") != grammar.sha256:
         yield f"it was recorded with another grammar than {printable(grammar.origin)}"
     if not evidence.sealed:
-        yield "it was never finished, so no hash vouches for it: checksums (CRC) vouch for the rest"
+        yield "it was never finished, so it has no hash; its checksums (CRC) match"
     if cut:
         yield "it ends before its run did: what is there was judged again"
     elif report is not None and report.ended:

@@ -85,7 +85,7 @@ class Framer:
         Raises ValueError for bytes that are not the beginning of one frame.
         """
         if data and len(data) > self._lengths[data[0]]:
-            raise ValueError(f"{len(data)} bytes are no frame that is still open")
+            raise ValueError(f"{len(data)} bytes are not a frame that is still open")
         self._held[:] = data
         self._start, self._end = start, end
 

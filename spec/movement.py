@@ -59,7 +59,7 @@ def movement_words(protocol: Protocol, movement: Movement) -> str:
     """What will move, how fast at most, and what to do before it does, in words."""
     kinds = {rotates(motion): motion for motion in movement.motions}
     verbs = [verb for turning, verb in ((False, "drives"), (True, "turns")) if turning in kinds]
-    words = f"it {' and '.join(verbs)}" if verbs else "it is told no motion"
+    words = f"it {' and '.join(verbs)}" if verbs else "it is sent no motion"
     if "speed" in protocol.limits:
         fast = f"speeds up to {movement.speed} of {protocol.limits['speed'][1]}"
         if movement.speed is not None:

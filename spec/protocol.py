@@ -497,7 +497,7 @@ def _require_whole_numbers(name: str, ranged: Ranged, size: int) -> None:
         for raw in (bytes(size), b"\xff" * size):
             value = inner.parse(raw)
             if type(value) is not int or inner.build(value) != raw:
-                raise GrammarError(f"{name} is no whole number")
+                raise GrammarError(f"{name} is not a whole number")
     except Exception as error:
         raise GrammarError(f"the type of {name} must be a whole number, such as Byte") from error
     try:

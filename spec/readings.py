@@ -120,7 +120,7 @@ ERRATA = (
         "E6",
         "section 4",
         "stöd för upp till 256 olika felkoder",
-        "ID 0 says that all is well, which leaves 255 error codes",
+        "ID 0 means that all is well, which leaves 255 error codes",
         "a reader",
     ),
 )
@@ -148,7 +148,7 @@ READINGS = (
         "section 4, table 2",
         "a known ID with a wrong length",
         f"{_MANY} / {_FEW}",
-        "too many or too few, as table 2 says",
+        "too many or too few, as in table 2",
         (("BAD_HEADER, although the header carries the length", "fail"),),
     ),
     Reading(
@@ -414,7 +414,7 @@ READINGS = (
         "section 1",
         "baud rate, parity, flow control",
         "",
-        "as the grammar's line defaults unless told, raw 8 bits",
+        "as the grammar's line defaults unless given, raw 8 bits",
         (("XON/XOFF or a cooked terminal: XON is the header of Speed", "fail"),),
     ),
 )

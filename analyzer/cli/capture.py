@@ -56,7 +56,7 @@ def info(grammar: str | None, file: str, style: str, as_json: bool) -> None:
 @click.argument("path", metavar="FILE.mcap", type=click.Path(path_type=Path))
 @text_format_option
 def check(path: Path, style: str) -> int:
-    """Report what of a capture is damaged, where, and what is lost, in bytes and seconds.
+    """Report which parts of a capture are damaged and what is lost, in bytes and seconds.
 
     Examples:
       bilprov capture check drive.mcap
@@ -101,7 +101,7 @@ def cut(
     stay those of IN.
 
     With --filter it holds the frames for which EXPR holds, each instruction with its answer. Where
-    others are left out, a gap says how many bytes, and a checkpoint how decoding goes on.
+    others are left out, a gap records how many bytes, and a checkpoint how decoding continues.
 
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT.
     """
@@ -202,15 +202,15 @@ def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
 @force_option
 @click.pass_obj
 def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -> None:
-    """Put captures together by the time of day at which their bytes came.
+    """Join captures by the time of day at which their bytes arrived.
 
     Examples:
       bilprov capture join host.mcap device.mcap -o both.mcap
 
     Two sniffers, of which one listened to the host and one to the device, give a capture of both
-    directions: their clocks must agree to some milliseconds. Recordings that follow each other give
-    one with a gap between them. Where two hold the same direction at the same time, every byte
-    would be there twice: that is refused, with the command that cuts one of them.
+    directions: their clocks must agree within a few milliseconds. Recordings that follow each other
+    become one capture with a gap between them. Where two hold the same direction at the same time,
+    every byte would be there twice: that is refused, with the command that cuts one of them.
 
     Raw bytes, line events and what conformance runs noted are kept as they are, with the metadata
     and attachments of all. Decoded topics are left out: bilprov capture decode writes them.
@@ -223,7 +223,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
     from bilprov.captures.reader import open_capture
 
     if len(paths) < 2:
-        raise click.UsageError("name two captures or more to put together")
+        raise click.UsageError("name two captures or more to join")
     protocol = load_protocol(grammar)
     captures = [open_capture(path) for path in paths]
     require_writable([("-o", str(new))], map(str, paths), force=force, regular=True)
@@ -245,14 +245,15 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
 @click.argument("new", metavar="OUT.mcap")
 @click.pass_obj
 def decode(grammar: str | None, path: str, new: str) -> None:
-    """Write a capture with all that can be decoded from it.
+    """Write a capture with everything decoded from it.
 
     Examples:
       bilprov capture decode drive.mcap whole.mcap
 
-    OUT holds what IN does, and every frame, answer, state and fault decoded from its bytes: also
-    those that were not written while traffic was heavy. IN may be of an older kit or of another
-    program, unfinished or damaged. OUT must not exist; Ctrl-C leaves none.
+    OUT holds what IN holds, and every frame, answer, state and fault decoded from its bytes,
+    including those that were not written while traffic was heavy. IN may come from an older version
+    or from another program, and may be unfinished or damaged. OUT must not exist; Ctrl-C leaves
+    none.
     """
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.replay.capture_session import said_about
@@ -265,7 +266,7 @@ def decode(grammar: str | None, path: str, new: str) -> None:
     _say_left_out(capture)
     with reading([capture], least=0) as progress:  # each frame is written: that takes long
         write_decoded(capture, protocol, new, progress)
-    note(f"{printable(path)} is in {printable(new)}, with all that is decoded from it")
+    note(f"{printable(path)} is in {printable(new)}, with everything decoded from it")
 
 
 @click.command()
@@ -278,14 +279,15 @@ def decode(grammar: str | None, path: str, new: str) -> None:
     type=Finite(0),
     default=20.0,
     show_default=True,
-    help="By how many milliseconds the latencies of a frame may differ: an adapter alone may hold "
-    "an answer back for 16.",
+    help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
+    "delay an answer by 16.",
 )
 @click.option(
     "--json",
     "output",
     metavar="FILE",
-    help="All of it as one JSON object; - is standard output, which then has nothing else.",
+    help="Write everything as one JSON object; - is standard output, which then holds nothing "
+    "else.",
 )
 @force_option
 @click.pass_obj
@@ -303,7 +305,7 @@ def diff(
       bilprov capture diff yesterday.mcap today.mcap
 
     Both are decoded, and aligned by the frames that the host sent, so that one frame more or less
-    does not shift all that follow; after more than 20,000 missing at one place they are listed one
+    does not shift the rest; after more than 20,000 missing at one place they are listed one
     by one. Reported are frames that only one of them has, different or missing answers, bytes that
     answer nothing, and latencies that differ by more than --latency; times of day and pauses are
     not compared. The keys of the JSON are explained in analyzer/edit/comparison_report.py.
@@ -353,4 +355,4 @@ def _say_left_out(capture: Capture) -> None:
 
     known = {topic.name for topic in TOPICS}
     if others := [topic for topic in capture.contents.counts if topic not in known]:
-        note(f"left out, since they are none of bilprov's topics: {printable(', '.join(others))}")
+        note(f"left out, since they are not bilprov's topics: {printable(', '.join(others))}")

@@ -14,7 +14,7 @@ from bilprov.analyzer.output.help import command_names
 @click.argument("words", metavar="[COMMAND]...", nargs=-1)
 @text_format_option
 def show(words: tuple[str, ...], style: str) -> None:
-    """Show every setting and where it is set; of a COMMAND all its options.
+    """Show every setting and where it is set; for a COMMAND, all its options.
 
     Examples:
       bilprov config show
@@ -85,7 +85,7 @@ def _loaded(ctx: click.Context, name: str) -> click.Command:
     command = ctx.command
     for word in name.split():
         if not isinstance(command, click.Group):
-            raise click.UsageError(f"there is no command {name}")
+            raise click.UsageError(f"there is no bilprov {name}")
         _, below, _ = command.resolve_command(ctx, [word])
         assert below is not None
         command = below

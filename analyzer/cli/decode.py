@@ -50,12 +50,12 @@ def decode(
       bilprov decode 81 05 20
       bilprov decode --from device --format jsonl answers.bin
 
-    The bytes count as sent in one go: nothing is cut short but what the end leaves incomplete.
+    The bytes are taken as sent without a pause: only the last frame can be cut short.
     """
     protocol = load_protocol(grammar)
     test = compiled(expression, protocol)
     if not words and sys.stdin.isatty():
-        raise click.UsageError("what is to be decoded? Give HEX, a FILE or - for standard input")
+        raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
     decoder, events, start = _input(words or ("-",), sender, protocol)
     out = Shown(stream_output(style), test and test.started(start))
     for batch in events:

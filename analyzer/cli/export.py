@@ -86,7 +86,7 @@ FORMATS = {
     type=click.Choice(list(FORMATS)),
     help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
 )
-@click.option("-o", "--output", metavar="OUT", help="Where to; - is standard output.")
+@click.option("-o", "--output", metavar="OUT", help="The file to write; - is standard output.")
 @filter_option
 @click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
@@ -112,7 +112,7 @@ def export(
     force: bool,
     layout: bool,
 ) -> None:
-    """Write what a capture holds for other programs.
+    """Write the contents of a capture for other programs.
 
     Examples:
       bilprov export drive.mcap -o drive.csv

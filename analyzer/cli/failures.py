@@ -93,7 +93,7 @@ _CLICK_BEGINS = ("Missing ", "No such ", "Invalid value", "Got unexpected ", "Op
 def plain_words(text: str) -> str:
     """Convert what click says about a value to one line, in words for people who do not program."""
     line = " ".join(text.split()).rstrip(".")
-    for kind, words in (("integer", "no whole number"), ("float", "no number")):
+    for kind, words in (("integer", "not a whole number"), ("float", "not a number")):
         line = re.sub(rf"is not a valid {kind}(?: range)?\b", f"is {words}", line)
     return line
 

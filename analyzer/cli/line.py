@@ -31,7 +31,7 @@ def nanoseconds(text: str) -> int:
     value = float(match[1]) * (1e9 if match[2].lower() == "s" else 1e6) if match else math.inf
     if value > LONGEST:
         raise ValueError(
-            f"{printable(text)!r} is no such time; write 5ms, 0.2s or a number of milliseconds, "
+            f"{printable(text)!r} is not such a time; write 5ms, 0.2s or a number of milliseconds, "
             f"from 0 to {LONGEST // 10**9}s"
         )
     return round(value)
@@ -60,17 +60,17 @@ def _ends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[I
 SERVED_IN_WORDS = ", or ".join(kind.help for kind in SERVED)
 
 HELP = f"""\
-Connect A and B by a line that loses, changes, doubles and delays bytes, both ways.
+Connect A and B through a line that loses, changes, doubles and delays bytes, both ways.
 
 Examples:
   bilprov lab line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty
   bilprov lab line --flip 1e-3 listen:127.0.0.1:5000 pty
 
 A and B are each a device that is opened (a path or a pyserial URL), {SERVED_IN_WORDS}. What was
-made is printed, a line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
-every byte passes unchanged and at once. What arrives at a listening end without a client is gone;
+made is printed, one line each, A before B: the pty's path, or socket://HOST:PORT. Without faults
+every byte passes unchanged and at once. What arrives at a listening end without a client is lost;
 at a pty it waits for the program that opens it, as in a driver's buffer. A listening end takes one
-client at a time and closes others; any machine reaches it only where HOST says so, as in
+client at a time and closes others; other machines reach it only if HOST allows that, as in
 listen:0.0.0.0:5000, with a warning.
 
 A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. A TIME is 5ms, 0.2s,
@@ -79,8 +79,8 @@ give the same faults, in each direction by itself.
 
 To test a device behind it, give bilprov conform the path that is printed.
 
-Exits with 0 after Ctrl-C or SIGTERM, with 2 if an end is lost; either way standard error shows
-how many bytes went each way, and what happened to how many of them.
+Exits with status 0 after Ctrl-C or SIGTERM, with 2 if an end is lost; either way standard error
+shows how many bytes went each way, and how many of them were hit, and how.
 """
 
 
@@ -88,12 +88,14 @@ how many bytes went each way, and what happened to how many of them.
 @click.argument("a", metavar="A", shell_complete=_ends)
 @click.argument("b", metavar="B", shell_complete=_ends)
 @_rate("--drop", "Bytes that vanish.")
-@_rate("--flip", "Bytes with one bit turned over.")
+@_rate("--flip", "Bytes with one bit flipped.")
 @_rate("--double", "Bytes that come twice.")
 @_time("--delay", "How long late bytes are held back.")
 @_time("--jitter", "And up to this much longer.")
 @_rate("--late", "Bytes that are late; all of them unless given.", 1.0)
-@click.option("--seed", type=int, default=1, show_default=True, help="Which bytes it hits.")
+@click.option(
+    "--seed", type=int, default=1, show_default=True, help="Selects the bytes that are hit."
+)
 @line_options
 @click.pass_obj
 def line(
@@ -111,7 +113,7 @@ def line(
     parity: str | None,
     stopbits: str | None,
 ) -> int:
-    """Connect two ends by an impaired line; the command's help is `HELP`."""
+    """Connect two ends through an impaired line; the command's help is `HELP`."""
     try:
         require_two_ends(a, b)
         faults = LineFaults(Noise(flip, drop, double), delay, jitter, late)

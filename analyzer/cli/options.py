@@ -150,7 +150,7 @@ def row_options(command: Command) -> Command:
         "--columns",
         metavar="NAME,...",
         shell_complete=_column_names,
-        help="What of each row is shown, like time,name,rgb,latency: keys of the JSON lines, "
+        help="What is shown of each row, like time,name,rgb,latency: keys of the JSON lines, "
         "state.speed and so on, id, len, data, and fields of instructions.",
     )(command)
     return click.option(
@@ -230,7 +230,7 @@ judge_option = click.option(
     "--judge",
     "judged",
     is_flag=True,
-    help="Judge the device by what passes: at the end what was covered, and violations.",
+    help="Judge the device by the traffic; coverage and violations are shown at the end.",
 )
 
 
@@ -296,7 +296,7 @@ def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "-
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise NotConfirmed(
-            f"{what}: there is no terminal to ask on, so say {option} if it may move"
+            f"{what}: there is no terminal to ask on, so give {option} if it may move"
         )
     if not click.confirm(_wrapped(f"{what}. Is there room, and may it move?"), err=True):
         raise NotConfirmed("nothing was sent: the device may not move")

@@ -38,7 +38,7 @@ def require_writable(
     on_standard_output = ""
     for option, path in outputs:
         if path == STANDARD_OUTPUT and regular:
-            raise click.UsageError(f"{option} - is standard output, no regular file: name one")
+            raise click.UsageError(f"{option} - is standard output, not a regular file: name one")
         if path == STANDARD_OUTPUT:
             if on_standard_output:
                 raise click.UsageError(
@@ -62,10 +62,10 @@ def require_writable(
                 "would hide: name another file"
             )
         if regular and file.exists() and not file.is_file():
-            raise click.UsageError(f"{option} {path} is no regular file: name another one")
+            raise click.UsageError(f"{option} {path} is not a regular file: name another one")
         if not force and file.is_file():
             raise click.UsageError(
-                f"{option} {path} exists: name another file, or say --force to overwrite it"
+                f"{option} {path} exists: name another file, or give --force to overwrite it"
             )
         taken[real_path(file)] = option
 

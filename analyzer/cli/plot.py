@@ -21,13 +21,13 @@ from bilprov.analyzer.cli.progress import reading
 @force_option
 @click.pass_obj
 def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
-    """Draw a capture along its time, as one page that loads nothing from elsewhere.
+    """Draw a capture over time, as one page that loads nothing from elsewhere.
 
     Examples:
       bilprov plot drive.mcap --html drive.html
 
     Motion, speed and steering as the instructions predict them, anomalies with their reasons, and
-    latencies stand over one axis of time, which wheel, fingers and keys zoom. A long recording is
+    latencies share one time axis, which the mouse wheel, touch and keys zoom. A long recording is
     reduced to steps of time, as the page then states, so that it has a few MB at most.
     """
     from bilprov.analyzer.columns.timeline import Timeline

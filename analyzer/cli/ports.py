@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     help="How long to listen at a port.",
 )
 @click.option("--ask", is_flag=True, help="Send the link check at each common baud rate.")
-@click.option("--yes", is_flag=True, help="With --ask: the robot may move, do not ask me.")
+@click.option("--yes", is_flag=True, help="With --ask: the robot may move, do not ask.")
 @line_options
 @text_format_option
 @click.pass_obj
@@ -61,7 +61,7 @@ def ports(
     The list has each port's adapter and who holds it. USB adapters and boards are marked with a
     star. The latency is how long an adapter holds bytes back.
 
-    A PORT is a path or a pyserial URL. Of each the command reports what keeps it from being used,
+    A PORT is a path or a pyserial URL. For each, the command reports what keeps it from being used,
     and prints the one command that fixes it. Two PORTs are two taps, the host's and the device's:
     the command reports whether they are swapped. Nothing is sent; opening raises DTR, which resets
     an Arduino. A port that another program holds is not opened.
@@ -132,7 +132,7 @@ def _list(*, as_json: bool) -> None:
         show(*drawn(found))
     else:
         click.echo(
-            "No serial port here. Plug the robot or its USB adapter in and look again, give the "
+            "No serial port here. Plug the robot or its USB adapter in and try again, give the "
             "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
             "bilprov simulate"
         )
@@ -169,7 +169,8 @@ def _require_ports(names: Sequence[str]) -> None:
             continue
         if path.exists() or path.suffix == ".mcap" or kept_parts(path):
             raise click.UsageError(
-                f"{name} is no port; of a capture bilprov capture check {name} reports what is "
+                f"{name} is not a port; for a capture, bilprov capture check {name} reports "
+                "what is "
                 "damaged or lost"
             )
 

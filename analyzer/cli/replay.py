@@ -147,7 +147,7 @@ def replay(
     if judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
     if count is not None and port is not None:
-        raise click.UsageError("--count is of frames shown; what goes to --to ends at --duration")
+        raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
     if judged:
         promise_verdict()
     if start is not None and end is not None and end <= start:

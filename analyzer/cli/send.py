@@ -81,7 +81,7 @@ def send_items(
     pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     first = _opened(port, settings, wait=wait)
     if first is None:
-        note("stopped before the port was there: nothing was sent")
+        note("stopped before the port appeared: nothing was sent")
         return 1
     with first as opened:
         note_hindrances(port)
@@ -187,7 +187,7 @@ def _code(protocol: Protocol, word: str) -> int | None:
             return number
     names = [*(spec.name for spec in protocol.responses), _NO_ANSWER]
     raise ValueError(
-        f"--expect {word!r} is no answer{meant(word, names)}; there are {', '.join(names)} "
+        f"--expect {word!r} is not an answer{meant(word, names)}; there are {', '.join(names)} "
         "and the numbers 0 to 255"
     )
 

@@ -97,13 +97,13 @@ def tap_options(command: Command) -> Command:
 @click.option(
     "--wait",
     is_flag=True,
-    help="Wait for a port that is not there yet, or no longer, until it is there (again).",
+    help="Wait for a port that is not there yet, and for one that is unplugged.",
 )
 @click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
 @judge_option
 @line_options
 @timeout_option
-@click.option("--yes", is_flag=True, help="Taken for the sake of scripts: nothing is asked here.")
+@click.option("--yes", is_flag=True, help="Accepted for scripts; sniff asks nothing.")
 @click.pass_obj
 def sniff(
     grammar: str | None,
@@ -149,12 +149,12 @@ def sniff(
     on. Each is a capture by itself, and all commands read the parts as one under the name
     drive.mcap.
 
-    A full disk or a capture that is deleted ends only the recording: one sentence reports it at
-    once and again at the end, with exit code 2.
+    A full disk or a deleted capture ends only the recording, which is reported at once and again at
+    the end, with exit code 2.
 
-    Where a tap is unplugged the other one is listened to, and exit code 2 follows at the end;
-    without another one it ends. A tap that is plugged in again is listened to again. With --wait
-    it never ends for want of a port, and a port that came back is no fault.
+    If a tap is unplugged, sniffing continues on the other one and the exit code is 2; without
+    another one it ends. A tap that is plugged in again is listened to again. With --wait a missing
+    port does not end it, and a port that came back is not a fault.
 
     With --judge a table at the end (with --format jsonl a last object of kind judgement) shows
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
@@ -275,7 +275,7 @@ def _rotation(path: str | None, rotate: Rotation | None, keep: int | None) -> Ro
     if rotate is None:
         if keep is not None and asked_here("keep"):
             raise click.UsageError(
-                "--keep is how many parts to keep: say with --rotate when a part is full"
+                "--keep limits how many parts are kept: give --rotate too, when a part is full"
             )
         return None
     if path is None:

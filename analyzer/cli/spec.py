@@ -18,7 +18,7 @@ _output_option = click.option(
     "--output",
     metavar="FILE",
     default=STANDARD_OUTPUT,
-    help="Where to; standard output if left out.",
+    help="The file to write; standard output if left out.",
 )
 
 
@@ -62,7 +62,7 @@ def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) ->
 @text_format_option
 @click.pass_obj
 def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None:
-    """Show how the document is read where it is silent: our default, and what others get.
+    """Show how the document is read where it is silent: the default, other readings' verdicts.
 
     Examples:
       bilprov spec readings R-led-id

@@ -22,13 +22,15 @@ from bilprov.captures.text import escape_json
     "--json",
     "json_file",
     metavar="FILE",
-    help="All of it as one JSON object; - is standard output, which then has nothing else.",
+    help="Write everything as one JSON object; - is standard output, which then holds nothing "
+    "else.",
 )
 @click.option(
     "--csv",
     "csv_file",
     metavar="FILE",
-    help="All of it as one CSV table (file, group, key, measure, value); - is standard output.",
+    help="Write everything as one CSV table (file, group, key, measure, value); - is standard "
+    "output.",
 )
 @force_option
 @click.pass_obj

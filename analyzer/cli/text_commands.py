@@ -17,14 +17,14 @@ from bilprov.analyzer.output.console import show_as
 @text_format_option
 @click.pass_obj
 def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str) -> None:
-    """Explain every bit of some bytes.
+    """Explain bytes, bit by bit.
 
     Examples:
       bilprov explain 81 09
       bilprov explain --from device 02
 
-    For each frame: what its bits mean, what a conforming device answers and does, why, on which
-    clause, reading or erratum of the document that rests, and the nearest valid frame.
+    For each frame: what its bits mean, what a conforming device answers and does, why, the clause,
+    reading or erratum of the document that this rests on, and the nearest valid frame.
     """
     from bilprov.analyzer.cli.typed_input import bytes_from_hex
     from bilprov.analyzer.grammar_file import load_protocol
@@ -62,7 +62,7 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
     Values are decimal, 0x hex or 0b binary; without FIELD= they are taken in order. See the
     instructions and their fields with: bilprov spec show
 
-    INSTRUCTION is a name of the grammar's, FIELD one of its fields.
+    INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """
     from bilprov.analyzer.cli.typed_input import encoded
     from bilprov.analyzer.grammar_file import load_protocol

@@ -35,7 +35,7 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
             pause = -1.0
         if not 0 <= pause <= _LONGEST_PAUSE:
             raise ValueError(
-                f"{item!r} is no pause; write {PAUSE}MS with 0 to {_LONGEST_PAUSE} milliseconds"
+                f"{item!r} is not a pause; write {PAUSE}MS with 0 to {_LONGEST_PAUSE} milliseconds"
             )
         return pause / 1000
     name, *words = item.split() or [""]
@@ -69,7 +69,7 @@ def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
     bare = [word for word in words if "=" not in word]
     if len(bare) > len(spec.fields):
         raise ValueError(
-            f"{spec.name} takes {fields_in_words(spec) or _NOTHING}; given were {' '.join(words)}"
+            f"{spec.name} takes {fields_in_words(spec) or _NOTHING}; got {' '.join(words)}"
         )
     for name, word in [
         *((part.name, word) for part, word in zip(spec.fields, bare, strict=False)),
@@ -94,7 +94,7 @@ def _number(name: str, word: str, low: int, high: int) -> int:
             return int(word, base)
         except ValueError:
             continue
-    raise ValueError(f"{name} is {word!r}, which is no number; allowed are {low} to {high}")
+    raise ValueError(f"{name} is {word!r}, which is not a number; allowed are {low} to {high}")
 
 
 def fields_in_words(spec: InstructionSpec) -> str:

@@ -1,6 +1,6 @@
 """The robot's instructions as methods, for type checkers and editors.
 
-Written out of the grammar (robot-car 1.1), not edited by hand. To renew it:
+Generated from the grammar (robot-car 1.1), not edited by hand. To renew it:
 `python -m bilprov.analyzer.client.write_stub`.
 """
 
@@ -8,7 +8,7 @@ from bilprov.analyzer.client.driver import Answer, Driver
 from bilprov.analyzer.client.port_driver import PortDriver
 
 class Instructions(Driver):
-    """The instructions of robot-car 1.1; `Driver` says what each of them raises."""
+    """The instructions of robot-car 1.1; `Driver` documents what each of them raises."""
 
     def stop(self) -> Answer:
         """Stops the robot and resets the directions that were set."""

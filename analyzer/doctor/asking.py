@@ -30,7 +30,7 @@ class Reply(Enum):
     """What came back at one baud rate."""
 
     NOTHING = "nothing"
-    GARBAGE = "bytes that are no answers"
+    GARBAGE = "bytes that are not answers"
     ECHO = "what was sent"
     ANSWERS = "answers"
 

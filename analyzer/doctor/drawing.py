@@ -68,5 +68,5 @@ def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
             f"{which} cannot be used as {'they are' if len(names) > 1 else 'it is'}", "bold"
         )
     advice = sum(finding.grade is Grade.ADVICE for finding in findings)
-    more = f"; {advice} thing{'s' if advice > 1 else ''} to mend" if advice else ""
+    more = f"; {advice} thing{'s' if advice > 1 else ''} to fix" if advice else ""
     return Text(f"{which} can be used{more}", "bold")

@@ -20,7 +20,7 @@ _TEXT = re.compile(rb"[\t\r\n\x20-\x7e]{8,}")  # as boards print while they boot
 _MEANS = {
     "framing": "another baud rate or other stop bits are on the line; find the rate, give --baud",
     "parity": "the line has another parity; give --parity",
-    "overrun": "bytes come faster than they are taken up; is the machine too busy?",
+    "overrun": "bytes arrive faster than they are read; is the machine too busy?",
 }
 _LEAST_ANSWERS = 5  # of which it is told whether they fit
 _FIT, _MISFIT = 0.8, 0.5  # shares of answers that are the expected ones
@@ -129,7 +129,7 @@ def _wired(
         return Finding("taps", Grade.BLOCKS, sentence, command)
     if count < _LEAST_ANSWERS:
         heard_of = _counted(count, "answer")
-        sentence = f"only {heard_of} came, too few to tell whether the taps are swapped"
+        sentence = f"only {heard_of} came, too few to decide whether the taps are swapped"
         return Finding("taps", Grade.UNSEEN, sentence)
     if straight < _MISFIT:
         sentence = (

@@ -108,7 +108,7 @@ def _console(port: Subject) -> Finding | None:
         return None
     sentence = (
         f"the kernel writes its messages to it: take console={title} out of the kernel's command "
-        "line; until the next start this keeps all but the worst from it"
+        "line; until the next start this keeps all but the gravest messages off it"
     )
     return Finding("console", Grade.ADVICE, sentence, "sudo dmesg --console-off")
 
@@ -130,7 +130,7 @@ def _modem_manager(port: Subject) -> Finding | None:
     if ignored or not port.machine.running(MODEM_MANAGER):
         return Finding("ModemManager", Grade.FINE, "ModemManager leaves it alone")
     sentence = (
-        f"ModemManager runs, is not told to leave {port.name} alone, and may send it modem "
+        f"ModemManager is running, has no rule to leave {port.name} alone, and may send it modem "
         "commands, which a robot takes for instructions"
     )
     rule = (
@@ -187,7 +187,7 @@ def _shared(port: Subject) -> Finding | None:
     if not port.held.holders:
         return None
     error = busy(port.name, port.held, port.machine)
-    sentence = f"{error.sentence}, for each of the two loses what the other reads"
+    sentence = f"{error.sentence}, since each of the two loses what the other reads"
     return Finding("holder", Grade.ADVICE, sentence, error.command)
 
 

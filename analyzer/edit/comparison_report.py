@@ -128,7 +128,7 @@ def _about(comparison: Comparison, paths: tuple[str, str]) -> Iterator[tuple[str
     yield "B", printable(paths[1])
     yield "frames", f"{comparison.same:,} in both, the answers to {comparison.judged:,} compared"
     if comparison.unknown:
-        yield "not compared", f"{comparison.unknown:,}: only one of them tells the answer"
+        yield "not compared", f"{comparison.unknown:,}: only one of them shows the answer"
     yield "latency", f"may differ by {comparison.tolerance / 1e6:g} ms"
     for kind, count in comparison.differences.items():
         yield _KINDS[kind], f"{count:,}"

@@ -51,7 +51,7 @@ from bilprov.spec.protocol import Protocol
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
-CUT_THROUGH = "cut here, in the middle of a frame or its answer, which goes on behind it"
+CUT_THROUGH = "cut here, in the middle of a frame or its answer, which continues after it"
 
 
 def write_window(

@@ -100,7 +100,7 @@ class Joined:
                     "ends: instructions or answers are missing there"
                 )
         if len({source.settings["timeout"] for source in self.sources}) > 1:
-            yield "the truncation time-outs of the recordings differ: the longest one is taken"
+            yield "the truncation time-outs of the recordings differ: the longest one is used"
 
     def metadata(self) -> dict[str, str]:
         """The metadata of all: what they agree on, and the rest with the number of its capture."""

@@ -40,7 +40,8 @@ def new_capture(
                     writer.close()
     except FileExistsError as error:
         raise CaptureError(
-            f"{printable(out)} was made by somebody else meanwhile and is kept: name another file"
+            f"{printable(out)} was created by another program meanwhile and is kept: name "
+            "another file"
         ) from error
     except ValueError as error:
         raise CaptureError(f"{printable(out)} cannot be written: {error}") from error

@@ -69,7 +69,7 @@ class _Checker:
         if isinstance(operand, tree.Bits):
             return tree.Comparison(operand, "!=", tree.Constant(0))
         if field.kind is not Kind.TRUTH:
-            rest = f"is {kind_of(field)}, no condition: compare it, like {example(field)}"
+            rest = f"is {kind_of(field)}, not a condition: compare it, like {example(field)}"
             refuse_part(part, rest)
         return tree.Comparison(operand, "==", tree.Constant(True))
 
@@ -203,7 +203,9 @@ class _Checker:
         ranges: list[tuple[moments.Instant, moments.Instant]] = []
         for part in several:
             if not isinstance(part, parts.Range):
-                refuse(part, "no row hits a moment exactly: write a range, like 14:03:20..14:03:21")
+                refuse(
+                    part, "no row matches a moment exactly: write a range, like 14:03:20..14:03:21"
+                )
             low, high = instant(part.low), instant(part.high)
             if len({low.daily, high.daily, *(first.daily for first, _ in ranges)}) > 1:
                 refuse(part, "times of day and times with a date do not go together in one set")
@@ -225,7 +227,7 @@ class _Checker:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
             return tree.Contains(field.key, data, holds)
         if not isinstance(right, parts.Quoted | parts.Word) or not right.text:
-            refuse_part(right, f"is no text; write {field.name} contains 'text'")
+            refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
             return tree.Contains(field.key, right.text, holds)
         same = folded(right.text)
@@ -269,9 +271,11 @@ class _Checker:
     def _index(self, field: Field, index: parts.Number) -> int:
         place, most = whole_number(index), self._protocol.data_lengths[-1]
         if place is None or place < 0:
-            refuse_part(index, f"is no place: {field.name}[0] is the first byte")
+            refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
         if field.name == "data" and place >= most:
-            refuse_part(index, f"is no place: the last byte that data can have is data[{most - 1}]")
+            refuse_part(
+                index, f"is not a position: the last byte that data can have is data[{most - 1}]"
+            )
         return place
 
     def _bits(self, left: Part, right: Part, name: str) -> tuple[tree.Operand, Field]:
@@ -287,7 +291,7 @@ class _Checker:
             return both, Field(name, Kind.NUMBER, "bits")
         mask = value(self._protocol, right, field)
         if not isinstance(mask, int) or mask < 0 or mask.bit_length() > 63:
-            refuse_part(right, "is no mask; & takes a whole number like 4 or 0x80")
+            refuse_part(right, "is not a mask; & takes a whole number like 4 or 0x80")
         reach = mask
         if field.low is not None and field.high is not None and field.low >= 0:
             reach = mask & ((1 << field.high.bit_length()) - 1)
@@ -303,7 +307,7 @@ class _Checker:
         if text in field.signs:
             return
         if field.kind is Kind.CLOCK:
-            why = "which no row hits exactly: write time in 14:03:20..14:03:21"
+            why = "which no row matches exactly: write time in 14:03:20..14:03:21"
         elif text == "contains":
             why = "which contains nothing: contains is for names, text, bytes and faults"
         elif text == "in":
@@ -318,7 +322,7 @@ class _Checker:
             names = owners(self._protocol, part.text)
             if not names:
                 refuse_unknown(self._protocol, part)
-            refuse_part(part, f"is a value, no condition: write {names[0]} == {shown(part)}")
+            refuse_part(part, f"is a value, not a condition: write {names[0]} == {shown(part)}")
         refuse_part(part, "asks nothing of the row: compare it with a name, like latency > 20ms")
 
     def _refuse_constants(self, left: Part, right: Part) -> NoReturn:

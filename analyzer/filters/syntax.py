@@ -265,7 +265,7 @@ class _Parser:
         if token.text == "(":
             return self._bracketed(token, sign, left)
         if token.kind:
-            sentence = f"{printable(token.text)!r} cannot stand here: {_wanted(sign)} is wanted"
+            sentence = f"{printable(token.text)!r} cannot stand here, expected {_wanted(sign)}"
             raise FilterError(sentence, token.start, token.end)
         end = len(self._text.rstrip())
         raise FilterError(f"something is missing at the end: {_wanted(sign)}", end, end + 1)
@@ -307,12 +307,12 @@ class _Parser:
         elif instead_of(token.text):
             why = f"{piece!r} {instead_of(token.text)}"
         elif token.text == "&":
-            why = "'&' takes the bits of numbers, did you mean and?"
+            why = "'&' is for the bits of numbers, did you mean and?"
         elif token.text == "..":
-            why = "a range stands behind in, like t in 1s..2s"
+            why = "a range follows in, like t in 1s..2s"
         elif isinstance(part, Compared | Joined | Negated):
             unit = token.kind == "word" and self._text[: token.start].rstrip()[-1:].isdigit()
-            no_unit = ", which is no unit (us, ms, s)" if unit else ""
+            no_unit = ", which is not a unit (us, ms, s)" if unit else ""
             why = f"'and' or 'or' is missing before {piece!r}{no_unit}"
         else:
             why = f"a sign like == or in, or else and, or, is missing before {piece!r}"

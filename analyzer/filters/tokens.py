@@ -77,14 +77,14 @@ def token_at(text: str, at: int) -> Token:
         raise FilterError("this quote is never closed", at, len(text))
     wrong = _WRONG.match(text, at)
     piece = wrong[0] if wrong else ""
-    why = instead_of(piece) or "is no part of a filter"
+    why = instead_of(piece) or "cannot be part of a filter"
     raise FilterError(f"{printable(piece)!r} {why}", at, at + len(piece))
 
 
 def instead_of(piece: str) -> str:
     """The end of a sentence about another language's sign or word for one; empty for all else."""
     meant = _INSTEAD.get(piece.lower())
-    return f"is no sign here, did you mean {meant}?" if meant else ""
+    return f"is not a sign here, did you mean {meant}?" if meant else ""
 
 
 def number(token: Token) -> Number:
@@ -113,7 +113,7 @@ def octets_at(text: str, token: Token) -> Octets:
     match = _OCTETS.match(text, token.start)
     if match is None:
         piece = printable(token.text.split()[0])
-        why = "is no hex with two digits for each byte; bytes are written like 05 or 11 ff"
+        why = "is not hex with two digits for each byte; bytes are written like 05 or 11 ff"
         raise FilterError(f"{piece!r} {why}", token.start, token.end)
     return Octets(match.start(), match.end(), _bytes(match[0]))
 

@@ -39,7 +39,7 @@ def value(protocol: Protocol, part: Part, field: Field) -> float | str | bytes:
             data_in_quotes = octets_of(text)
             if data_in_quotes is not None:
                 return data_in_quotes
-            refuse_part(part, f"is no hex; {field.name} is bytes, written like 11 ff")
+            refuse_part(part, f"is not hex; {field.name} is bytes, written like 11 ff")
         case parts.Quoted(text=text) | parts.Word(text=text) if field.kind is Kind.TEXT:
             return text
     if field.words:
@@ -63,9 +63,9 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
     others = owners(protocol, part.text)
     if others and not meant:
         known = " and ".join(others[:2])
-        refuse_part(part, f"is a value of {known} and none of {field.name}, so they never meet")
+        refuse_part(part, f"is a value of {known} and not of {field.name}, so they never meet")
     hint = f"did you mean {meant}?" if meant else f"there are {listed(field)}"
-    return refuse_part(part, f"is no value of {field.name} in this grammar: {hint}")
+    return refuse_part(part, f"is not a value of {field.name} in this grammar: {hint}")
 
 
 def instant(part: Part) -> moments.Instant:
@@ -75,8 +75,8 @@ def instant(part: Part) -> moments.Instant:
         if found is not None:
             return found
     if isinstance(part, parts.Number):
-        refuse_part(part, "is no time of day like 14:03:20; seconds since the start are t")
-    return refuse_part(part, "is no time: write 14:03:20 or 2026-11-22 14:03:20")
+        refuse_part(part, "is not a time of day like 14:03:20; seconds since the start are t")
+    return refuse_part(part, "is not a time: write 14:03:20 or 2026-11-22 14:03:20")
 
 
 def require_possible(field: Field, sign: str, number: float, part: Part) -> None:
@@ -124,7 +124,7 @@ def _measured(part: parts.Number, field: Field) -> float:
         refuse_part(unit, f"does not fit: {field.name} has no unit, so write {part.text}")
     power = UNITS.get(part.unit)
     if power is None:
-        refuse_part(unit, "is no unit of time; there are us, ms and s")
+        refuse_part(unit, "is not a unit of time; there are us, ms and s")
     mantissa, _, exponent = part.text.lower().replace("_", "").partition("e")
     if isinstance(plain, int):
         mantissa, exponent = str(plain), ""
@@ -145,7 +145,7 @@ def _number(part: parts.Number) -> float:
         else:
             number = float(text)
     except ValueError:
-        refuse_part(part, "is no number")
+        refuse_part(part, "is not a number")
     if abs(number) > _LARGEST:
         refuse_part(part, "is too large")
     return int(number) if float(number).is_integer() and not isinstance(number, int) else number
@@ -169,7 +169,7 @@ def refuse_kind(protocol: Protocol, part: Part, field: Field) -> NoReturn:
     if isinstance(part, parts.Word):
         refuse_unknown(protocol, part)
     if isinstance(part, parts.Range | parts.Listed):
-        refuse(part, "a set or a range stands behind in, like id in {1, 2} or t in 1s..2s")
+        refuse(part, "a set or a range follows in, like id in {1, 2} or t in 1s..2s")
     what = _WHAT.get(type(part), "a condition")
     refuse_part(part, f"is {what}, and {field.name} is {kind_of(field)}: write {example(field)}")
 
@@ -180,7 +180,7 @@ def refuse_unknown(protocol: Protocol, part: parts.Word) -> NoReturn:
     if known is not None:
         refuse_part(part, f"is {kind_of(known)}, which does not fit here")
     if folded(part.text) in UNITS:
-        refuse_part(part, "is a unit, which stands behind a number, like 20ms")
+        refuse_part(part, "is a unit, which follows a number, like 20ms")
     fields = fields_of(protocol)
     known_of = owners(protocol, part.text)
     if known_of:
@@ -188,7 +188,7 @@ def refuse_unknown(protocol: Protocol, part: parts.Word) -> NoReturn:
     near = close(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
     names = dict.fromkeys(name if "." not in name else f"{name.split('.')[0]}.*" for name in fields)
     hint = f"did you mean {near}?" if near else f"there are {', '.join(names)}"
-    refuse_part(part, f"is no name here: {hint}")
+    refuse_part(part, f"is not a name here: {hint}")
 
 
 def kind_of(field: Field) -> str:

@@ -111,7 +111,7 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
     if summary.unfinished:
         yield Text()
         yield Text(
-            "  The recording was not finished (killed or cut short); all that is whole is read.",
+            "  The recording was not finished (killed or cut short); everything intact is read.",
             style="yellow",
         )
     for sentence in summary.damage:

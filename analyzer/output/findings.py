@@ -46,7 +46,7 @@ def as_json(findings: Findings) -> dict[str, Any]:
 def sentences(findings: Findings) -> Iterator[str]:
     """The findings in words: what was judged, what was not, what contradicts the document."""
     yield f"judged {findings.judged} of {quantity(findings.instructions, 'instruction')}" + (
-        f" and {quantity(findings.looks, 'look')} after a fault" if findings.looks else ""
+        f" and {quantity(findings.looks, 'observation')} after a fault" if findings.looks else ""
     )
     if findings.unread:
         yield f"not observed: {findings.unread / 1e9:.1f} s, in which nothing was read"
@@ -58,7 +58,7 @@ def sentences(findings: Findings) -> Iterator[str]:
         yield _words(violation)
     total = sum(findings.violations.values())
     if total > len(findings.listed):
-        yield f"and {total - len(findings.listed)} violations more"
+        yield f"and {total - len(findings.listed)} more violations"
     kinds = ", ".join(f"{count} {kind}" for kind, count in findings.violations.items())
     fine = "no violation was seen" if findings.judged else "nothing could be judged"
     several = "violation" if total == 1 else "violations"

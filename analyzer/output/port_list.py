@@ -53,4 +53,4 @@ def unseen(found: Sequence[PortInfo]) -> str:
     if not count:
         return ""
     which = "1 process of another user" if count == 1 else f"{count} processes of other users"
-    return f"{which} could not be looked into: sudo shows all that hold a port"
+    return f"{which} could not be examined: sudo shows every program that holds a port"

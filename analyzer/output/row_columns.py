@@ -263,7 +263,7 @@ class ColumnError(UserError, ValueError):
 def chosen_columns(names: str, protocol: Protocol) -> tuple[Column, ...]:
     """The columns that `--columns` asks for: names with commas between, in any case.
 
-    Raises ColumnError for a name that is no column, and where one is asked for twice.
+    Raises ColumnError for a name that is no column, and where one is named twice.
     """
     known = columns_of(protocol)
     by_lower = {name.lower(): column for name, column in reversed(known.items())}
@@ -273,7 +273,7 @@ def chosen_columns(names: str, protocol: Protocol) -> tuple[Column, ...]:
         if column is None:
             raise ColumnError(_no_column(name, known))
         if column.name in chosen:
-            raise ColumnError(f"the column {column.name} is asked for twice")
+            raise ColumnError(f"the column {column.name} is named twice")
         chosen[column.name] = column
     return tuple(chosen.values())
 

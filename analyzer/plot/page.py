@@ -114,7 +114,7 @@ def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> 
     facts = [tag("div", tag("dt", name), tag("dd", value)) for name, value in told.items()]
     notes = [f"Part of the file is damaged and left out: {why}" for why in stats.damage]
     if stats.unfinished:
-        notes.insert(0, "The recording was never finished: all that is whole is shown.")
+        notes.insert(0, "The recording was never finished: everything intact is shown.")
     return tag(
         "section",
         tag("dl", *facts, class_="grid"),
@@ -128,7 +128,7 @@ def _moment(start: int) -> str:
     try:
         return datetime.fromtimestamp(start // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     except (ValueError, OverflowError, OSError):
-        return "at no time that there is"  # only a forged file has it
+        return "at an impossible time"  # only a forged file has it
 
 
 def _picture(timeline: Timeline) -> Safe:
@@ -186,7 +186,7 @@ def _reduced(timeline: Timeline) -> str:
     if not said:
         return "Every change of the state, every latency and every anomaly is in this page."
     return (
-        f"The recording is long: {'; '.join(said)}. To zoom in further shows no more; bilprov "
+        f"The recording is long: {'; '.join(said)}. Zooming in further shows no more; bilprov "
         "replay --start shows every frame."
     )
 
@@ -258,7 +258,7 @@ def _latency(name: str, spread: Latency) -> Safe:
 def _anomalies(marks: list[Mark], step: int, counts: Counts) -> Safe:
     kinds = ", ".join(f"{kind}: {count:,}" for kind, count in counts.anomalies.items())
     first = f" Listed is the first in each {_span(step / SECOND)}." if step else ""
-    said = tag("p", f"{kinds}." if kinds else "There is none.", first)
+    said = tag("p", f"{kinds}." if kinds else "None.", first)
     if not marks:
         return tag("section", tag("h2", "Anomalies"), said, id="anomalies")
     rows = (

@@ -95,7 +95,7 @@ def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int 
         if came != code:
             return (
                 f"instruction {place} of {len(expected)}, {frame.words} ({frame.hex}): expected "
-                f"{answer_words(protocol, code)}, came {answer_words(protocol, came)}"
+                f"{answer_words(protocol, code)}, got {answer_words(protocol, came)}"
             )
     if len(frames) != len(expected):
         sent = quantity(len(frames), "instruction")

@@ -83,7 +83,7 @@ def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
         first = printable(capture.volumes[0].path.name)
         yield f"{name} begins at {int(gone) / 1e9:.3f} s with {first}: older parts are not there"
     if capture.unfinished:
-        yield f"{name} was never finished: all that is whole is shown"
+        yield f"{name} was never finished: everything intact is shown"
     if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):
         yield f"{name} holds no traffic: not a byte of host or device is in it"
     if capture.damage:

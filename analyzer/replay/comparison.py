@@ -64,7 +64,7 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
         if again.data != frame.data:
             yield Difference(
                 sequence,
-                f"{words}: its bytes reached the device cut otherwise ({spaced(again.data)}); "
+                f"{words}: its bytes reached the device in other pieces ({spaced(again.data)}); "
                 "what follows cannot be compared",
             )
             return

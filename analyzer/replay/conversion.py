@@ -49,7 +49,9 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
     try:
         return RecordWriter(path, capture.start, metadata)
     except ValueError as error:
-        raise CaptureError(f"{printable(capture.path)} cannot be written anew: {error}") from error
+        raise CaptureError(
+            f"{printable(capture.path)} cannot be decoded into a new file: {error}"
+        ) from error
 
 
 def _write(capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress) -> None:

@@ -49,6 +49,6 @@ def rotation_at(text: str) -> Rotation:
     if not LEAST_SIZE <= size <= MOST and not LEAST_TIME <= age <= MOST:
         raise ValueError(
             f"{printable(text)} is neither a size of 100 kB or more (kB, MB, GB, KiB, MiB, GiB) "
-            "nor a time of 1 s or more (s, min, h): say 100MB or 1h, for example"
+            "nor a time of 1 s or more (s, min, h): write 100MB or 1h, for example"
         )
     return Rotation(size=size or None, age=age or None)

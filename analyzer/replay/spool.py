@@ -141,7 +141,7 @@ class Spool(Closing):
         """Write all parts into one capture; what was decoded from the bytes is left out."""
         with RecordWriter(path, self._start_wall, self._metadata) as writer:
             if oldest:
-                gone = f"what came before {oldest / 1e9:.3f} s was let go: no room"
+                gone = f"what came before {oldest / 1e9:.3f} s was dropped: no room"
                 writer.event(Line(oldest, "gap", "", gone))
             for event in open_capture(self._name).recorded():
                 if isinstance(event, Chunk | Line):

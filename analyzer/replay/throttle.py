@@ -53,6 +53,6 @@ class Throttle:
             self.stopped = False
             return RESUMED, (
                 f"{rate:,} host frames within a second, for {RESUME_AFTER // SECOND} s less than "
-                f"{RESUME_BELOW:,}: from here on all is recorded again"
+                f"{RESUME_BELOW:,}: from here on everything is recorded again"
             )
         return None

@@ -56,7 +56,7 @@ def _status(doing: str, feed: Feed[Any], said: str, expression: str) -> Text:
         recording = feed.recording
         (oldest,) = recording.records([recording.first]) or (None,)
         since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
-        said = f"no room for all: the oldest rows went, the rest begins at {since}"
+        said = f"no room for all rows: the oldest were dropped, the rest begins at {since}"
     status = Text(f"filter: {printable(expression)}" if expression else "")
     if said and status:
         status.append("  ")

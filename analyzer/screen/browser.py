@@ -514,8 +514,8 @@ class Browser(App[str | None]):
             return
         answers = {
             "y": "yes, save it",
-            "n": "no, throw it away",
-            "Esc": "go on looking",
+            "n": "no, discard it",
+            "Esc": "go back to the screen",
         }
 
         def answer(key: str | None) -> None:

@@ -98,7 +98,7 @@ def _device(protocol: Protocol, record: DeviceRecord) -> Iterator[Detail]:
     if record.answered is not None:
         answered = record.answered
         yield Detail(0, "Answers", f"{spaced(answered.frame)}  {answered.describe()}")
-        expected = f"{answered.response.name}, which is {'right' if record.agrees else 'not this'}"
+        expected = f"{answered.response.name}, {'which came' if record.agrees else 'but this came'}"
         yield Detail(1, "expected", expected, bad=record.agrees is False)
         yield Detail(1, "number", str(record.instruction))
     if record.latency is not None:

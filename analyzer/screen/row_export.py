@@ -25,7 +25,7 @@ def refusal(name: str) -> str:
     """Why rows cannot be written into a file of this name, "" if they can."""
     path = Path(name)
     if path.suffix not in FORMATS:
-        return f"the name ends in {' or '.join(FORMATS)}, which says the format"
+        return f"the name ends in {' or '.join(FORMATS)}, which sets the format"
     return new_file_refusal(name)
 
 

@@ -327,7 +327,7 @@ TAPS = (
     Tap(
         "bridge",
         "PORT",
-        "Instead of taps: sit between. Prints a pty's name.",
+        "Sit between host and device, at a pty whose name is printed.",
         lambda names, settings: Bridge(open_port(names[0], settings)),
     ),
 )
@@ -345,7 +345,7 @@ def opened_tap(given: Mapping[str, Sequence[str | None]], settings: LineSettings
     asked = [tap for tap in TAPS if ports[tap.option]]
     usages = " or ".join(tap.usage for tap in TAPS)
     if not asked:
-        raise ValueError(f"what is to be sniffed? Give {usages}")
+        raise ValueError(f"nothing to sniff: give {usages}")
     if len(asked) > 1:
         raise ValueError(f"give either {usages}, not both")
     return asked[0].opened(ports[asked[0].option], settings)

@@ -63,7 +63,7 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
     """Return a LinkError that says that there is no such port, and which there are."""
     if name == SIM:
         return LinkError(
-            "sim is no port, but the simulator inside bilprov conform and bilprov send; "
+            "sim is not a port but the simulator inside bilprov conform and bilprov send; "
             "`bilprov simulate` serves one at a port, whose name it prints"
         )
     name = name or "port ''"
@@ -78,7 +78,7 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
     if re.fullmatch(r"(tcp:)?[\w.-]*\w:\d+", name):
         address = name.removeprefix("tcp:")
         return LinkError(
-            f"{name} is no port of this machine; did you mean socket://{address}, a device that "
+            f"{name} is not a port of this machine; did you mean socket://{address}, a device that "
             "is served over TCP?"
         )
     from difflib import get_close_matches
@@ -95,7 +95,7 @@ def denied(name: str, machine: Machine) -> LinkError:
     owner = machine.owner(name)
     device = quote(machine.device(name))
     if owner is None or not owner.group_may or owner.group == "root":
-        whose = f"it belongs to {owner.user} alone" if owner else "its owner is not to be seen"
+        whose = f"it belongs to {owner.user} alone" if owner else "its owner cannot be seen"
         return LinkError(
             f"permission to open {name} is denied: {whose}; until it is plugged in again this "
             "lets everybody",

@@ -13,7 +13,7 @@ from bilprov.captures.closing import Closing
 
 FULL_REST = 100_000_000  # ns until a listener that found no free descriptor tries again
 NO_DESCRIPTOR = (
-    "no file descriptor is free: new connections wait until one is (ulimit -n tells the limit)"
+    "no file descriptor is free: new connections wait until one is (ulimit -n shows the limit)"
 )
 
 _READ_LIMIT = 1 << 14  # bytes taken in one turn: some 20 ms of a simulator's time

@@ -116,7 +116,7 @@ class Cursor:
             if len(pairs) > PAIRS:
                 raise Damaged(f"a map has more than the {PAIRS} strings allowed")
         if self.at != end:
-            raise Damaged("a map of strings does not end where it says")
+            raise Damaged("a map of strings does not end where its length puts it")
         return pairs
 
 
@@ -253,7 +253,7 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
             others += 1
             if others > DESCRIPTIONS:
                 raise Damaged(
-                    f"a chunk holds more than {DESCRIPTIONS} records that are no messages"
+                    f"a chunk holds more than {DESCRIPTIONS} records that are not messages"
                 )
         elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")

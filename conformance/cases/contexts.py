@@ -122,7 +122,9 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
                 bursts.append(Burst((walk.took(cut),)))
                 if (place + 1) % _ONE_AFTER_ANOTHER or place == len(some):
                     bursts.append(Burst((walk.took(next(following)),)))
-            what = "a frame that is cut short stops it, whatever came before, and ends nothing"
+            what = (
+                "a frame that is cut short stops it, whatever came before, and changes nothing else"
+            )
             yield _sequence(protocol, f"{CUT}/{number:03}", what, bursts)
 
 
@@ -163,7 +165,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
                 end = one.end or next(ends[walk.moving])
                 dwell = _BRIEF if end in watched else 0
                 bursts.append(Burst((walk.took(inputs.next(end)),), idle_ms=dwell))
-            what = "what a frame does holds while nothing else is sent"
+            what = "the effect of a frame lasts while nothing else is sent"
             yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
 
 

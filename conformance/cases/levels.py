@@ -65,7 +65,7 @@ class Level:
     idle: int  # ms for which a moving robot is sent nothing
 
 
-SMOKE = Level("smoke", "a look at everything", cuts=0, cut_each=1, singles="few", idle=300)
+SMOKE = Level("smoke", "a sample of everything", cuts=0, cut_each=1, singles="few", idle=300)
 STANDARD = Level(
     "standard", "every frame and pair", cuts=1, cut_each=16, singles="headers", idle=1200
 )

@@ -138,7 +138,7 @@ def proof_sequences(
         yield SequenceCase(
             id=f"{GROUP}/{proof.name}/{1 + first // _WORDS:04}",
             clause=protocol.clauses.instructions,
-            requirement="from each state each byte leads where the document says",
+            requirement="from each state each byte leads where the document requires",
             setup=(),
             bursts=tuple(bursts),
             seeded=True,

@@ -56,7 +56,7 @@ def shard_named(text: str) -> tuple[int, int]:
     index, count = (int(number) for number in found.groups()) if found else (0, 0)
     if not 1 <= index <= count:
         raise ValueError(
-            f"{text!r} is no shard; write I/N, the I-th of N shares, I from 1 to N, such as 1/4"
+            f"{text!r} is not a shard; write I/N, the I-th of N shares, I from 1 to N, such as 1/4"
         )
     return index, count
 

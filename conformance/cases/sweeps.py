@@ -88,7 +88,7 @@ def faults_alone(protocol: Protocol, seed: int, count: int) -> SequenceCase:
     kinds = inputs.faulty_kinds
     bursts = [Burst((inputs.next(kinds[index % len(kinds)]),)) for index in range(count)]
     bursts += [Burst((inputs.next(kind),)) for kind in inputs.movers]
-    what = f"{count} faults with nothing valid between them are answered, and end nothing"
+    what = f"{count} faults with nothing valid between them are answered, and change nothing else"
     return _sequence(protocol, "sequence/faults-alone", what, Motion.STOPPED, bursts)
 
 

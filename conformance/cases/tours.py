@@ -91,7 +91,7 @@ class Tours:
 
     def _sequence(self, ident: str, setup: tuple[Step, ...], bursts: list[Burst]) -> SequenceCase:
         clauses = self._protocol.clauses
-        requirement = "each frame does and answers what it says, whatever came before it"
+        requirement = "each frame is carried out and answered, whatever came before it"
         return SequenceCase(ident, clauses.instructions, requirement, setup, tuple(bursts))
 
     def _begin(self) -> tuple[tuple[Step, ...], _Where]:

@@ -121,7 +121,7 @@ class RobotOptions:
                 f"{option} is for the target sim; start `bilprov simulate {option}`"
             )
         if self.reconnect is not None and name.kind != PORT:
-            raise click.UsageError(f"--reconnect is for ports; {name.text} is no port")
+            raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
         if power is not None and (name.kind != PORT or not power.startswith("exec:")):
             raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
         return replace(self, probe=probe, power=power)
@@ -140,7 +140,8 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     click.option(
         "--probe",
         shell_complete=completion.probes,
-        help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (a port's unless given) "
+        help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (the default for a "
+        "port) "
         "or sim (the target sim's own).",
     ),
     click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on."),
@@ -150,7 +151,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--reconnect",
         metavar="S",
         type=Finite(0, 86_400, min_open=True),
-        help="Wait so long for a port that is unplugged, then go on: the case is inconclusive.",
+        help="Wait so long for a port that is unplugged, then continue: the case is inconclusive.",
     ),
     click.option(
         "--fault",
@@ -162,7 +163,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--variant",
         metavar="NAME",
         shell_complete=completion.variants,
-        help="With sim: read the document so.",
+        help="With sim: read the document in this legal way.",
     ),
 )
 @panel(
@@ -188,7 +189,11 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
     ),
     click.option(
-        "--seed", type=int, default=1, show_default=True, help="How data and motions rotate."
+        "--seed",
+        type=int,
+        default=1,
+        show_default=True,
+        help="Seed for the choice of data and motions.",
     ),
     click.option(
         "--extra",
@@ -203,7 +208,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         metavar="N",
         type=click.IntRange(0),
         default=0,
-        help="And N faults more, a random sequence for every 1,000 of them.",
+        help="Add N faults, in a random sequence for every 1,000 of them.",
     ),
 )
 @panel(
@@ -221,8 +226,8 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     click.option(
         "--patient",
         is_flag=True,
-        help="Go on where the run takes more than three times what was announced; else it ends (3, "
-        "or 1 where a case failed).",
+        help="Continue when the run takes more than three times as long as announced; "
+        "otherwise it ends (3, or 1 if a case failed).",
     ),
 )
 @panel(
@@ -246,7 +251,7 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--profile",
         "profile_path",
         metavar="FILE.toml",
-        help="Hold the device to this profile; a file that is not there is written from this run.",
+        help="Compare the device with this profile; a missing file is written from this run.",
     ),
     click.option("--strict", is_flag=True, help="Count non-strict as failed."),
 )
@@ -277,8 +282,8 @@ def conform(
     virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
 
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
-    something could not be judged. Where a file or something for the screen could not be written,
-    the run goes on to its end and the exit code is 2.
+    something could not be judged. If a file or the output on the screen cannot be written, the run
+    still goes on to its end, and the exit code is 2.
     """
     protocol = load_protocol(grammar)
     given = read_profile(protocol, profile_path, options.allow)
@@ -373,7 +378,7 @@ def _tested(
             what = f"the robot at {robot.target} will move for about {_time(seconds)}: {words}"
             confirm_motion(target.protocol, what, yes=robot.yes)
             look = target.look_time
-            slow = f"a look takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
+            slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
             note(
                 f"{quantity(count, 'case')}, {_time(seconds)} or more: {slow}"
                 "a device that answers late or not at all takes longer"

@@ -62,8 +62,8 @@ class NotUsable(UserError):
 @click.option(
     "--probe",
     shell_complete=completion.probes,
-    help=f"What sees the robot: {', '.join(k.form for k in PROBES)} (a port's "
-    "unless given) or sim (the target sim's own).",
+    help=f"What sees the robot: {', '.join(k.form for k in PROBES)} (the default for a port) or "
+    "sim (the target sim's own).",
 )
 @click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
 @click.option("-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output.")
@@ -73,9 +73,11 @@ class NotUsable(UserError):
     help="The machine as a picture, drawn by Graphviz; of a large one its kinds of motion.",
 )
 @click.option(
-    "--json", "json_path", metavar="FILE", help="All of it as JSON; - is standard output."
+    "--json", "json_path", metavar="FILE", help="Everything as JSON; - is standard output."
 )
-@click.option("--seed", type=int, default=1, show_default=True, help="For the random sequences.")
+@click.option(
+    "--seed", type=int, default=1, show_default=True, help="Seed of the random sequences."
+)
 @click.option(
     "--fault",
     metavar="NAME",
@@ -86,7 +88,7 @@ class NotUsable(UserError):
     "--variant",
     metavar="NAME",
     shell_complete=completion.variants,
-    help="With sim: read the document so.",
+    help="With sim: read the document in this legal way.",
 )
 @line_options
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
@@ -108,7 +110,7 @@ def learn(
 
     Every instruction with representative data and every kind of fault is sent in every state that
     the device shows, by its answers and what the probe sees. Before each sequence the line is homed
-    and the settings are brought to rest; what was not expected is sent again. Where the machines
+    and the settings are brought to rest; an unexpected answer is tried again. Where the machines
     differ, the shortest sequences are printed as `bilprov send` lines.
 
     Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
@@ -146,7 +148,8 @@ def learn(
         target = stack.enter_context(opened(stopper))
         if target.environment.observability.costly:
             raise click.UsageError(
-                f"--probe {robot.probe} is for a few looks, and learning looks after each frame: "
+                f"--probe {robot.probe} allows only a few observations, and learning makes one "
+                "after each frame: "
                 "use tcp:HOST:PORT or modem:LINE"
             )
         if target.moves:
@@ -190,7 +193,7 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
     words = movement_words(target.protocol, all_movement(target.protocol))
     what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
     confirm_motion(target.protocol, what, yes=robot.yes)
-    note(f"about {seconds:.0f} s; what is not expected is sent again and adds to it")
+    note(f"about {seconds:.0f} s; unexpected answers are tried again, which takes longer")
 
 
 def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | None) -> None:

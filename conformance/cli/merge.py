@@ -33,7 +33,7 @@ from bilprov.conformance.report.merge import (
 
 @click.command(name="merge")
 @click.argument("files", nargs=-1, required=True, metavar="REPORT.json...")
-@output_options(["json"], help="The whole as JSON; - is standard output.")
+@output_options(["json"], help="The merged report as JSON; - is standard output.")
 @expect_failures_option
 @click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
 @click.pass_obj
@@ -44,7 +44,7 @@ def merge_reports(
     expect_failures: str | None,
     verbose: bool,
 ) -> int:
-    """Put the reports of shards together, as if it had been one run.
+    """Merge the reports of shards into one, as if they had been one run.
 
     Examples:
       bilprov merge shard1.json shard2.json --json whole.json
@@ -83,11 +83,11 @@ def _options(part: ShardReport) -> Options:
         options = replace(msgspec.convert(part.report.options, Options), shard=None)
     except msgspec.ValidationError as error:
         raise MergeError(
-            f"{part.name} tells options that there are not ({printable(error)})"
+            f"{part.name} names options that are unknown ({printable(error)})"
         ) from error
     if options.level not in LEVELS:
         raise MergeError(
-            f"{part.name} tells a level that there is not: {printable(options.level)!r}; there are "
+            f"{part.name} names an unknown level: {printable(options.level)!r}; there are "
             f"{', '.join(LEVELS)}"
         )
     return options

@@ -88,13 +88,14 @@ expect_failures_option = click.option(
     "--expect-failures",
     metavar="FILE",
     help="Failures that do not count: lines of GLOB : AXIS: MESSAGE, a glob of case ids, the axis "
-    "that fails (answer, stop, state) and, if you like, how; # begins a comment. One that no "
+    "that fails (answer, stop, state) and, optionally, the message; # begins a comment. One "
+    "that no "
     "longer fails is itself a failure.",
 )
 update_expected_option = click.option(
     "--update-expected",
     is_flag=True,
-    help="Write that file anew from what fails now; comments stay.",
+    help="Rewrite that file from what fails now; comments stay.",
 )
 
 

@@ -26,14 +26,14 @@ from bilprov.conformance.report.json_report import as_json
 @output_options(["json"], help="The new report as JSON; - is standard output.")
 @click.pass_obj
 def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
-    """Judge a recorded run again, from its bytes and looks alone.
+    """Judge a recorded run again, from its bytes and observations alone.
 
     Examples:
       bilprov recheck run.mcap
 
     Every byte of FILE.mcap is checked against its hash and its checksums first. Then the cases are
     judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and each case
-    is named whose verdict, or that of one of its axes, is not the recorded one. A hash reveals
+    is listed whose verdict, in all or on one axis, differs from the recorded one. A hash reveals
     damage, not forgery.
 
     Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, or

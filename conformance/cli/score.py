@@ -53,7 +53,7 @@ _SHOWN = 4  # faults named behind a case group
     shell_complete=completion.faults,
     help="Only faults of these names.",
 )
-@output_options(["json"], help="All of it as JSON; - is standard output.")
+@output_options(["json"], help="Everything as JSON; - is standard output.")
 @click.option(
     "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
 )
@@ -68,14 +68,15 @@ def score_suite(
     outputs: list[Output],
     jobs: int | None,
 ) -> int:
-    """Score the suite: run it, in virtual time, against every faulty device there is.
+    """Score the suite: run it, in virtual time, against every known faulty device.
 
     Examples:
       bilprov lab score --level smoke --random 0
 
     Shows how many of each family are caught at each level, what survives, and which faults a group
-    of cases catches alone. A random fault counts if it failed, or if a search of its own tells it
-    from a conforming device. Exit code: 0 all is caught that must be, 1 something is not.
+    of cases catches alone. A random fault counts if it failed, or if a separate search
+    distinguishes it from a conforming device. Exit code: 0 everything is caught that must be, 1
+    something is not.
     """
     from rich.console import Console
 
@@ -130,7 +131,7 @@ def _show(found: Score, console: Console) -> None:
         console.print(Text(f"      {found.searches[name]}", "dim"))
     if len(shown) < len(survivors):
         alike = ", ".join(name for name in survivors if name not in shown)
-        console.print(Text(f"\nnot counted, no search tells them apart: {alike}", "dim"))
+        console.print(Text(f"\nnot counted, since no search distinguishes them: {alike}", "dim"))
     console.print(Text(f"\nwhat a group of cases catches alone ({last})", "bold"))
     for group, names in sorted(found.alone(last).items()):
         if names:

@@ -44,8 +44,8 @@ from bilprov.spec.protocol import Protocol
 @click.option(
     "--probe",
     shell_complete=completion.probes,
-    help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (a port's "
-    "unless given) or sim (the target sim's own).",
+    help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (the "
+    "default for a port) or sim (the target sim's own).",
 )
 @click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
 @max_drive_option
@@ -81,8 +81,8 @@ def send(
       bilprov send sim
 
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
-    pause=MS; they are sent one after the other. The device is homed first and on every way out. sim
-    is the built-in simulator.
+    pause=MS; they are sent one after the other. The device is homed first, and again however the
+    command ends. sim is the built-in simulator.
 
     Without ITEMs you type them, and see each answer and the state. A line holds ITEMs or words
     (help lists them), with ; between them. Tab completes, the arrows recall earlier lines. Ctrl-C
@@ -93,10 +93,10 @@ def send(
     follows the instruction or pause that was under way is then sent, and the exit code is 1.
 
     Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
-    answer is missing, is no code of the grammar or is not allowed, bytes came without an
-    instruction, or not all was done, for example because it drove too long (--max-drive) or a
-    pause was cut short; 2 the port cannot be used, nobody answers, or an ITEM is not valid. Driving
-    by hand on a terminal: 0.
+    answer is missing, is not a code of the grammar or is not allowed, bytes came without an
+    instruction, or not all was done, for example because it drove too long (--max-drive) or a pause
+    was cut short; 2 the port cannot be used, nobody answers, or an ITEM is not valid. Driving by
+    hand on a terminal: 0.
     """
     protocol = load_protocol(grammar)
     settings = line_settings(protocol, baud, parity, stopbits)

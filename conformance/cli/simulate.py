@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     metavar="FILE.elf",
     help="Run this firmware for an Arduino Uno under simavr instead.",
 )
-@click.option("--pty", is_flag=True, help="Serve a pty; what it does unless --listen is given.")
+@click.option("--pty", is_flag=True, help="Serve a pty: the default unless --listen is given.")
 @click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
 @click.option(
     "--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
@@ -97,7 +97,7 @@ def simulate(
         return 0
     if firmware is not None and (fault or variant):
         raise click.UsageError(
-            "--firmware is a device of its own: --fault and --variant do not fit"
+            "--firmware is a device of its own: --fault and --variant do not apply"
         )
     with ExitStack() as stack:
         board = None if firmware is None else stack.enter_context(_board(protocol, firmware))
@@ -137,7 +137,7 @@ def _board(protocol: Protocol, firmware: Path) -> Iterator[PacedBoard]:
         board.look(0)  # boots it
         if board.crashed:
             raise EmulatorError(
-                f"{firmware} crashes before it begins: see that the file is complete, and linked "
+                f"{firmware} crashes before it begins: check that the file is complete, and linked "
                 "for an Arduino Uno"
             )
         yield PacedBoard(board, line_settings(protocol, None, None, None).byte_time, note)

@@ -53,7 +53,7 @@ class CheckedDevice:
         """What the wheels and the LED do at `now`."""
         look = self._call("look", self._device.look, now)
         if not isinstance(look, Look):
-            raise self._gave("look", look, "a Look (from bilprov import Look)")
+            raise self._gave("look", look, "an instance of bilprov.Look")
         return look
 
     def power_cycle(self, now: int) -> None:

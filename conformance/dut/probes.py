@@ -151,7 +151,7 @@ class TcpProbe(Probe):
         if self._numbered:
             return f"{said}; they were dropped by their numbers"
         return (
-            f"{said}, so what it sent from then on was not believed: let it send one line for each "
+            f"{said}, so what it sent from then on was ignored: let it send one line for each "
             "question, or repeat the number of the question"
         )
 
@@ -210,7 +210,8 @@ class TcpProbe(Probe):
 
     def _hung_up(self, why: str = "") -> ProbeError:
         return ProbeError(
-            f"the probe at {self._name} hung up{why}: see that its program runs on and keeps the "
+            f"the probe at {self._name} hung up{why}: check that its program keeps running and "
+            "keeps the "
             "connection for the whole run, then try again"
         )
 
@@ -305,7 +306,7 @@ class AskProbe(Probe):
 
     def ask(self) -> None:
         """Print the question on the terminal."""
-        sys.stderr.write("\rDoes the robot move now? [y/n, Enter = cannot tell] ")
+        sys.stderr.write("\rDoes the robot move now? [y/n, Enter = unknown] ")
         sys.stderr.flush()
 
     def fileno(self) -> int:

@@ -118,7 +118,7 @@ class RecordedLink:
             raise Strayed(f"{self._where} sends {_hex(step.sent)}, the kit now {_hex(wanted)}")
         seen = step.look is not None and recorded.begun is not None
         if isinstance(operation, Observe) and recorded.ended is None and not seen:
-            raise Strayed(f"{self._where} is a look, and nothing was seen")
+            raise Strayed(f"{self._where} is an observation, but nothing was observed")
 
     @property
     def _where(self) -> str:

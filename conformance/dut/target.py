@@ -182,7 +182,9 @@ def device_target(
     Raises DeviceError for an object that lacks a method of `Device`.
     """
     line = line_settings(protocol, None, None, None)
-    observability = Observability(hasattr(device, "look"), why="the device object has no look")
+    observability = Observability(
+        hasattr(device, "look"), why="the device object has no method look"
+    )
     power = hasattr(device, "power_cycle")
     about = {
         "kind": "virtual",

@@ -134,7 +134,7 @@ class System:
         self._told(self.frames)
         if self.frames > MOST_FRAMES:
             raise NotLearned(
-                f"it is not known after {MOST_FRAMES:,} frames: it has too many states"
+                f"it is not learned after {MOST_FRAMES:,} frames: it has too many states"
             )
         return drive(self._sequence(word, due), self._link, self._interrupted)
 
@@ -150,7 +150,7 @@ class System:
             run.waiting.require_budget()
         else:
             words = f"{quantity(answers, 'answer')} to {quantity(len(frames), 'setting')}"
-            raise NotLearned(f"what comes before a sequence is not taken: {words}")
+            raise NotLearned(f"what comes before a sequence is refused: {words}")
         if answers == len(frames):
             run.strays.missing(lost)
         got: list[Output] = []

@@ -169,7 +169,7 @@ def _rounds(machine: Mealy, dear: Sequence[int]) -> Iterator[tuple[tuple[int, ..
             blocks = finer
             yield inputs, blocks
     if len(set(blocks)) < len(machine):
-        raise ValueError("the machine is not minimal: no word tells two of its states apart")
+        raise ValueError("the machine is not minimal: no word distinguishes two of its states")
 
 
 def state_cover(machine: Mealy, dear: Sequence[int] = ()) -> tuple[bytes, ...]:

@@ -55,7 +55,8 @@ def judge_answers(
             verdict = max(verdict, Verdict.NON_STRICT)
             reading = reading or "R-answer-deadline"
             reason = reason or (
-                f"slow: answered after {late / MS:.0f} ms, {timers.deadline / MS:g} ms are expected"
+                f"slow: answered after {late / MS:.0f} ms, expected within "
+                f"{timers.deadline / MS:g} ms"
             )
     return Axis(verdict, expected, actual, reason, reading)
 
@@ -116,7 +117,7 @@ def judge_state(
 
 def deviation(facet: str, wanted: object, actual: object) -> str:
     """One of the `differences` in words."""
-    return f"{facet} is {actual}, expected is {wanted}"
+    return f"{facet} is {actual}, expected {wanted}"
 
 
 def contradiction(

@@ -143,17 +143,17 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
     try:
         told = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"it is no TOML ({error}); give a file that conform wrote") from error
+        raise ValueError(f"it is not TOML ({error}); give a file that conform wrote") from error
     if told.get("sha256") != protocol.sha256:
         raise ValueError("it was made with another grammar; leave it out and make a new one")
     profile = Profile(choices=Choices(allowed=allowed))
     readings = told.get("readings", {})
     if not isinstance(readings, dict):
-        raise ValueError("its readings are no table; give a file that conform wrote")
+        raise ValueError("its readings are not a table; give a file that conform wrote")
     for point, word in readings.items():
         choice = POINTS[point].choice(word) if point in POINTS else None
         if choice is None:
-            raise ValueError(f"{point} = {word!r} is no choice that this version knows")
+            raise ValueError(f"{point} = {word!r} is not a choice that this version knows")
         if choice.option and choice.option.partition("=")[0] not in allowed:
             raise ValueError(f"{point} = {word!r} has to be allowed: see --allow")
         profile.choices.record(point, word, "--profile")
@@ -166,7 +166,7 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
             setattr(profile, name, _flag(told, key))
     led = told.get("led_id")
     if led is not None and led not in protocol.unused_ids:
-        raise ValueError(f"led_id = {led!r} is no unused ID")
+        raise ValueError(f"led_id = {led!r} is not an unused ID")
     profile.choices.led_id = led
     return profile
 
@@ -174,7 +174,7 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
 def _time(told: Mapping[str, Any], key: str) -> int:
     value = told[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 60_000:
-        raise ValueError(f"{key} = {value!r} is no time; allowed are 0 to 60000 ms")
+        raise ValueError(f"{key} = {value!r} is not a time; allowed are 0 to 60000 ms")
     return int(value * MS)
 
 

@@ -45,7 +45,7 @@ def untold(tested: Iterable[str], shown: Container[str]) -> str:
     Its wheels show all of a robot but its LED.
     """
     blind = [f for f in tested if f not in shown and (f == "led" or "wheels" not in shown)]
-    return f"the probe does not tell {', '.join(blind)}" if blind else ""
+    return f"the probe does not report {', '.join(blind)}" if blind else ""
 
 
 def facets_set(frame_effects: Iterable[FrameEffect]) -> list[str]:
@@ -142,12 +142,13 @@ class Sight:
             where = f"first in case {gap.case}" if gap.case else "first between two cases"
             if gap.over:
                 yield (
-                    f"In {gap.looks:,} of {self.looks:,} looks the probe did not report {words} "
-                    f"({where}, look {gap.first:,})"
+                    f"In {gap.looks:,} of {self.looks:,} observations the probe did not report "
+                    f"{words} "
+                    f"({where}, observation {gap.first:,})"
                 )
             else:
                 yield (
-                    f"From look {gap.first:,} of {self.looks:,} on the probe did not report "
+                    f"From observation {gap.first:,} of {self.looks:,} on the probe did not report "
                     f"{words} ({where})"
                 )
         settable = [name for name in VARIABLES if name in variables]
@@ -155,4 +156,4 @@ class Sight:
         never = ["motion"] * bool(untold(["motion"], self.shown)) + never
         if self.looks and never:
             words = ", ".join(_FACETS[facet] for facet in never)
-            yield f"In none of {self.looks:,} looks did the probe report {words}"
+            yield f"In none of {self.looks:,} observations did the probe report {words}"

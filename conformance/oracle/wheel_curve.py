@@ -180,7 +180,7 @@ def _unresolved(curve: WheelCurve) -> Iterator[Trait]:
     """Looks that differ so much that the whole sweep is within their spread."""
     rise = max(max(series) - min(series) for series in curve.rising().values())
     if curve.spread > tolerance(curve.full) and rise <= curve.tolerance:
-        words = f"looks at one setting differ by {curve.spread}, all settings by {rise}"
+        words = f"observations of one setting differ by {curve.spread}, all settings by {rise}"
         yield Trait(Kind.UNRESOLVED, f"the probe cannot resolve this sweep: {words}")
 
 

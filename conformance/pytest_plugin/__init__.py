@@ -35,15 +35,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("robot", "conformance of a robot (bilprov)")
     add = group.addoption
     add("--robot-port", metavar="PORT|sim", help="Test the robot there: a path, a pyserial URL, "
-        "sim, the simulator in virtual time, or emulator:KIND:FIRMWARE, as conform takes it. One "
-        "test a case, in a run of its own")  # fmt: skip
+        "sim, the simulator in virtual time, or emulator:KIND:FIRMWARE, as conform takes it. "
+        "One test per case, each in a run of its own")  # fmt: skip
     add("--robot-probe", metavar="PROBE", help="What sees a stop: tcp:HOST:PORT, exec:COMMAND, "
         "modem:LINE or none; sim and emulators bring their own")  # fmt: skip
     add("--robot-only", metavar="GLOB", action="append", help="Only these cases; * crosses /")
     add("--robot-level", metavar="LEVEL", help="How much: smoke, standard (unless given) or deep")
     add("--robot-allow", metavar="NAME=VALUE", action="append", help="Accept a choice that fails "
         "otherwise, as conform --allow does")  # fmt: skip
-    add("--robot-seed", metavar="N", type=int, help="How data and motions rotate (1)")
+    add("--robot-seed", metavar="N", type=int, help="Seed for the choice of data and motions (1)")
     add("--robot-baud", metavar="N", type=int, help="Bits/s, the grammar's own unless given")
     add("--robot-grammar", metavar="FILE.py", help="Another grammar of the same family")
     add("--robot-fault", metavar="NAME", help="With sim: misbehave in this way")

@@ -43,7 +43,7 @@ class Client(Instructions):
     def look(self) -> Look:
         """What the probe sees now. Raises RobotError where there is no probe."""
         if not self.sees:
-            raise RobotError("there is no probe to look through; see --robot-probe")
+            raise RobotError("there is no probe to observe the robot; see --robot-probe")
         return self._link_wire.look()
 
     def home(self) -> None:
@@ -64,7 +64,7 @@ class Client(Instructions):
         while self.sees and self.look().moving:
             wire.listen(None, _SETTLE)
             if wire.now >= until:
-                raise RobotError("the robot still moves although it was told to stop")
+                raise RobotError("the robot still moves although it was sent a stop")
 
 
 class LinkWire:

@@ -115,7 +115,7 @@ class RobotSession:
             raise pytest.UsageError(str(error)) from error
 
     def _confirm(self, ids: Collection[str]) -> None:
-        what = f"the robot at {self.bench.target} will do what the tests tell it"
+        what = f"the robot at {self.bench.target} will do what the tests send"
         if ids:
             seconds = self.bench.seconds(frozenset(ids))
             what = f"the robot at {self.bench.target} will move for about {seconds:.0f} s"

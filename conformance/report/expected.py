@@ -97,7 +97,7 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
             )
         entries.append(Entry(glob, axis, _plain(message), number))
         if len(entries) > _MOST:
-            raise ExpectedError(f"{file} has more than {_MOST} entries; say several with one glob")
+            raise ExpectedError(f"{file} has more than {_MOST} entries; name several with one glob")
     return tuple(entries)
 
 

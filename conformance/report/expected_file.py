@@ -92,7 +92,7 @@ def _read(path: Path, name: str, *, missing_ok: bool) -> str:
         text = read_bounded(path, _MOST).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ExpectedError(
-            f"{name} is no text in UTF-8 (byte {error.start}); it takes lines of {FORM}"
+            f"{name} is not UTF-8 text (byte {error.start}); it takes lines of {FORM}"
         ) from error
     except OSError as error:
         hint = f"it takes lines of {FORM}"

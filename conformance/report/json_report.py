@@ -129,15 +129,16 @@ def read_report(path: str) -> Report:
         msgspec.json.decode(data, type=schema.OpenParts)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ReportError(
-            f"{path} is no result of bilprov ({error}); give a file that conform --json wrote"
+            f"{path} is not a report of bilprov ({error}); give a file that conform --json wrote"
         ) from error
     report = report_from(document, document.cases)
     said = {name: count for name, count in document.counts.items() if count}
     found = dict(Counter(str(case.verdict) for case in document.cases))
     if LABELS[document.verdict] is not report.verdict or said != found:
         raise ReportError(
-            f"{path} contradicts itself: it says {document.verdict} ({_counted(said)}), its cases "
-            f"say {report.verdict.label} ({_counted(found)}); run conform --json again"
+            f"{path} contradicts itself: its verdict is {document.verdict} ({_counted(said)}), "
+            f"that of its cases is {report.verdict.label} ({_counted(found)}); run conform "
+            "--json again"
         )
     return report
 

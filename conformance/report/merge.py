@@ -73,7 +73,7 @@ def shard_from(name: str, data: bytes) -> ShardReport:
         raw = msgspec.json.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise MergeError(
-            f"{name} is no report of bilprov conform --json ({printable(error)})"
+            f"{name} is not a report of bilprov conform --json ({printable(error)})"
         ) from error
     report = report_from(document, document.cases)
     # A verdict is never better than its axes, whatever a file says.

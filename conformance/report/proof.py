@@ -38,9 +38,8 @@ def proven(
             shown.append(_machine(protocol, proof, extra))
     if shown:
         shown = [
-            "Proven: the device does in every state what the Protocol says, as far as is seen by "
-            + "; by ".join(shown)
-            + ".",
+            "Proven: the device does in every state what the Protocol requires, as far as is "
+            "seen by " + "; by ".join(shown) + ".",
             *_assumptions(protocol),
         ]
     return " ".join([*shown, *missing])
@@ -63,7 +62,8 @@ def _assumptions(protocol: Protocol) -> Iterator[str]:
         "(each class took all its values in turn, but not each value in each state)."
     )
     yield (
-        "Time has two classes: pauses inside a frame, waiting for answers and looks, far below its "
+        "Time has two classes: pauses inside a frame, waiting for answers and observations, "
+        "far below its "
         "time-out, and a silence "
         f"longer than that (between frames {silence(protocol)} ms)."
     )
@@ -72,7 +72,7 @@ def _assumptions(protocol: Protocol) -> Iterator[str]:
         "the settings that the first state needs, leads there from every state (its answers and "
         "what is seen after it were judged)."
     )
-    yield "What the robot does inside a frame was not looked at."
+    yield "What the robot does inside a frame was not observed."
 
 
 def _missing(
@@ -84,10 +84,10 @@ def _missing(
 ) -> str:
     """Why a proof does not hold, "" if it does."""
     if profile.get("readings", {}) is None or profile.get("facets", ()) is None:
-        return "the shards do not agree on what the device chooses, or on what the probe tells"
+        return "the shards do not agree on what the device chooses, or on what the probe reports"
     unseen = [facet for facet in proof.facets if facet not in profile.get("facets", ())]
     if unseen:
-        return f"no probe told the robot's {' and '.join(unseen)}"
+        return f"no probe reported the robot's {' and '.join(unseen)}"
     others = [
         point
         for point, word in profile.get("readings", {}).items()
@@ -95,8 +95,8 @@ def _missing(
     ]
     if others:
         return (
-            f"the device reads the document otherwise than the machine ({', '.join(others)}), so "
-            "its sequences were a test, but no proof"
+            "the device reads the document differently from the machine "
+            f"({', '.join(others)}), so its sequences were a test but not a proof"
         )
     usual, timeout = profile.get("all_but_two_answers_ms"), profile.get("truncation_timeout_ms")
     if usual and timeout and 2 * usual >= timeout:

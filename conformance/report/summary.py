@@ -16,13 +16,13 @@ from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
 from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
 
-# The verdicts whose cases are listed, the last one's only if every case is asked for.
+# The verdicts whose cases are listed, the first one's only if every case is asked for.
 _LISTED = (
-    Verdict.ERROR,
-    Verdict.FAIL,
-    Verdict.INCONCLUSIVE,
-    Verdict.NON_STRICT,
     Verdict.INFORMATIONAL,
+    Verdict.NON_STRICT,
+    Verdict.INCONCLUSIVE,
+    Verdict.FAIL,
+    Verdict.ERROR,
 )
 # Short enough for all columns on 80 columns; the first is TTCN-3's own word.
 _HEADINGS = {Verdict.INCONCLUSIVE: "inconc", Verdict.INFORMATIONAL: "info"}
@@ -32,7 +32,7 @@ _REASONS = 8
 _DIFFERING = 20
 # The keys of `timing` that are shown; a report from a file may have fewer.
 _TIMED = {
-    *("took_s", "ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
+    *("ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
     *("looks", "look_ms"),
 }
 
@@ -51,15 +51,29 @@ def _visible(report: Report) -> Report:
 
 
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
-    """Print the summary; `everything` lists every case that did not pass."""
+    """Print the summary; `everything` lists every case that did not pass.
+
+    What matters most is printed last, where a terminal stays: the failures, then the conclusion.
+    """
     report = _visible(report)
-    if report.unusable:
-        console.print(conclusion(report))
-        return
-    if report.results:
-        console.print(_table(report))
+    if not report.unusable:
+        if report.results:
+            console.print(_table(report))
+        for line in _facts(report):
+            console.print(Text(line, "dim"))
+        for sentence in (*report.notices, *report.unseen):
+            console.print(Text(sentence, STYLES[Verdict.INCONCLUSIVE]))
+        if report.proof:
+            console.print(Text(report.proof))
+        _not_passed(report, console, everything=everything)
+        _no_longer_failing(report, console, everything=everything)
+    console.print(conclusion(report))
+
+
+def _not_passed(report: Report, console: Console, *, everything: bool) -> None:
+    """Print the cases that did not pass, the worst verdict last."""
+    known = report.comparison.expected if report.comparison else frozenset()
     for verdict in _LISTED:
-        known = report.comparison.expected if report.comparison else frozenset()
         found = [r for r in report.results if r.verdict is verdict and r.id not in known]
         if verdict is Verdict.INFORMATIONAL and not everything:
             continue
@@ -67,33 +81,22 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
             _reasons(found, console)
         else:
             _cases(report, found, console, len(found) if everything else _SHOWN)
-    for name, (done, of) in report.coverage.items():
-        if done:
-            console.print(Text(f"{name}: {done} of {of}", "dim"))
-    for line in _facts(report):
-        console.print(Text(line, "dim"))
-    for sentence in (*report.notices, *report.unseen):
-        console.print(Text(sentence, STYLES[Verdict.INCONCLUSIVE]))
-    about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
-    if about:
-        console.print(Text(", ".join(f"{name} {said}" for name, said in about.items()), "dim"))
-    level = report.options.get("level", "")
-    console.print(Text(f"level {level}, seed {report.seed}", "dim"))
-    if report.proof:
-        console.print(Text(report.proof))
-    if report.comparison:
-        said = f"{len(report.comparison.expected)} fail as {report.comparison.file} expects"
-        console.print(Text(said, "dim"))
-        stale = report.comparison.stale
-        for sentence in stale if everything else stale[:_REASONS]:
-            console.print(Text(sentence, STYLES[Verdict.FAIL]))
-        if len(stale) > _REASONS and not everything:
-            console.print(Text(f"and {len(stale) - _REASONS} more; --verbose lists them", "dim"))
-    console.print(conclusion(report))
+
+
+def _no_longer_failing(report: Report, console: Console, *, everything: bool) -> None:
+    """Print the entries of the file of expected failures that no longer fail."""
+    stale = report.comparison.stale if report.comparison else ()
+    for sentence in stale if everything else stale[:_REASONS]:
+        console.print(Text(sentence, STYLES[Verdict.FAIL]))
+    if len(stale) > _REASONS and not everything:
+        console.print(Text(f"and {len(stale) - _REASONS} more; --verbose lists them", "dim"))
 
 
 def _facts(report: Report) -> Iterator[str]:
-    """Lines on what was measured, the device's choices, what was left out, and the time taken."""
+    """Lines on coverage, what was measured, the device's choices, and how the run was made."""
+    for name, (done, of) in report.coverage.items():
+        if done:
+            yield f"{name}: {done} of {of}"
     profile, timing = report.profile, report.timing
     timeout, latency = profile.get("truncation_timeout_ms"), profile.get("latency_median_ms")
     if timeout is not None:
@@ -104,19 +107,24 @@ def _facts(report: Report) -> Iterator[str]:
     readings = profile.get("readings") or {}  # null where merged shards differ
     chosen = {p: w for p, w in readings.items() if w != default_of(p)}
     if chosen:
-        yield "reads the document otherwise: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
+        yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if report.dropped:
         left = ", ".join(f"{count} of {name}" for name, count in report.dropped.items())
         yield f"left out for the budget of {report.options.get('budget') or 0:g} s: {left}"
     if timing.keys() >= _TIMED and report.link["kind"] == "port":
         yield (
-            f"took {timing['took_s']:.1f} s, {timing['ratio']:.2f} times its wire, silences, "
-            "time-outs and looks: "
+            f"{timing['ratio']:.2f} times the minimum time: "
             f"{timing['bytes_sent']:.0f} bytes sent and {timing['bytes_received']:.0f} received "
             f"({timing['wire_s']:.1f} s on the wire), {timing['silences_s']:.1f} s of silences, "
-            f"{timing['timeouts_s']:.1f} s of time-outs, {timing['looks']:.0f} looks of "
+            f"{timing['timeouts_s']:.1f} s of time-outs, {timing['looks']:.0f} observations of "
             f"{timing['look_ms']:.2f} ms"
         )
+    about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
+    if about:
+        yield ", ".join(f"{name} {words}" for name, words in about.items())
+    yield f"level {report.options.get('level', '')}, seed {report.seed}"
+    if report.comparison:
+        yield f"{len(report.comparison.expected)} fail as {report.comparison.file} expects"
 
 
 def _table(report: Report) -> Table:

@@ -246,7 +246,7 @@ class Runner:
 
     def _slow_words(self, pace: Pace) -> str:
         """What is slow, and how long it takes."""
-        both = (("an answer", pace.answer), ("a look", pace.look))
+        both = (("an answer", pace.answer), ("an observation", pace.look))
         slow = (f"{name} takes {takes * 1e3:.0f} ms" for name, takes in both if is_slow(takes))
         return " and ".join(slow)
 
@@ -273,7 +273,7 @@ class Runner:
             return
         kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, self._cost)}
         why = (
-            f"{self._slow_words(pace)}: {whole / 1e9:.0f} s do not hold every case; "
+            f"{self._slow_words(pace)}: {whole / 1e9:.0f} s are too short for every case; "
             "--budget S gives them more"
         )
         for case in [case for case in self._left if case.id not in kept]:

@@ -208,7 +208,7 @@ def first_frames_lost(run: Run) -> Procedure[None]:
             verdict, reason = Verdict.FAIL, "loses one of the first instructions after power-on"
         run.profile.flushes = False
     else:
-        reason += "; it takes --power to tell noise from a fault"
+        reason += "; --power would distinguish noise from a fault"
     run.conclude(case, {"answer": Axis(verdict, "an answer to each", "one was missing", reason)})
 
 
@@ -324,7 +324,9 @@ def _other_device(run: Run, exchanges: list[tuple[bytes, Received]]) -> Procedur
         return ""
     first = bytes(codes[:_FIRST_ANSWERS])
     begin = f"{spaced(first[:_SHOWN])} {first[:_SHOWN].decode('latin-1')!a}"
-    none = f"none of the first {len(first)} answers is a" if len(first) > 1 else "its answer is no"
+    none = (
+        f"none of the first {len(first)} answers is a" if len(first) > 1 else "its answer is not a"
+    )
     return (
         f"{none} code of the grammar ({begin}): text, another baud rate or another device; check "
         "the port and --baud, or ask with bilprov ports PORT --ask"

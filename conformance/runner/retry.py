@@ -57,7 +57,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         axis = Axis(Verdict.SKIPPED, "", "not run", "allowed: pipelining=no")
         return Attempt(result_of(case, {"answer": axis}))
     if isinstance(case, SequenceCase) and (missing := set(case.facets) - run.profile.facets):
-        why = f"no probe tells the robot's {' and '.join(sorted(missing))}"
+        why = f"no probe reports the robot's {' and '.join(sorted(missing))}"
         return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
     if isinstance(case, WheelSweep):
         return Attempt((yield from sweep_wheels(run, case)))

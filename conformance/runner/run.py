@@ -282,7 +282,7 @@ class Run:
     def distrust(self, why: str) -> None:
         """Believe no look any more, and why: what rests on looks is not observable from here on."""
         self.doubt = why
-        self.notice(f"{why}; what rests on looks is inconclusive from here on")
+        self.notice(f"{why}; what rests on observations is inconclusive from here on")
         sees = Observability(available=False, why=why, foreign=True)
         self.config = replace(self.config, observability=sees)
         if self.profile.truncation_answered is False:
@@ -307,7 +307,9 @@ class Run:
             return
         clause, requirement = self.protocol.clauses.safety, "the probe shows what the robot does"
         case = runner_case(self.protocol, "line/probe", clause, requirement, b"")
-        axis = Axis(Verdict.INCONCLUSIVE, "looks that agree", "looks that do not", why)
+        axis = Axis(
+            Verdict.INCONCLUSIVE, "observations that agree", "observations that do not", why
+        )
         self.conclude(case, {"state": axis})
 
     def conclude(

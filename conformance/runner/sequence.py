@@ -60,7 +60,9 @@ class _SequenceRun:
                 trial.axes[found.name] = found.axis
                 break
         if not found and self._blind:
-            trial.axes["state"] = run.config.not_observable("as the model says after each burst")
+            trial.axes["state"] = run.config.not_observable(
+                "as the model predicts after each burst"
+            )
         elif not found and self._looks:
             self._seen()
         if self._coarse and not found:
@@ -72,8 +74,8 @@ class _SequenceRun:
     def _seen(self) -> None:
         """Judge the state axis of a sequence in whose looks nothing was wrong."""
         run, axes, case = self._run, self._trial.axes, self._case
-        actual = f"{quantity(self._whole, 'look')} as expected"
-        axes.setdefault("state", Axis(Verdict.PASS, "as the model says", actual))
+        actual = f"{quantity(self._whole, 'observation')} as expected"
+        axes.setdefault("state", Axis(Verdict.PASS, "as the model predicts", actual))
         # After a fault the stop is looked for, after an instruction what it has set.
         looked_at = (b for b in case.bursts if b.looks and not b.steps[-1].faulty)
         effects = (step.frame_effect for burst in looked_at for step in burst.steps)

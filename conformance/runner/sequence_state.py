@@ -46,7 +46,7 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
         return None
     run.waiting.in_vain(patience)
     facet, wanted, actual = found[0]
-    reason = f"{facet} is {actual}, expected is {wanted}"
+    reason = f"{facet} is {actual}, expected {wanted}"
     reading, why = contradiction(run.model, before, step.frame_effect, seen.look)
     words = state_words(trial.expected.state), look_words(seen.look)
     axis = Axis(Verdict.FAIL, *words, why or reason, reading)

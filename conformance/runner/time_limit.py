@@ -69,14 +69,14 @@ class TimeLimit:
             each = f" ({sum(self._looks) / count / 1e6:.0f} ms each)" if count else ""
             parts = (
                 (self._answers, "waiting for answers"),
-                (sum(self._looks), f"looks{each}"),
+                (sum(self._looks), f"observations{each}"),
                 (self._silences, "silences"),
                 (self._late, "delays of this computer"),
             )
             told = ", ".join(f"{_seconds(time)} {what}" for time, what in parts)
             raise Ended(
-                f"about {_seconds(announced)} were announced and {_seconds(self._taken)} are over "
-                f"({told}); --patient goes on however long it takes",
+                f"about {_seconds(announced)} were announced and {_seconds(self._taken)} have "
+                f"passed ({told}); --patient continues however long it takes",
                 error=False,
                 line_works=True,
                 by="time",

@@ -93,7 +93,7 @@ def measure_timeout(run: Run) -> Procedure[None]:
     if len(alike) < len(made) or (best.failed and len(alike) <= _TWICE):
         odd = next((one for one in made if one.failed), best)
         name, axis = max(odd.result.axes.items(), key=lambda item: item[1].verdict)
-        reason = f"flaky, {len(made)} tries do not tell the same"
+        reason = f"flaky, {len(made)} tries do not agree"
         reason += f": {axis.reason}" if axis.reason else ""
         if odd.failed and run.config.lossless:
             result = odd.result

@@ -61,7 +61,7 @@ def sweep_wheels(run: Run, case: WheelSweep) -> Procedure[CaseResult]:
         before = run.profile.wheels
         if not curve.graded and curve.full <= 1:
             yield from home(run)
-            return _skipped(case, "the probe tells directions of the wheels and no speeds")
+            return _skipped(case, "the probe reports directions of the wheels and no speeds")
         found = traits(curve, before)
         axes["state"] = _axis(case, curve, found)
         failing = next((trait for trait in found if trait.kind is Kind.REVERSED), None)
@@ -76,7 +76,7 @@ def _unseen(run: Run) -> str:
     """Why the wheels' speeds cannot be seen at all, "" if they may be."""
     if not run.config.observability.available:
         return f"not observable ({run.config.observability.why})"
-    return "this probe tells no wheel speeds" if run.config.observability.costly else ""
+    return "this probe reports no wheel speeds" if run.config.observability.costly else ""
 
 
 def _skipped(case: WheelSweep, why: str) -> CaseResult:
@@ -87,7 +87,7 @@ def _skipped(case: WheelSweep, why: str) -> CaseResult:
 def _axis(case: WheelSweep, curve: WheelCurve, found: Sequence[Trait]) -> Axis:
     verdict = found[0].kind.value if found else Verdict.PASS
     last = len(curve.settings) - 1
-    seen = f"{curve.beside(0, last)}; looks differ by {curve.spread} at most"
+    seen = f"{curve.beside(0, last)}; observations differ by {curve.spread} at most"
     words = "; ".join(trait.words for trait in found if trait.kind is not Kind.REVERSED)
     if verdict is Verdict.FAIL:
         words = found[0].words
@@ -118,7 +118,7 @@ class _Sweep:
         yield from set_up(run, self.case.setup)
         seen = yield from watch(run, moving=True, patience=run.timers.deadline)
         if _speeds(seen.look) is None:
-            return "the probe tells no wheel speeds"
+            return "the probe reports no wheel speeds"
         if not seen.look.moving and motion not in (run.profile.moves or ()):
             return "never seen moving in this motion"
         takes = _LOOKS * (seen.now - seen.asked) + (run.profile.round_trip or 0)

@@ -31,7 +31,7 @@ def c_header(protocol: Protocol) -> str:
     lines = [
         f"/* {_plain(protocol.document)}",
         f" * {_plain(protocol.name)} {_plain(protocol.version)}, grammar sha256 {protocol.sha256}",
-        " * Made out of the grammar by `bilprov spec emit c`: change that, not this. */",
+        " * Generated from the grammar by `bilprov spec emit c`: change that, not this. */",
         f"#ifndef {prefix}_PROTOCOL_H",
         f"#define {prefix}_PROTOCOL_H",
     ]

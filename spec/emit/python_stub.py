@@ -14,7 +14,7 @@ _WIDTH = 100
 _HEAD = '''\
 """The robot's instructions as methods, for type checkers and editors.
 
-Written out of the grammar (@GRAMMAR@), not edited by hand. To renew it:
+Generated from the grammar (@GRAMMAR@), not edited by hand. To renew it:
 `@RENEW@`.
 """
 
@@ -22,7 +22,7 @@ from bilprov.analyzer.client.driver import Answer, Driver
 from bilprov.analyzer.client.port_driver import PortDriver
 
 class Instructions(Driver):
-    """The instructions of @GRAMMAR@; `Driver` says what each of them raises."""
+    """The instructions of @GRAMMAR@; `Driver` documents what each of them raises."""
 '''
 _TAIL = '''
 class Robot(Instructions, PortDriver):

@@ -21,7 +21,7 @@ _WIDEST = 6  # bytes of a field: Lua's numbers are exact up to 2^53
 _HEAD = """\
 -- Wireshark dissector of {title}: {document}
 -- Grammar sha256 {sha256}.
--- Made out of the grammar by `bilprov spec emit wireshark`: change that, not this.
+-- Generated from the grammar by `bilprov spec emit wireshark`: change that, not this.
 --
 -- In Wireshark: put this file into the folder of personal Lua plugins, which Help > About
 -- Wireshark > Folders names (on Linux and macOS ~/.local/lib/wireshark/plugins, on Windows
@@ -39,7 +39,7 @@ def lua_dissector(protocol: Protocol, skew: float) -> str:
     """Return the script's text, for Wireshark with Lua 5.1 to 5.4.
 
     `skew` is how long (ms) before its instruction an answer may be stamped, unless its user sets it
-    otherwise. Raises UserError for a field that is no plain integer of 1 to 6 bytes.
+    otherwise. Raises UserError for a field that is not a plain integer of 1 to 6 bytes.
     """
     grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
     head = _HEAD.format(
@@ -140,8 +140,8 @@ def _coding(spec: InstructionSpec, part: FieldSpec) -> tuple[bool, bool]:
         ):
             return order == "little", signed
     raise UserError(
-        f"{spec.name}.{part.name} is no plain integer of 1 to {_WIDEST} bytes, and a dissector "
-        "in Lua can hold no other: give it such a field in the grammar"
+        f"{spec.name}.{part.name} is not a plain integer of 1 to {_WIDEST} bytes, and a dissector "
+        "in Lua can hold nothing else: give it such a field in the grammar"
     )
 
 

@@ -36,9 +36,9 @@ COMMANDS = {
         "Analyze", f"{ANALYZER}.replay", "replay", "Look through a capture, or play it again."
     ),
     "stats": Row(
-        "Analyze", f"{ANALYZER}.stats", "stats", "Count what captures hold: frames, answers."
+        "Analyze", f"{ANALYZER}.stats", "stats", "Count frames, answers and faults in captures."
     ),
-    "plot": Row("Analyze", f"{ANALYZER}.plot", "plot", "Draw a capture along its time, as a page."),
+    "plot": Row("Analyze", f"{ANALYZER}.plot", "plot", "Draw a capture over time, as a page."),
     "export": Row("Analyze", f"{ANALYZER}.export", "export", "Write a capture for other programs."),
     "capture": Row(
         "Analyze",
@@ -53,15 +53,15 @@ COMMANDS = {
     ),
     "capture info": Row("", f"{ANALYZER}.capture", "info", "Show what a capture holds."),
     "capture cut": Row("", f"{ANALYZER}.capture", "cut", "Write a part of a capture."),
-    "capture join": Row("", f"{ANALYZER}.capture", "join", "Put captures together by time."),
+    "capture join": Row("", f"{ANALYZER}.capture", "join", "Join captures by time."),
     "capture check": Row(
-        "", f"{ANALYZER}.capture", "check", "Report what of a capture is damaged or lost."
+        "", f"{ANALYZER}.capture", "check", "Report damaged and lost parts of a capture."
     ),
     "capture repair": Row(
         "", f"{ANALYZER}.capture", "repair", "Write the intact parts of a damaged capture."
     ),
     "capture decode": Row(
-        "", f"{ANALYZER}.capture", "decode", "Write a capture with all that can be decoded."
+        "", f"{ANALYZER}.capture", "decode", "Write a capture with everything decoded from it."
     ),
     "capture diff": Row("", f"{ANALYZER}.capture", "diff", "Show where two captures differ."),
     "ports": Row(
@@ -102,7 +102,7 @@ COMMANDS = {
         "Protocol", f"{ANALYZER}.decode", "decode", "Decode bytes from hex, a file or a capture."
     ),
     "explain": Row(
-        "Protocol", f"{ANALYZER}.text_commands", "explain", "Explain every bit of some bytes."
+        "Protocol", f"{ANALYZER}.text_commands", "explain", "Explain bytes, bit by bit."
     ),
     "encode": Row(
         "Protocol", f"{ANALYZER}.text_commands", "encode", "Build the bytes of an instruction."

@@ -565,7 +565,7 @@ def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
     capture = open_capture(with_bytes(tmp_path / "e.mcap", whole[:last] + empty + whole[last:]))
 
     assert [m.sequence for m in capture.messages()] == list(range(24))
-    assert "more than 4096 records that are no messages" in capture.damage[0]
+    assert "more than 4096 records that are not messages" in capture.damage[0]
 
 
 def foreign_front(small: Path) -> bytes:

@@ -343,7 +343,7 @@ def test_the_help_names_every_probe() -> None:
     [
         (["conform"], "missing argument"),
         (["conform", "sim", "--only", "nothing/*"], "no case matches nothing/*"),
-        (["conform", "sim", "--only", "*", "--only", "\udcff"], "is no glob of case ids"),
+        (["conform", "sim", "--only", "*", "--only", "\udcff"], "is not a glob of case ids"),
         (["conform", "sim", "--fault", "no-such"], "there is no fault 'no-such'"),
         (["conform", "sim", "--fault", "stops"], "stops-late"),
         (["conform", "sim", "--probe", "ask"], "brings its own probe"),

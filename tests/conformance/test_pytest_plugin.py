@@ -35,7 +35,7 @@ Result = pytest.RunResult
 COARSE = re.compile(
     r"SKIPPED \[(\d+)\] conformance:1: "
     r"(?:informational|inconclusive): "
-    r".*(?:time-out|whole-frame|between-bytes|tries do not tell the same)"
+    r".*(?:time-out|whole-frame|between-bytes|tries do not agree)"
 )
 
 
@@ -118,7 +118,7 @@ def test_a_failure_shows_expected_actual_and_the_command_and_no_traceback(
         [
             "valid/LED/1 (section 3, table 1): LED: *",
             "sent*81 01",
-            "state*led is 4, expected is 1",
+            "state*led is 4, expected 1",
             "expected*led 1*",
             "got*led 4*",
             "reproduce*bilprov conform sim --seed 1 --only valid/LED/1 --fault led-order-reversed",
@@ -298,8 +298,8 @@ WRONG = [
     (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
     (("--robot-port", "sim", "--robot-probe", "none"), "brings its own probe"),
     (("--robot-port", "emulator:simavr:none.elf"), "there is no firmware none.elf"),
-    (("--robot-port", f"emulator:simavr:{__file__}"), "is no ELF file"),
-    (("--robot-port", f"emulator:qemu:{__file__}"), "is no ELF file"),
+    (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
+    (("--robot-port", f"emulator:qemu:{__file__}"), "is not an ELF file"),
     (("--robot-port", f"emulator:qemu:{__file__}", "--robot-probe", "ask"), "brings its own"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]
@@ -448,7 +448,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
     assert re.search(
         r"ERROR: the robot at \S+ will move for about \d+ s: it drives and turns, at speeds up to "
         r"255 of 255; its wheels should be off the ground: there is no terminal to ask "
-        r"on, so say --robot-yes if it may move",
+        r"on, so give --robot-yes if it may move",
         text(refused),
     )
     # Without a power switch one of the opening cases is skipped.

@@ -1,4 +1,4 @@
-"""Recheck: a recorded run, judged again from its bytes and looks alone, gives the same result."""
+"""Recheck: a recorded run, judged again from its bytes and observations, gives the same result."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def test_nothing_goes_on_before_the_first_case(judge_unplugged: Judge) -> None:
 @pytest.mark.parametrize(
     ("target", "why"),
     [
-        ("sim", "--reconnect is for ports; sim is no port"),
+        ("sim", "--reconnect is for ports; sim is not a port"),
         ("PTY", "--reconnect is for paths of adapters and for links to them"),
     ],
 )

@@ -128,7 +128,7 @@ def test_lines_from_a_pipe_are_done_and_the_robot_is_left_at_rest(protocol: Prot
         ("Speed 80\nForwrd\nSpeed 1\n", "line 2: 'Forwrd' is not hex; "),
         ("Speed 80\nForwrd\nSpeed 1\n", "did you mean Forward?"),
         ("Speed 80\nForward; Speed 999; Speed 1\n", "Speed.speed is 999, allowed are 0 to 255"),
-        ("Speed 80\npause=forever", "line 2: 'pause=forever' is no pause"),
+        ("Speed 80\npause=forever", "line 2: 'pause=forever' is not a pause"),
         ("Speed 80\nhlep; Speed 1", "did you mean help?"),
         ("Speed 80\n" + "81 05 " * 20_000, "a line is longer than 65536 bytes"),
         ("Speed 80\n\x1b[31m\n", r"'\x1b[31m' is not hex"),
@@ -242,7 +242,7 @@ def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
             assert terminal.end() == 2
 
     assert result.returncode == 2
-    assert "say --yes if it may move" in sentence(result)
+    assert "give --yes if it may move" in sentence(result)
     assert device.heard == b""
 
 

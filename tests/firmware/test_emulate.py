@@ -493,8 +493,8 @@ def elf(machine: int) -> bytes:
     ("content", "words"),
     [
         (None, "cannot be read (No such file or directory)"),
-        (b"", "is no ELF file: give the one that the compiler linked"),
-        (b":100000000C9434000C943E00\n", "is no ELF file: give the one that the compiler linked"),
+        (b"", "is not an ELF file: give the one that the linker wrote"),
+        (b":100000000C9434000C943E00\n", "is not an ELF file: give the one that the linker wrote"),
         (elf(40), "is for an ARM, and simavr runs only AVR: QEMU takes it, with bilprov conform "),
         (elf(62), "is not for an AVR, which is all that simavr runs"),
     ],
@@ -536,7 +536,7 @@ def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
         (["{elf}", "--listen", "{taken}"], "is in use by another program"),
         (["{elf}", "--pty", "--probe-listen", "{taken}"], "is in use by another program"),
         (["{cut}"], "is cut off or damaged"),
-        (["{empty}"], "crashes before it begins: see that the file is complete"),
+        (["{empty}"], "crashes before it begins: check that the file is complete"),
     ],
 )
 def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:

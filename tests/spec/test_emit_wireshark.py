@@ -330,7 +330,7 @@ def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
 
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.decode().count("\n") == 1
-    assert "Speed.speed is no plain integer of 1 to 6 bytes" in done.stderr.decode()
+    assert "Speed.speed is not a plain integer of 1 to 6 bytes" in done.stderr.decode()
 
 
 def test_the_command_writes_the_script_whole(protocol: Protocol, tmp_path: Path) -> None:

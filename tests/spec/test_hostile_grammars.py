@@ -53,7 +53,7 @@ def test_the_same_holds_for_a_grammar_that_the_user_names(grammar_text: str, nam
 
 # What only a grammar that runs can hold.
 RUN = {
-    "a time that is no number": ({"stop_longest=100": 'stop_longest=float("nan")'}, "is nan"),
+    "a time that is not a number": ({"stop_longest=100": 'stop_longest=float("nan")'}, "is nan"),
     "an infinite time": ({"stop_longest=100": 'stop_longest=float("inf")'}, "is inf"),
     "a number of pages": ({"stop_longest=100": "stop_longest=10**5000"}, "of 16610 bits"),
     "a factor of pages": ({"factor=-1": "factor=10**5000"}, "of 16610 bits"),

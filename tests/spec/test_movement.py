@@ -12,13 +12,13 @@ from bilprov.spec.protocol import Protocol, load
 @pytest.mark.parametrize(
     ("frames", "motions", "speed", "words"),
     [
-        ("", "", None, "it is told no motion; its wheels"),
-        ("81 02,41 05", "", None, "it is told no motion; its wheels"),
+        ("", "", None, "it is sent no motion; its wheels"),
+        ("81 02,41 05", "", None, "it is sent no motion; its wheels"),
         ("20", "forward", None, "it drives, at the speed that it has"),
         ("11 50,20", "forward", 80, "it drives, at speeds up to 80 of 255"),
         ("11 50,20,11 ff,60", "forward rotate_right", 255, "it drives and turns, at speeds up to"),
-        ("11 50,11 09", "", 80, "it is told no motion, only speeds up to 80 of 255"),
-        ("12 50 50,10,90,00", "", None, "it is told no motion; its wheels"),
+        ("11 50,11 09", "", 80, "it is sent no motion, only speeds up to 80 of 255"),
+        ("12 50 50,10,90,00", "", None, "it is sent no motion; its wheels"),
     ],
 )
 def test_frames_are_summed_up(

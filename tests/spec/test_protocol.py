@@ -269,7 +269,7 @@ BROKEN: dict[str, tuple[Any, ...]] = {
         ("FAULTY = Sets(motion=Motion.STOPPED", 'FAULTY = Sets(motion=From("x")'),
         "an effect names the field x, which is not there",
     ),
-    "effect that is no number": (
+    "effect that is not a number": (
         ("steering=0)", 'steering="left")'),
         "what an effect sets steering to is 'left', allowed is a whole number",
     ),
@@ -296,7 +296,7 @@ BROKEN: dict[str, tuple[Any, ...]] = {
     ),
     "id out of the header": (('8: "LED"', '16: "LED"'), "the header cannot carry the ID 16"),
     "negative id": (('8: "LED"', '-1: "LED"'), "the header cannot carry the ID -1"),
-    "id that is no number": (
+    "id that is not a number": (
         ('8: "LED"', '"8": "LED"'),
         "an ID in INSTRUCTIONS is '8', allowed is a whole number",
     ),

@@ -185,7 +185,7 @@ class Driving(Closing):
             for name in _FACETS
             if (value := getattr(self.look, name, None)) is not None
         ]
-        write_out(f"{self.seen or 'not looked'}{': ' if facets else ''}{' '.join(facets)}\n")
+        write_out(f"{self.seen or 'not observed'}{': ' if facets else ''}{' '.join(facets)}\n")
 
     def _look_if_cheap(self) -> None:
         if self._probe is not None and not self._probe.costly:

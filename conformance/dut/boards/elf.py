@@ -69,5 +69,5 @@ def _read(firmware: Path) -> bytes:
 
 def _header(firmware: Path, data: bytes) -> tuple[int, ...]:
     if len(data) < _HEADER.size or not data.startswith(b"\x7fELF"):
-        raise EmulatorError(f"{firmware} is no ELF file: give the one that the compiler linked")
+        raise EmulatorError(f"{firmware} is not an ELF file: give the one that the linker wrote")
     return _HEADER.unpack_from(data)

@@ -157,7 +157,7 @@ def _library() -> ctypes.CDLL:
     try:
         return _typed(library)
     except AttributeError as error:
-        raise EmulatorError(f"{_LIBRARY} has not what version 1.6 has: try {INSTALL}") from error
+        raise EmulatorError(f"{_LIBRARY} lacks what version 1.6 has: try {INSTALL}") from error
 
 
 def _typed(library: ctypes.CDLL) -> ctypes.CDLL:

@@ -93,7 +93,7 @@ def parsing_faults(protocol: Protocol) -> Iterator[Fault]:
     )
     yield parsing_fault(
         "swallows-missing-data",
-        "takes the data that an instruction needs, whatever length its header says",
+        "takes the data that an instruction needs, whatever length its header announces",
         caught_by=("wrong-length/*",),
         lengths=bytes(max(n, by_id[i].length) if i in by_id else n for i, n in protocol.headers),
     )

@@ -120,7 +120,7 @@ def coverage(reports: Sequence[Report], told: Sequence[str]) -> Safe:
 
 def _covered(pair: tuple[int, int] | None) -> Safe:
     if pair is None:
-        return tag("span", "not told", class_="dim")
+        return tag("span", "not recorded", class_="dim")
     done, of = pair
     share = min(done / of, 1.0) if of else 0.0
     shown = bar(100, [("0", "100", "none"), ("0", f"{share * 100:.2f}", "done")])

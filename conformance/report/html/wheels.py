@@ -58,7 +58,7 @@ def _figure(curve: WheelCurve, full: int) -> Safe:
     ends = f"{curve.left[0]} to {curve.left[-1]} (left), {curve.right[0]} to {curve.right[-1]}"
     about = (
         f"Speeds of the wheels while driving {motion}, at {len(curve.settings)} settings: "
-        f"{ends} (right). Looks at one setting differ by {curve.spread} at most."
+        f"{ends} (right). Observations of one setting differ by {curve.spread} at most."
     )
     lines = [
         _line(wheel, across, up, curve.settings, speeds)

@@ -187,7 +187,7 @@ def _judged(run: Run, best: Finding, case: Case) -> Axis:
         if word == "":
             run.profile.choices.hidden.add(point)
             if worst.verdict < Verdict.INCONCLUSIVE:
-                reason = f"not observable: the probe does not tell ({point})"
+                reason = f"not observable: the probe does not report ({point})"
                 worst = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason)
             continue
         reading = POINTS[point].reading

@@ -255,7 +255,7 @@ def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     """Find out whether a driving robot stops, sends or starts again while the line is silent."""
     lost = (yield from set_up_slowly(run, full_state(run.protocol, first))).missing
     begun = yield from watch(run, moving=True, patience=run.timers.deadline)
-    point, expected = "R-watchdog", "keeps driving, says nothing"
+    point, expected = "R-watchdog", "keeps driving, sends nothing"
     if begun.look.moving is not True:
         fault = lost or ("does not move" if begun.look.moving is False else "")
         return Finding(((point, ""),), expected, look_words(begun.look), fault)

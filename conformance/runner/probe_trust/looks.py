@@ -43,8 +43,9 @@ class Looks:
             return ""
         were = "was" if self.odd == 1 else "were"
         return (
-            f"the probe contradicts itself: {self.odd} of {quantity(self.made, 'look')} {were} "
-            "denied by the look right after"
+            f"the probe contradicts itself: {self.odd} of {quantity(self.made, 'observation')} "
+            f"{were} "
+            "contradicted by the next one"
         )
 
     @property

@@ -68,7 +68,7 @@ def _check(run: Run) -> Procedure[str]:
             "starts and stops that late"
         )
     if fresh and not any(fresh):
-        return "the probe shows what the robot did at the look before"
+        return "the probe shows what the robot did at the observation before"
     return ""
 
 

@@ -17,4 +17,4 @@ def test_where_no_instruction_sets_a_motion_nothing_is_asked(
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(NotConfirmed):
         confirm_motion(protocol, "it drives", yes=False)
-    confirm_motion(load(still_grammar(grammar_text)), "it is told no motion", yes=False)
+    confirm_motion(load(still_grammar(grammar_text)), "it is sent no motion", yes=False)

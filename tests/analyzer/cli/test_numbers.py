@@ -1,4 +1,4 @@
-"""What is no number is refused by every option that takes one, in one sentence."""
+"""What is not a number is refused by every option that takes one, in one sentence."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def refused(*arguments: str, cwd: Path) -> str:
         (("-w", NAME, "--rotate", "5"), "5 is neither a size of 100 kB or more"),
         (("-w", NAME, "--rotate", "1 day"), "1 day is neither a size of 100 kB or more"),
         (("-w", NAME, "--rotate", "1h", "--keep", "0"), "0 is not in the range"),
-        (("-w", NAME, "--keep", "3"), "say with --rotate when a part is full"),
+        (("-w", NAME, "--keep", "3"), "give --rotate too, when a part is full"),
         (("--rotate", "1h"), "--rotate is for a recording: name its file with -w"),
     ],
 )

@@ -87,8 +87,8 @@ def test_what_is_not_answered_ends_with_1() -> None:
     [
         (["Hoot"], "is not hex"),
         (["LED rgb=9"], "allowed are 0 to 7"),
-        (["pause=-1"], "is no pause"),
-        (["Forward"], "say --yes"),
+        (["pause=-1"], "is not a pause"),
+        (["Forward"], "give --yes"),
         ([], "no terminal to ask on"),
     ],
 )
@@ -239,11 +239,11 @@ def test_expected_answers_end_with_0(
         (
             "",
             "OK,OK",
-            "instruction 2 of 2, LED rgb=9 (81 09): expected OK (00), came BAD_DATA (02)",
+            "instruction 2 of 2, LED rgb=9 (81 09): expected OK (00), got BAD_DATA (02)",
         ),
-        ("", "OK,7", "expected unused (07), came BAD_DATA (02)"),
-        ("silent-on-faults", "OK,BAD_DATA", "expected BAD_DATA (02), came no answer"),
-        ("", "none,OK", "instruction 1 of 2, Speed speed=1 (11 01): expected no answer, came OK"),
+        ("", "OK,7", "expected unused (07), got BAD_DATA (02)"),
+        ("silent-on-faults", "OK,BAD_DATA", "expected BAD_DATA (02), got no answer"),
+        ("", "none,OK", "instruction 1 of 2, Speed speed=1 (11 01): expected no answer, got OK"),
     ],
 )
 def test_the_first_unexpected_answer_is_told(
@@ -265,9 +265,9 @@ def test_what_is_not_allowed_may_be_expected(protocol: Protocol) -> None:
 @pytest.mark.parametrize(
     ("expected", "words"),
     [
-        ("BADDATA", "--expect 'BADDATA' is no answer, did you mean BAD_DATA?; there are OK, "),
-        ("256", "--expect '256' is no answer"),
-        ("", "--expect '' is no answer"),
+        ("BADDATA", "--expect 'BADDATA' is not an answer, did you mean BAD_DATA?; there are OK, "),
+        ("256", "--expect '256' is not an answer"),
+        ("", "--expect '' is not an answer"),
         ("OK", "--expect names 1 and 2 should be answered: name one for each instruction"),
         ("OK,OK,OK", "--expect names 3 and 2 should be answered"),
     ],

@@ -356,14 +356,14 @@ def test_a_value_that_its_option_does_not_take_is_one_sentence(place: Path) -> N
     theirs(place, "[decode]\nformat = 'xml'")
     assert "bilprov.toml [decode]: format = xml: 'xml' is not one of" in refused("decode", "00")
     theirs(place, "[sniff]\nbaud = 'x'")
-    assert "bilprov.toml [sniff]: baud = x: 'x' is no whole number" in refused("sniff", "/dev/x")
+    assert "bilprov.toml [sniff]: baud = x: 'x' is not a whole number" in refused("sniff", "/dev/x")
 
 
 @pytest.mark.parametrize("value", ["1e900", "nan", "true", "9600.5"])
 def test_a_number_of_another_kind_is_refused_as_if_it_were_typed(place: Path, value: str) -> None:
     theirs(place, f"baud = {value}")
 
-    assert "is no whole number" in refused("sniff", "/dev/x")
+    assert "is not a whole number" in refused("sniff", "/dev/x")
 
 
 def test_a_flag_may_be_a_number_or_a_word(place: Path) -> None:

@@ -88,9 +88,9 @@ def test_encode_raw_writes_the_bytes_themselves() -> None:
         ("LED rbg=1", "LED has no field 'rbg', did you mean rgb?"),
         ("LED rgb=1 rgb=2", "LED.rgb is given twice"),
         ("LED 1 rgb=2", "LED.rgb is given twice"),
-        ("LED rgb=red", "LED.rgb is 'red', which is no number; allowed are 0 to 7"),
-        ("LED rgb=", "which is no number"),
-        ("Stop 1", "Stop takes no values; given were 1"),
+        ("LED rgb=red", "LED.rgb is 'red', which is not a number; allowed are 0 to 7"),
+        ("LED rgb=", "which is not a number"),
+        ("Stop 1", "Stop takes no values; got 1"),
         ("LED --rwa", "no such option '--rwa', did you mean --raw?"),
         ("LED rgb=" + "9" * 5000, "LED.rgb is"),
     ],
@@ -260,7 +260,7 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
 
 
 def test_ports_say_whose_processes_they_could_not_look_into() -> None:
-    assert unseen(PORTS).startswith("3 processes of other users could not be looked into")
+    assert unseen(PORTS).startswith("3 processes of other users could not be examined")
     assert unseen(PORTS[:1]) == ""
 
 

@@ -192,7 +192,7 @@ def test_a_command_that_uses_a_port_is_told_in_a_line_each(machine: FakeMachine)
     machine.run(42, "ModemManager")
     machine.run(43, "cat", port)
     shared, modem, latency = notes(port, machine)
-    assert shared.endswith("for each of the two loses what the other reads: kill 43")
+    assert shared.endswith("since each of the two loses what the other reads: kill 43")
     assert modem.endswith(": `bilprov ports /dev/ttyUSB0` prints the command")
     assert latency.endswith(": echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
 
@@ -480,7 +480,8 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
         result = command("ports", *map(str, names))
         assert (result.returncode, result.stdout) == (2, b"")
         assert (
-            f"{names[-1]} is no port; of a capture bilprov capture check".encode() in result.stderr
+            f"{names[-1]} is not a port; for a capture, bilprov capture check".encode()
+            in result.stderr
         )
 
 
@@ -489,7 +490,7 @@ def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
     result = command(*arguments, "sim", cwd=tmp_path)
     assert (result.returncode, result.stdout) == (2, b"")
     (line,) = result.stderr.splitlines()
-    assert line.startswith(b"bilprov: sim is no port")
+    assert line.startswith(b"bilprov: sim is not a port")
 
 
 @pytest.mark.parametrize(
@@ -621,8 +622,8 @@ def test_sniff_send_and_conform_name_the_holder_of_a_port() -> None:
         ("capture check", "text", "): name an MCAP file"),
         ("ports", "ttyUSB9", "there is no"),
         ("ports", "/dev/null", "is not a serial port"),
-        ("ports", "folder", "is no port"),
-        ("ports", "pipe", "is no port"),
+        ("ports", "folder", "is not a port"),
+        ("ports", "pipe", "is not a port"),
     ],
 )
 def test_what_is_no_capture_and_what_is_no_port_is_told(

@@ -417,13 +417,13 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     for out in (copy, link):
         said = done("capture", "cut", copy, out, "--end", "1", "--force", code=2)
         assert "would overwrite the input" in said
-    assert "exists: name another file, or say --force" in done(
+    assert "exists: name another file, or give --force" in done(
         "capture", "cut", copy, old, "--end", "1", code=2
     )
     assert (old.read_text(), copy.read_bytes()) == ("precious", SAMPLE.read_bytes())
     done("capture", "cut", copy, old, "--end", "1", "--force")
     assert lines_of(old) == lines_of(SAMPLE, "--end", "1")
-    assert "is no regular file" in done(
+    assert "is not a regular file" in done(
         "capture", "cut", copy, "/dev/full", "--end", "1", "--force", code=2
     )
     assert "is standard output" in done(

@@ -268,7 +268,7 @@ def test_nothing_is_overwritten_unless_it_is_forced(tmp_path: Path, style: str) 
 
     refused = command(*words)
     assert (refused.returncode, out.read_bytes()) == (2, b"mine")
-    assert b"exists: name another file, or say --force" in refused.stderr
+    assert b"exists: name another file, or give --force" in refused.stderr
 
     assert command(*words, "--force").returncode == 0
     assert out.read_bytes() == exported(SAMPLE, style)

@@ -139,7 +139,7 @@ def test_the_options_of_conform_stand_in_panels_and_each_of_them_once() -> None:
 
 
 def test_the_pages_of_commands_below_a_group_look_the_same() -> None:
-    assert "  -o, --output FILE      Where to; standard output if left out." in page(
+    assert "  -o, --output FILE      The file to write; standard output if left out." in page(
         "spec", "emit", "c"
     )
     assert [line for line in page("spec", "emit") if line.endswith(":")] == [

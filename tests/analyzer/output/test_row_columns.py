@@ -123,7 +123,7 @@ def test_columns_are_the_grammars_own_fields_too(each_protocol: Protocol) -> Non
         ("t,latncy", "there is no column 'latncy', did you mean latency?"),
         ("t,,name", "there is no column ''"),
         ("", "there is no column ''"),
-        ("t,T", "the column t is asked for twice"),
+        ("t,T", "the column t is named twice"),
         ("\x1b[2J", r"there is no column '\\x1b[2J'"),
     ],
 )

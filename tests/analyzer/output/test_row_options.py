@@ -95,7 +95,7 @@ def test_a_session_that_shows_nothing_has_a_header(talk: Path) -> None:
         (["--format", "jsonl", "--time", "utc"], "--time and --columns are for lines and csv"),
         (["--format", "jsonl", "--columns", "t"], "--time and --columns are for lines and csv"),
         (["--columns", "t,hex", "--time", "utc"], "name it in --columns too"),
-        (["--count", "1", "--to", "/dev/null"], "--count is of frames shown"),
+        (["--count", "1", "--to", "/dev/null"], "--count counts the frames shown"),
         (["--time", "unix"], "'unix' is not one of"),
     ],
 )

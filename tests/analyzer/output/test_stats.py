@@ -265,7 +265,7 @@ def test_an_older_file_is_replaced_only_if_the_user_says_so(tmp_path: Path, opti
     file = tmp_path / "older"
     file.write_text("older")
 
-    assert "say --force to overwrite it" in wrong(EXAMPLES, option, str(file))
+    assert "give --force to overwrite it" in wrong(EXAMPLES, option, str(file))
     assert file.read_text() == "older"
     assert command("stats", EXAMPLES, option, str(file), "--force").returncode == 0
     assert file.read_text() != "older"

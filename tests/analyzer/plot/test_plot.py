@@ -214,7 +214,7 @@ def test_a_recording_of_nothing_still_makes_a_page(tmp_path: Path) -> None:
     text = page_of(written(tmp_path / "c.mcap", []))
 
     assert "No answer was paired" in text
-    assert "There is none." in text
+    assert "None." in text
 
 
 def test_times_that_only_a_forged_file_has_make_a_page_too(tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_wrong_use_is_one_sentence_and_overwrites_nothing(tmp_path: Path) -> Non
         (line,) = result.stderr.decode().splitlines()
         return line
 
-    assert "say --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
+    assert "give --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
     assert older.read_text() == "older"
     assert "would overwrite the input" in wrong(EXAMPLES, "--html", EXAMPLES, "--force")
     assert "cannot be written" in wrong(EXAMPLES, "--html", str(tmp_path / "no" / "x.html"))

@@ -109,7 +109,7 @@ def test_a_sample_has_the_topics_that_it_had(sample: str, tmp_path: Path) -> Non
     assert open_capture(new).metadata == open_capture(path).metadata
     assert attachments_of(new) == attachments_of(path)
     assert (open_capture(new).damage, open_capture(new).unfinished) == ((), False)
-    assert done.stderr.decode() == f"{path} is in {new}, with all that is decoded from it\n"
+    assert done.stderr.decode() == f"{path} is in {new}, with everything decoded from it\n"
     if "conform" in sample:
         assert command("recheck", str(new)).stdout.startswith(b"the same: 26 cases, verdict pass")
 
@@ -193,7 +193,7 @@ def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> 
         writer.add_message(camera, START + 1, b"picture", 0)
         writer.finish()
     new, done = converted(path)
-    assert b"left out, since they are none of bilprov's topics: /camera\\x1b[2J" in done.stderr
+    assert b"left out, since they are not bilprov's topics: /camera\\x1b[2J" in done.stderr
     assert list(open_capture(new).events()) == [
         Chunk(0, "host", b"\x81\x05"),
         Chunk(5, "device", b"\0"),
@@ -256,7 +256,7 @@ def test_a_start_outside_of_the_format_is_one_sentence(tmp_path: Path) -> None:
         writer.finish()
     done = command("capture", "decode", str(path), str(tmp_path / "new.mcap"))
     assert done.returncode == 2
-    assert b"cannot be written anew: log time is 99999999999999999999" in done.stderr
+    assert b"cannot be decoded into a new file: log time is 99999999999999999999" in done.stderr
     assert done.stderr.count(b"\n") == 1
     assert not (tmp_path / "new.mcap").exists()
 
@@ -329,7 +329,7 @@ def test_on_a_terminal_progress_is_drawn(protocol: Protocol, tmp_path: Path) -> 
     os.close(ours)
     assert child.returncode == 0
     assert b"%" in shown
-    assert b"is in " in shown
+    assert b"everything decoded from it" in shown
 
 
 def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(

@@ -66,7 +66,7 @@ def test_a_part_is_full_at_a_size_or_a_time(text: str, rotation: Rotation) -> No
     ],
 )
 def test_anything_else_is_refused_with_what_is_allowed(text: str) -> None:
-    with pytest.raises(ValueError, match=r"is neither a size .* nor a time .*: say 100MB or 1h"):
+    with pytest.raises(ValueError, match=r"is neither a size .* nor a time .*: write 100MB or 1h"):
         rotation_at(text)
 
 

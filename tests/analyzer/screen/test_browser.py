@@ -165,7 +165,7 @@ def test_a_wrong_filter_says_so_under_it_and_escape_leaves_all_rows(screen: Brow
         await pilot.pause()
         shown = text_of(screen)
         assert "filter / speeed < 9" in shown[-2]
-        assert "is no name here: did you mean speed?" in shown[-1]
+        assert "is not a name here: did you mean speed?" in shown[-1]
         await pilot.press("escape")
         assert screen.frames.has_focus
         assert screen.frames.count == 121

@@ -472,15 +472,15 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
     [
         ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
         ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
-        ("--double often pty pty", "'--double': 'often' is no number"),
+        ("--double often pty pty", "'--double': 'often' is not a number"),
         ("--drop nan pty pty", "each is 0 to 1"),
         ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
         ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
-        ("--delay 5parsecs pty pty", "'5parsecs' is no such time; write 5ms, 0.2s or a number"),
-        ("--delay -5 pty pty", "'-5' is no such time"),
+        ("--delay 5parsecs pty pty", "'5parsecs' is not such a time; write 5ms, 0.2s or a number"),
+        ("--delay -5 pty pty", "'-5' is not such a time"),
         ("--delay 61s pty pty", "from 0 to 60s"),
-        ("--jitter 9e99 pty pty", "'9e99' is no such time"),
-        ("--jitter nan pty pty", "'nan' is no such time"),
+        ("--jitter 9e99 pty pty", "'9e99' is not such a time"),
+        ("--jitter nan pty pty", "'nan' is not such a time"),
         ("--delay 40s --jitter 40s pty pty", "together at most 60 s"),
         ("pty", "missing argument 'B'"),
         ("pty pty pty", "got unexpected extra argument (pty)"),
@@ -500,7 +500,7 @@ def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
 
 
 def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
-    with pytest.raises(ValueError, match=r"'9+…' is no such time") as raised:
+    with pytest.raises(ValueError, match=r"'9+…' is not such a time") as raised:
         nanoseconds("9" * 400_000 + "x")
 
     assert len(str(raised.value)) < 400

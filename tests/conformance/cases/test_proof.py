@@ -96,7 +96,7 @@ def test_the_device_that_is_the_machine_itself_passes(protocol: Protocol) -> Non
     assert {r.axes["answer"].verdict for r in own} == {Verdict.PASS}
     assert report.proof.startswith("Proven")
     assert "33 states, 43 classes of bytes and the silence" in report.proof
-    assert "no probe told the robot's motion" in report.proof
+    assert "no probe reported the robot's motion" in report.proof
 
 
 @pytest.mark.slow

@@ -149,7 +149,7 @@ def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: 
         f"will move for about {seconds:.0f} s: it drives and turns, at speeds up to 255"
         in sentence(unasked)
     )
-    assert "learning looks after each frame" in sentence(costly)
+    assert "learning makes one after each frame" in sentence(costly)
     assert robot.frames == 0
 
 

@@ -57,7 +57,7 @@ def test_what_was_not_measured_stays_unknown(protocol: Protocol) -> None:
 def test_a_time_is_a_number_above_0_and_at_most_60_seconds(protocol: Protocol, word: str) -> None:
     text = _text(protocol).replace("= 40.5", f"= {word}")
 
-    with pytest.raises(ValueError, match=r"truncation_timeout_ms = .* is no time"):
+    with pytest.raises(ValueError, match=r"truncation_timeout_ms = .* is not a time"):
         profile_from(protocol, text, LED_ID)
 
 
@@ -77,18 +77,18 @@ def test_a_flag_is_true_or_false(protocol: Protocol, word: str) -> None:
 
 @pytest.mark.parametrize("identity", [-1, 0, 8, 16])
 def test_the_leds_other_id_is_an_unused_one(protocol: Protocol, identity: int) -> None:
-    with pytest.raises(ValueError, match=f"led_id = {identity} is no unused ID"):
+    with pytest.raises(ValueError, match=f"led_id = {identity} is not an unused ID"):
         profile_from(protocol, _text(protocol, led_id=identity), LED_ID)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("[readings]", "[readings", "it is no TOML"),
+        ("[readings]", "[readings", "it is not TOML"),
         ('sha256 = "', 'sha256 = "0', "made with another grammar"),
-        ('[readings]\n"R-stop-speed" = "zeroed"', "readings = 1", "its readings are no table"),
-        ('"zeroed"', '"doubled"', "R-stop-speed = 'doubled' is no choice"),
-        ("R-stop-speed", "R-none", "R-none = 'zeroed' is no choice"),
+        ('[readings]\n"R-stop-speed" = "zeroed"', "readings = 1", "its readings are not a table"),
+        ('"zeroed"', '"doubled"', "R-stop-speed = 'doubled' is not a choice"),
+        ("R-stop-speed", "R-none", "R-none = 'zeroed' is not a choice"),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_a_sentence(

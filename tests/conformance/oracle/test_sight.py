@@ -145,7 +145,7 @@ def test_a_case_with_one_look_in_the_dark_is_inconclusive_and_the_others_are_not
         "not observable: the probe did not report whether the robot moves"
     )
     assert dark.axes["answer"].verdict is PASS
-    assert f"first in case {dark.id}, look 600" in report.unseen[0]
+    assert f"first in case {dark.id}, observation 600" in report.unseen[0]
 
 
 def test_looks_in_the_dark_do_not_count_as_expected(protocol: Protocol) -> None:
@@ -191,11 +191,11 @@ def test_a_sequence_is_no_pass_where_the_probe_tells_only_whether_it_moves(
     assert {r.verdict for r in tours} == {INCONCLUSIVE}
     for tour in tours:
         assert tour.axes["state"].reason.startswith(
-            "not observable: the probe does not tell motion"
+            "not observable: the probe does not report motion"
         )
     (sentence,) = report.unseen
     assert sentence.endswith(
-        "looks did the probe report the direction, the speed, the steering, the LED"
+        "observations did the probe report the direction, the speed, the steering, the LED"
     )
 
 
@@ -203,7 +203,10 @@ def test_every_form_of_the_report_says_from_which_look_on_nothing_was_seen(
     protocol: Protocol,
 ) -> None:
     report = judged(LosingSight(protocol, "conforming", ("led",), 600))
-    told = f"From look 600 of {looks_of(protocol, 'smoke'):,} on the probe did not report the LED"
+    told = (
+        f"From observation 600 of {looks_of(protocol, 'smoke'):,} on the probe did not "
+        "report the LED"
+    )
     shown = StringIO()
     show(report, Console(file=shown, width=200))
     document = msgspec.json.decode(as_json(report), type=Document)
@@ -289,9 +292,9 @@ def test_what_the_wheels_show_needs_no_other_facet(protocol: Protocol) -> None:
 
     assert facets_set([FAULT, forward, led]) == ["motion", "led"]
     assert facets_set([FAULT, FrameEffect(spec["Stop"].effect)]) == ["steering"]
-    assert untold(["motion", "led"], {"moving"}) == "the probe does not tell motion, led"
+    assert untold(["motion", "led"], {"moving"}) == "the probe does not report motion, led"
     assert untold(["motion", "steering"], {"wheels"}) == ""
-    assert untold(["led"], {"wheels"}) == "the probe does not tell led"
+    assert untold(["led"], {"wheels"}) == "the probe does not report led"
 
 
 def test_what_rests_on_a_choice_that_was_not_seen_is_not_known(protocol: Protocol) -> None:

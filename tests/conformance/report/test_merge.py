@@ -256,7 +256,7 @@ def test_what_differs_between_shards_leaves_a_report_that_can_be_read(
     "data", [b"", b"\xff\xfe", b"[]", b"{}", b"[" * 100_000, b'{"kit": 1}', b"null", b"1e999"]
 )
 def test_what_is_no_report_is_one_sentence(data: bytes) -> None:
-    with pytest.raises(MergeError, match=r"x\.json is no report of bilprov") as raised:
+    with pytest.raises(MergeError, match=r"x\.json is not a report of bilprov") as raised:
         shard_from("x.json", data)
 
     assert str(raised.value).isprintable()
@@ -344,7 +344,7 @@ def test_wrong_use_is_one_sentence_and_overwrites_nothing(files: list[str], tmp_
     before = Path(files[0]).read_bytes()
     wrong = [
         (("merge",), "Missing argument"),
-        (("merge", str(tmp_path)), "no regular file"),
+        (("merge", str(tmp_path)), "not a regular file"),
         (("merge", str(tmp_path / "none.json")), "cannot be read"),
         (("merge", *files, "--json", files[0]), "name another"),
         (("merge", *files, "--json", str(tmp_path / "no" / "f")), "cannot be written"),

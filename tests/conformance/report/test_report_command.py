@@ -142,16 +142,20 @@ def changed(document: dict[str, Any], path: str, value: object) -> str:
 
 
 WRONG = [
-    ("seed", "one", "no result of bilprov"),
-    ("verdict", "fine", "no result of bilprov"),
-    ("exit", 7, "no result of bilprov"),
-    ("cases", {}, "no result of bilprov"),
-    ("cases.0.log", [{"t": 0, "kind": "eaten", "hex": "", "look": ""}], "no result of bilprov"),
-    ("cases.0.log", [{"t": -1, "kind": "sent", "hex": "", "look": ""}], "no result of bilprov"),
-    ("cases.0.log", [{"t": 1e300, "kind": "sent", "hex": "", "look": ""}], "no result of bilprov"),
-    ("cases.0.sent", ["<b>"], "no result of bilprov"),
-    ("cases.0.received", [{"hex": "00", "t": 1e308}], "no result of bilprov"),
-    ("coverage", {"headers": {"done": -1, "of": 1}}, "no result of bilprov"),
+    ("seed", "one", "not a report of bilprov"),
+    ("verdict", "fine", "not a report of bilprov"),
+    ("exit", 7, "not a report of bilprov"),
+    ("cases", {}, "not a report of bilprov"),
+    ("cases.0.log", [{"t": 0, "kind": "eaten", "hex": "", "look": ""}], "not a report of bilprov"),
+    ("cases.0.log", [{"t": -1, "kind": "sent", "hex": "", "look": ""}], "not a report of bilprov"),
+    (
+        "cases.0.log",
+        [{"t": 1e300, "kind": "sent", "hex": "", "look": ""}],
+        "not a report of bilprov",
+    ),
+    ("cases.0.sent", ["<b>"], "not a report of bilprov"),
+    ("cases.0.received", [{"hex": "00", "t": 1e308}], "not a report of bilprov"),
+    ("coverage", {"headers": {"done": -1, "of": 1}}, "not a report of bilprov"),
     ("verdict", "fail", "contradicts itself"),
     ("counts.pass", 99, "contradicts itself"),
     ("cases.0.verdict", "fail", "contradicts itself"),
@@ -186,7 +190,7 @@ def test_what_is_no_result_is_refused_with_2(tmp_path: Path, content: bytes) -> 
     result = command("report", str(file), "--html", str(page))
 
     assert result.returncode == 2
-    assert "no result of bilprov" in sentence(result)
+    assert "not a report of bilprov" in sentence(result)
     assert not page.exists()
 
 
@@ -214,7 +218,7 @@ def test_a_result_is_read_from_a_pipe_but_not_from_a_folder(
 
     assert piped.returncode == 0, piped.stderr
     assert folder.returncode == 2
-    assert "no regular file" in sentence(folder)
+    assert "not a regular file" in sentence(folder)
 
 
 # -- side by side ---------------------------------------------------------------------------------

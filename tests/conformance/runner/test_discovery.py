@@ -38,7 +38,7 @@ INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
 ASKED = {"reading/version", "reading/led-id", "reading/led-upper-bits"}
 
 # What each variant shows otherwise than the kit, by hand: (point, word). What is not named here is
-# shown as the kit reads it. A measured time is no choice.
+# shown as the kit reads it. A measured time is not a choice.
 LOST = "lost-after-fault"
 LOSES_ALL = {
     "R-drain-known": "flushed",

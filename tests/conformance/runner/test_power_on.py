@@ -125,7 +125,7 @@ def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protoco
     ("switched", "verdict", "reason"),
     [
         (True, Verdict.FAIL, "loses one of the first instructions after power-on"),
-        (False, Verdict.INCONCLUSIVE, "it takes --power to tell noise from a fault"),
+        (False, Verdict.INCONCLUSIVE, "--power would distinguish noise from a fault"),
     ],
 )
 def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_shows_it(

@@ -59,7 +59,7 @@ def test_what_the_frame_under_test_did_wrong_is_its_own(protocol: Protocol) -> N
     report = conform(Simulator(protocol, dark), options=ONLY)
 
     wrong = {result.id: result.reason for result in failed(report)}
-    assert wrong["valid/LED/5"] == "led is 0, expected is 5"
+    assert wrong["valid/LED/5"] == "led is 0, expected 5"
     assert "already so" in wrong["valid/Speed/2"]
 
 

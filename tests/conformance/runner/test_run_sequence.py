@@ -70,15 +70,15 @@ WRONGS = [
     ("30", answers_with(), "answer", RESPONSES, "no answer came"),
     ("30", answers_with(0, 0), "answer", RESPONSES, "2 answers came, 1 was due"),
     ("30", late(1100), "answer", RESPONSES, "no answer came"),
-    ("30", drives_on, "state", INSTRUCTIONS, "motion is forward, expected is backward"),
+    ("30", drives_on, "state", INSTRUCTIONS, "motion is forward, expected backward"),
     ("30", sets(motion=Motion.STOPPED), "state", INSTRUCTIONS, "moving is False"),
-    ("30", sets(led=1), "state", INSTRUCTIONS, "led is 1, expected is 7"),
-    ("30", sets(speed=199), "state", INSTRUCTIONS, "speed is 199, expected is 200"),
+    ("30", sets(led=1), "state", INSTRUCTIONS, "led is 1, expected 7"),
+    ("30", sets(speed=199), "state", INSTRUCTIONS, "speed is 199, expected 200"),
     ("30", sets(steering=-1), "state", INSTRUCTIONS, "wheels is left"),
     ("92 00 00", answers_with(0), "answer", RESPONSES, "answered 00 OK instead of 01 BAD_HEADER"),
-    ("92 00 00", drives_on, "stop", SAFETY, "moving is True, expected is False"),
-    ("92 00 00", sets(led=1), "state", SAFETY, "led is 1, expected is 7"),
-    ("92 00 00", sets(speed=13), "state", SAFETY, "speed is 13, expected is 200"),
+    ("92 00 00", drives_on, "stop", SAFETY, "moving is True, expected False"),
+    ("92 00 00", sets(led=1), "state", SAFETY, "led is 1, expected 7"),
+    ("92 00 00", sets(speed=13), "state", SAFETY, "speed is 13, expected 200"),
 ]
 
 

@@ -71,9 +71,9 @@ def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -
 
     assert (report.exit, report.ended_by) == (3, "time")
     told = re.fullmatch(
-        r"about 6 s were announced and (\d+) s are over \(\d+ s waiting for answers, (\d+) s looks "
-        r"\(200 ms each\), \d+ s silences, 0 s delays of this computer\); --patient goes on "
-        "however long it takes",
+        r"about 6 s were announced and (\d+) s have passed \(\d+ s waiting for answers, (\d+) s "
+        r"observations \(200 ms each\), \d+ s silences, 0 s delays of this computer\); "
+        "--patient continues however long it takes",
         report.ended,
     )
     assert told, report.ended
@@ -249,9 +249,9 @@ def test_the_parts_of_the_time_are_told_apart() -> None:
     )
 
     assert told == (
-        "time: about 30 s were announced and 101 s are over (40 s waiting for answers, 8 s "
-        "looks (4000 ms each), 38 s silences, 15 s delays of this computer); "
-        "--patient goes on however long it takes"
+        "time: about 30 s were announced and 101 s have passed (40 s waiting for answers, 8 s "
+        "observations (4000 ms each), 38 s silences, 15 s delays of this computer); "
+        "--patient continues however long it takes"
     )
 
 

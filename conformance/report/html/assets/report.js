@@ -257,7 +257,7 @@
     const last = events[events.length - 1][0];
     const picture = draw("svg", {
       class: "timing", width, height: 168, viewBox: `0 0 ${width} 168`, role: "img",
-      "aria-label": `${events.length} entries in ${duration(last)}; the wire log below tells them`,
+      "aria-label": `${events.length} entries in ${duration(last)}; the wire log below lists them`,
     });
     for (const [kind, name] of [[SENT, "host"], [RECEIVED, "device"], [LOOK, "probe"]]) {
       const y = LANES[kind];

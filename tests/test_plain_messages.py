@@ -1,0 +1,106 @@
+"""Help pages and messages are free of the turns of phrase that CONTRIBUTING.md lists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from bilprov.__main__ import COMMANDS
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.plain_english import turns
+
+PACKAGES = ("analyzer", "captures", "conformance", "spec", "src")
+# Turns of messages alone, each with an example; prose of pages may use them.
+MESSAGE_TURNS = {
+    r"otherwise than": "reads the document otherwise than the machine",
+    r"(?<!there )(?:is|are) no (?!longer\b|more\b)\w+": "'x' is no number",
+    r"what is whole|all that is whole": "all that is whole is shown",
+    r"which is not this": "expected OK, which is not this",
+    r"in \w+ looks|\d looks|looks? (?:that|of|at)": "looks that agree",
+    r"go(?:es)? on looking": "go on looking",
+    r"nothing shows": "nothing shows all rows",
+    r"[Pp]ut \w+(?: of \w+)? together": "Put shards together",
+    r"for want of": "for want of a port",
+    r"cannot tell": "cannot tell",
+    r"(?:is|are) wanted": "a value is wanted",
+    r"is asked for": "is asked for twice",
+}
+# What scripts stand on: a line of `bilprov lab score`, and the reasons that captures hold.
+KEPT = ("that can be told apart", "header says", "the device says", "expected is")
+# The dissector's program is Lua, whose names are not words of a message.
+PROGRAMS = ("spec/emit/wireshark_program.py",)
+
+
+def message_turns(text: str) -> list[str]:
+    """The turns in a help page or a message."""
+    for words in KEPT:
+        text = text.replace(words, "")
+    plain = " ".join(text.split())
+    found = (re.search(pattern, plain) for pattern in MESSAGE_TURNS)
+    return turns(plain) + [match.group() for match in found if match]
+
+
+def messages(source: str) -> Iterator[tuple[int, str]]:
+    """The line and the text of each string with two words or more that is not a docstring.
+
+    What an f-string inserts is left out. A piece of a template that is code is no message.
+    """
+    tree = ast.parse(source)
+    pieces = {id(piece) for node in ast.walk(tree) for piece in _pieces(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            text = "".join(
+                str(p.value) if isinstance(p, ast.Constant) else "X" for p in node.values
+            )
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value
+        else:
+            continue
+        if id(node) not in pieces and re.search(r"\w [\w(]", text):
+            yield node.lineno, text
+
+
+def _pieces(node: ast.AST) -> Iterator[ast.AST]:
+    """The strings within a node that are no messages of their own: docstrings, parts of others."""
+    if isinstance(node, ast.Expr):
+        yield node.value
+    elif isinstance(node, ast.JoinedStr):
+        yield from node.values
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_message_is_in_plain_english(package: str) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {turn}"
+        for path in sorted((ROOT / package).rglob("*.py"))
+        if path.relative_to(ROOT).as_posix() not in PROGRAMS
+        for line, text in messages(path.read_text(encoding="utf-8"))
+        for turn in message_turns(text)
+    ]
+
+    assert found == []
+
+
+def test_a_help_page_is_in_plain_english() -> None:
+    found = {
+        name: found
+        for name in ("", *COMMANDS)
+        if (found := message_turns(command(*name.split(), "--help").stdout.decode()))
+    }
+
+    assert found == {}
+
+
+@pytest.mark.parametrize("pattern", MESSAGE_TURNS)
+def test_a_turn_finds_its_example(pattern: str) -> None:
+    assert message_turns(MESSAGE_TURNS[pattern])
+
+
+def test_docstrings_and_what_is_inserted_are_not_messages_and_each_string_is_seen_whole() -> None:
+    source = '"""It says."""\ndef f(told):\n    """It tells."""\n    raise E(f"a {told} b " "c")\n'
+
+    assert list(messages(source)) == [(4, "a X b c")]
