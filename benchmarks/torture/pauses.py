@@ -72,10 +72,10 @@ HURTS = {
 def sniffed(seed: int, *, good: bool) -> str:
     """Stop `sniff --judge` in traffic of a good or a faulty device: what is wrong, "" if nothing.
 
-    A faulty device says OK now and then to what is none.
+    A faulty device refuses now and then what is right.
     """
     draw, talk = Random(f"{seed} {good}"), Talk(Random(seed))
-    fine = load_protocol().answers[Outcome.VALID].code
+    refused = load_protocol().answers[Outcome.BAD_DATA].code
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         host, device = Plug(folder / "host"), Plug(folder / "device")
@@ -86,7 +86,7 @@ def sniffed(seed: int, *, good: bool) -> str:
         def asked() -> bytes:
             frame, answer = talk.next()
             if not good and draw.random() < _WRONG:
-                answer = bytes([fine])
+                answer = bytes([refused])
             host.write(frame)
             talk.wrote("host", frame)
             time.sleep(_ANSWER)
