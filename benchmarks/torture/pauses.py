@@ -28,6 +28,7 @@ FAULTY = faulty("ok-to-unknown-id", "no-stop-on-bad-data", "every-7th-fault-miss
 _TIMES = ((0.05, 1.0), (0.3, 1.0), (0.04, 5.0))  # s that it is stopped, s from stop to stop
 _PAUSE = 2.0  # s that sniff is stopped
 _BEFORE_AND_AFTER = 1.0  # s of traffic
+_IDLE = 0.3  # s of silence first: then it is clear where frames begin
 _EXCHANGE = 0.02  # s from one instruction to the next
 _ANSWER = 0.005  # s from an instruction to its answer
 _WRONG = 0.1  # of the answers of a faulty device
@@ -102,6 +103,7 @@ def sniffed(seed: int, *, good: bool) -> str:
             while time.monotonic() < until:
                 answered(asked())
 
+        time.sleep(_IDLE)
         traffic(_BEFORE_AND_AFTER)
         answer = asked()
         sniff.process.send_signal(signal.SIGSTOP)

@@ -237,7 +237,7 @@ def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
     with car(protocol) as (device, port, _):
         result = command("send", port, stdin=b"Forward")
         with on_terminal("send", port) as terminal:
-            terminal.wait_for("Is there room, and may it move?")
+            terminal.wait_for("[y/N]")  # the question is wrapped
             terminal.type("n\n")
             assert terminal.end() == 2
 

@@ -529,7 +529,7 @@ def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         ([], "option '--firmware' requires an argument"),
-        (["{elf}", "--fault", "always-0"], "--fault and --variant do not fit"),
+        (["{elf}", "--fault", "always-0"], "--fault and --variant do not apply"),
         (["{elf}", "{elf}"], "got unexpected extra argument"),
         (["{elf}", "--listen", "nowhere"], "the address is 'nowhere', allowed is HOST:PORT"),
         (["{elf}", "--probe-listen", "1:2:3"], "the address is '1:2:3', allowed is HOST:PORT"),

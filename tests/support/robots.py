@@ -206,6 +206,7 @@ class Served:
                 line += data
         state = json.loads(line)
         assert isinstance(state, dict)
+        assert state.pop("number") == 0  # the reply's own, of a question without one
         return state
 
 

@@ -430,7 +430,7 @@ def test_an_unplugged_device_is_two() -> None:
             code, _, err = line.result()
     assert code == 2
     assert err.decode().splitlines()[-1] == (
-        f"bilprov: {pair.name} disappeared while it was in use; plug it in again and start anew"
+        f"bilprov: {pair.name} disappeared while it was in use; plug it in again"
     )
 
 
@@ -473,7 +473,7 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
         ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
         ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
         ("--double often pty pty", "'--double': 'often' is not a number"),
-        ("--drop nan pty pty", "each is 0 to 1"),
+        ("--drop nan pty pty", "nan is not a number"),
         ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
         ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
         ("--delay 5parsecs pty pty", "'5parsecs' is not such a time; write 5ms, 0.2s or a number"),

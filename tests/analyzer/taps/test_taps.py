@@ -392,7 +392,7 @@ def test_a_new_kind_of_tap_is_one_row(
     with opened_tap(nothing | {"mirror": (device_line.name,)}, line) as source:
         assert source.names == {"bridge": device_line.name, "pty": source.served}
     with pytest.raises(
-        ValueError, match=r"Give HOST \[DEVICE\] or --bridge PORT or --mirror PORT$"
+        ValueError, match=r"give HOST \[DEVICE\] or --bridge PORT or --mirror PORT$"
     ):
         opened_tap(nothing, line)
     with pytest.raises(ValueError, match=r"or --mirror PORT, not both$"):

@@ -202,7 +202,7 @@ def test_a_device_that_reads_the_document_otherwise_passes_but_nothing_is_proven
 
     assert report.exit == 0
     assert not report.proof.startswith("Proven")
-    assert "otherwise than the machine (R-truncated-long)" in report.proof
+    assert "differently from the machine (R-truncated-long)" in report.proof
 
 
 @pytest.mark.slow

@@ -29,7 +29,10 @@ def raising(*arguments: object) -> None:
 
 
 BROKEN = [
-    ({"look": lambda now: None}, "the device's look gave None; it must give a Look"),
+    (
+        {"look": lambda now: None},
+        "the device's look gave None; it must give an instance of bilprov.Look",
+    ),
     ({"look": lambda now: {"moving": True}}, "the device's look gave {'moving': True}"),
     ({"advance": lambda now: "\0"}, "the device's advance gave '\\x00'; it must give bytes"),
     ({"advance": lambda now: None}, "the device's advance gave None"),

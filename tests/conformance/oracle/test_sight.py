@@ -92,7 +92,9 @@ def never_passes(protocol: Protocol, level: str, name: str, facets: str, part: s
 
     failed = [(r.id, r.reason) for r in report.results if r.verdict is FAIL]
     assert report.exit in ((3,) if name in GOOD else (1, 3)), failed
-    assert any(f"look {begin:,}" in sentence for sentence in report.unseen) or report.exit == 1
+    assert (
+        any(f"observation {begin:,}" in sentence for sentence in report.unseen) or report.exit == 1
+    )
 
 
 ROWS = [(name, facets, part) for name in (*FAULTS, *GOOD) for facets in FACETS for part in PARTS]
@@ -131,7 +133,7 @@ def test_a_few_looks_in_the_dark_are_no_fault_while_the_choices_are_found_out(
 
     assert report.exit == 3, [(r.id, r.reason) for r in report.results if r.verdict is FAIL]
     assert "In 5 of" in report.unseen[0]
-    assert f"look {begin:,})" in report.unseen[0]
+    assert f"observation {begin:,})" in report.unseen[0]
 
 
 def test_a_case_with_one_look_in_the_dark_is_inconclusive_and_the_others_are_not(

@@ -192,9 +192,9 @@ STRANGE: list[tuple[Change, str]] = [
     (lambda d: d["options"].update(shard=None), "not the report of a shard"),
     (lambda d: d["options"].update(shard=[3, 2]), "not the report of a shard"),
     (lambda d: d["options"].update(shard=[True, 2]), "not the report of a shard"),
-    (lambda d: d["cases"][0].update(verdict="great"), "is no report"),
-    (lambda d: d["cases"][0].pop("axes"), "is no report"),
-    (lambda d: d.update(cases=3), "is no report"),
+    (lambda d: d["cases"][0].update(verdict="great"), "is not a report"),
+    (lambda d: d["cases"][0].pop("axes"), "is not a report"),
+    (lambda d: d.update(cases=3), "is not a report"),
 ]
 
 
