@@ -442,6 +442,7 @@ def program(text: str, port: str) -> Iterator[subprocess.Popen[bytes]]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        process_group=0,  # in the group of tests run in the background nothing is suspended
     ) as process:
         try:
             assert process.stdout is not None

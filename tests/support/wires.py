@@ -35,6 +35,7 @@ class Running:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=ROOT,
+            process_group=0,  # in the group of tests run in the background nothing is suspended
         )
         assert self.process.stdout is not None
         assert self.process.stderr is not None
