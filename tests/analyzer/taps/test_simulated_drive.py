@@ -58,7 +58,7 @@ def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protoco
 @pytest.mark.waits
 def test_it_is_sniffed_as_a_line_and_recorded_as_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
-    listened = ("sniff", "sim", "--format", "jsonl", "--count", "4", "-w", str(path))
+    listened = ("sniff", "sim", "--format", "jsonl", "--count", "6", "-w", str(path))
 
     result = command(*listened, "--judge")
 
