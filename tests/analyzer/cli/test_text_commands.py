@@ -17,7 +17,7 @@ from bilprov.analyzer.transport.ports import PortInfo
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.readings import ERRATA, READINGS
-from tests.support.commands import command
+from tests.support.commands import command, process
 from tests.support.drawn_grammars import drawn as drawn_grammar
 
 PROTOCOL = load_protocol()
@@ -125,6 +125,14 @@ def test_explain_draws_bits_names_and_reasons() -> None:
         "nearest  81 01  LED rgb=1 (B)",
     ):
         assert part in shown
+
+
+@pytest.mark.waits
+def test_explain_draws_with_ascii_where_there_is_nothing_else() -> None:
+    shown = process("explain", "81", "09", env={"PYTHONIOENCODING": "ascii"}).stdout.decode()
+
+    assert "====" in shown
+    assert "\\u" not in shown
 
 
 @pytest.mark.parametrize("items", [("91", "02"), ("81", "09"), ("40",)])
