@@ -27,7 +27,7 @@ FAULTY = (
 
 
 @pytest.mark.slow
-@pytest.mark.sample(12)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("brief", [False, True], ids=["all facets", "moving only"])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", GOOD)
@@ -42,7 +42,7 @@ def test_no_good_robot_fails(protocol: Protocol, lie: str, name: str, seed: int,
 
 
 @pytest.mark.slow
-@pytest.mark.sample(12)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTY)
 @pytest.mark.parametrize("lie", LIES)
@@ -51,7 +51,7 @@ def test_no_faulty_robot_passes(protocol: Protocol, lie: str, name: str, seed: i
 
 
 @pytest.mark.slow
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("name", FAULTY)
 def test_through_an_honest_probe_rare_faults_fail_too(protocol: Protocol, name: str):
     assert seen_through(protocol, find_fault(protocol, name), honest).exit == 1

@@ -57,7 +57,7 @@ def failed(report: Report) -> list[tuple[str, str]]:
     return [(r.id, r.reason) for r in report.results if r.verdict is Verdict.FAIL]
 
 
-@pytest.mark.sample(24)
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", GOOD)
@@ -68,7 +68,7 @@ def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, 
     assert report.exit in (0, 3)
 
 
-@pytest.mark.sample(10)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("seed", range(1, 4))
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", FAULTY)
@@ -116,7 +116,7 @@ def test_a_steady_line_leaves_failures_failures(protocol: Protocol) -> None:
         assert not [sentence for sentence in notes.told if "cannot be judged" in sentence]
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(1, 5))
 @pytest.mark.parametrize(
     ("stop", "period"), [(300, 1000), (300, 1013), (200, 977), (100, 700), (50, 1000), (50, 333)]
