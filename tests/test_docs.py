@@ -153,7 +153,7 @@ def test_the_readme_shows_what_happens(folder: Path) -> None:
     typed("README.md", folder)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.waits
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])

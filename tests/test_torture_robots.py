@@ -65,6 +65,7 @@ def test_the_row_counts_good_ones_that_failed_and_faulty_ones_that_passed() -> N
     assert "exit 1 in 2" in told
 
 
+@pytest.mark.sample(0)
 @pytest.mark.waits
 @pytest.mark.slow
 def test_a_faulty_robot_that_passes_is_seen() -> None:
@@ -226,6 +227,7 @@ def _wait(what: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
+@pytest.mark.sample(0)
 @pytest.mark.waits
 @pytest.mark.slow
 def test_a_wrong_judgement_of_paused_traffic_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
