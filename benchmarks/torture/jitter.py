@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import select
 import socket
-import threading
 import time
 from collections import deque
 from contextlib import ExitStack, suppress
 from random import Random
-from types import TracebackType
-from typing import Self
 
 from benchmarks.torture.harm import Harm, Progress, Row
-from benchmarks.torture.robots import Hurt, Served, faulty, measure
+from benchmarks.torture.robots import Hurt, LocalServer, Served, faulty, measure
 from bilprov.analyzer.transport.streams import parse_address
 
 LONGEST = (0.010, 0.020, 0.030, 0.040, 0.050)  # s that a byte is held up for at most
@@ -50,7 +47,7 @@ class Delayed:
         return self._held[0][0] if self._held else None
 
 
-class Relay:
+class Relay(LocalServer):
     """Relays TCP between one host at a time and the robot at `port`, and holds bytes up.
 
     `up` and `down` are the longest times (s) to the robot and from it. The block ends once the host
@@ -60,10 +57,8 @@ class Relay:
     def __init__(self, port: str, up: float, down: float, draw: Random) -> None:
         self._robot = parse_address(port.removeprefix("socket://"))
         self._up, self._down, self._draw = up, down, draw
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.name = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
+        super().__init__(self._serve)
+        self.name = f"socket://{self.address}"
 
     def _serve(self) -> None:
         while not self._over.is_set():
@@ -100,20 +95,6 @@ class Relay:
             for to, held in ways.values():
                 with suppress(OSError):  # who has gone hears nothing more
                     to.sendall(held.take(time.monotonic()))
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._over.set()
-        self._thread.join()
-        self._listener.close()
 
 
 def _held_up(up: float, down: float) -> Hurt:

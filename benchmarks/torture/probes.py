@@ -14,11 +14,10 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress
 from random import Random
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from benchmarks.torture.harm import Harm, Progress, Row
-from benchmarks.torture.robots import Hurt, Probe, Served, faulty, measure
+from benchmarks.torture.robots import Hurt, LocalServer, Probe, Served, faulty, measure
 
 FAULTY = faulty(
     "no-stop-after-100-faults",
@@ -127,15 +126,13 @@ class Lagging:
         self._thread.join()
 
 
-class LyingProbe:
+class LyingProbe(LocalServer):
     """Serves a probe over TCP, one client at a time, that lies of what the probe `name` sees."""
 
     def __init__(self, name: str, lie: Lie, draw: Random) -> None:
         self._true, self._lag, self._tell = name, lie.lag, lie.drawn(draw)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.name = f"tcp:127.0.0.1:{self._listener.getsockname()[1]}"
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
+        super().__init__(self._serve)
+        self.name = f"tcp:{self.address}"
 
     def _serve(self) -> None:
         with ExitStack() as stack:
@@ -160,20 +157,6 @@ class LyingProbe:
             for _ in range(asked.count(b"\n")):
                 looks.append(eye.look())
                 client.sendall(self._tell(looks))
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._over.set()
-        self._thread.join()
-        self._listener.close()
 
 
 def _lied_to(lie: Lie) -> Hurt:

@@ -10,6 +10,7 @@ import json
 import socket
 import subprocess
 import tempfile
+import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,7 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from random import Random
-from typing import Any, NamedTuple
+from types import TracebackType
+from typing import Any, NamedTuple, Self
 
 from benchmarks.commands import bilprov_words, started
 from benchmarks.torture.harm import Progress, Row
@@ -54,6 +56,30 @@ class Probe:
         """Hang up."""
         self._answers.close()
         self._socket.close()
+
+
+class LocalServer:
+    """Listens at a free port of this machine and serves it in a thread until the block ends."""
+
+    def __init__(self, serve: Callable[[], None]) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=serve)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+        self._listener.close()
 
 
 class Served(NamedTuple):
