@@ -85,6 +85,8 @@ HOMES = {
     "mcap": ("captures/",),
     "numpy": (
         "spec/tables.py",
+        "captures/events.py",
+        "captures/storage/",
         "analyzer/columns/",
         "analyzer/filters/columns.py",
         "analyzer/filters/masks.py",
