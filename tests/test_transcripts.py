@@ -6,7 +6,9 @@ the first characters of a line give its meaning:
     == TITLE            begins a section; `(slow)` in its title leaves it to `make whole`
     @ NAME              a file that a test writes, with the lines `: TEXT` below as its content;
                         of a capture they are `KEY = VALUE` (metadata) and `SECONDS SIDE HEX`
-    & FAULT             a simulated device is served for the section, as PORT with the probe PROBE
+    @ NAME -> NAME      a link
+    & FAULT             a simulated device is served for the section, as PORT with the probe PROBE;
+                        the name of a fault or of a legal variant, or `none`
     $ COMMAND | FILTER  what is run, `NAME=VALUE` of its environment first; a filter of FILTERS
                         condenses its standard output
     < TEXT              its standard input, with Python's escapes
@@ -41,7 +43,7 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
@@ -165,7 +167,7 @@ def file_lines(path: Path) -> list[str]:
         return list(capture_lines(path))
     content = path.read_bytes()
     if path.suffix == ".json":
-        return keys(content.decode())
+        return steady("\n".join(keys(content.decode())), path.parent).split("\n")
     if b"\0" in content or path.suffix == ".html":
         return [f"begins with {content[:16]!r}"]
     lines = steady(content.decode(), path.parent).splitlines()
@@ -175,6 +177,10 @@ def file_lines(path: Path) -> list[str]:
 def write(path: Path, lines: list[str]) -> None:
     """Write a file of a section: a capture from its events, any other as it stands."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    if " -> " in path.name:
+        link, _, target = path.name.partition(" -> ")
+        path.with_name(link).symlink_to(target)
+        return
     if path.suffix != ".mcap":
         path.write_bytes("".join(f"{line}\n" for line in lines).encode())
         return
@@ -254,7 +260,7 @@ def played(
             if kind == "@":
                 write(folder / text, below)
             elif kind == "&":
-                fault = fault_bank(protocol)[text] if text != "none" else None
+                fault = find_fault(protocol, text) if text != "none" else None
                 served = served_here(Simulator(protocol, fault), pty=True)
                 names = dict(zip(("PORT", "PROBE"), stack.enter_context(served), strict=True))
             elif kind == "$":
