@@ -8,8 +8,9 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from zlib import crc32
 
-from benchmarks import peers, product
+from benchmarks import peers, product, traffic
 from benchmarks.commands import ROOT, bilprov_words, medians, run
 from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
 from benchmarks.setting import Made, Setting, Work
@@ -178,10 +179,11 @@ def foreign(setting: Setting) -> Made:
 def _kept(
     setting: Setting, name: str, *, together: int = 1, about: dict[str, str] | None = None
 ) -> Made:
-    """A capture by the mcap library that stays for later runs, while what makes it is as old."""
+    """A capture by the mcap library that stays for later runs, until other traffic is drawn."""
     frames = setting.sizes.replay * 10 // 17
-    path = _KEPT / f"{name}-{frames}.mcap"
-    if not path.exists() or path.stat().st_mtime < Path(__file__).stat().st_mtime:
+    drawn = crc32(Path(traffic.__file__).read_bytes() + setting.protocol.source.encode())
+    path = _KEPT / f"{name}-{frames}-{drawn:08x}.mcap"
+    if not path.exists():
         _KEPT.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
         part.unlink(missing_ok=True)

@@ -46,8 +46,7 @@ def lua_dissector(protocol: Protocol, skew: float) -> str:
     otherwise. Raises UserError for a field that is not a plain integer of 1 to 6 bytes.
     """
     grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
-    texts = {**grammar, "document": protocol.document, "sha256": protocol.sha256}
-    head = _HEAD.format_map({name: " ".join(str(text).split()) for name, text in texts.items()})
+    head = _HEAD.format_map({**grammar, "document": protocol.document, "sha256": protocol.sha256})
     return f"{head}\n\nlocal GRAMMAR = {_lua(grammar)}\n{PROGRAM}"
 
 

@@ -99,7 +99,7 @@ end
 local function judge(item, data)
     local id, length = part_of(data:byte(1), "id"), part_of(data:byte(1), "length")
     local came, size, spec = #data - 1, counted(length), GRAMMAR.instructions[id]
-    local outcome, reason = "VALID", nil
+    local outcome, reason = "VALID"
     item.spec, item.cut, item.name = spec, came < length, spec and spec.name or "unused " .. id
     item.words = item.name .. ", " .. (item.cut and format("%d of %s", came, size) or size)
     if not spec then
@@ -145,8 +145,8 @@ local function warn(item, word, words)
 end
 
 local function garbage(item, reason)
-    item.kind, item.words, item.reason = "garbage", "garbage", reason
-    item.info = "garbage: " .. reason
+    item.kind, item.words = "garbage", "garbage"
+    item.reason, item.info = reason, "garbage: " .. reason
     warn(item, "garbage", "Garbage: " .. reason)
 end
 
@@ -198,18 +198,13 @@ local function change_state(frame)
     now.state = frame.state
 end
 
--- Close the open frame, a list of its pieces; the last of them is the item for the whole.
-local function closed()
+-- End the open frame, a list of its pieces; the last of them becomes the item for the whole.
+local function ended(lost)
     local open = now.open
-    local frame = open[#open]
+    local frame, single = open[#open], #open == 1
     now.open = nil
     for i = 1, #open - 1 do open[i].goes_on_in = frame.number end
-    return frame, open
-end
-
-local function ended()
-    local frame, open = closed()
-    local begun = open.begun
+    if lost then return garbage(frame, lost) end
     judge(frame, open.data)
     frame.kind = frame.cut and "truncated" or "instruction"
     frame.sequence, now.sequence = now.sequence, now.sequence + 1
@@ -218,27 +213,17 @@ local function ended()
         frame.info = format("%s: %s, %s", frame.words, code, frame.reason)
         warn(frame, frame.cut and "truncated" or "faulty", frame.reason)
     end
+    if not single then frame.whole, frame.begins_in = open.data, open[1].number end
     change_state(frame)
-    if #open > 1 then
-        frame.whole, frame.begins_in = open.data, open[1].number
-    else
-        begun = begun - (#open.data - 1) * robot.prefs.truncation_timeout * US
-    end
-    await(frame, begun)
+    await(frame, open[1].t - (single and #open.data - 1 or 0) * robot.prefs.truncation_timeout * US)
     return frame
-end
-
-local function cut_short()
-    local frame = ended()
-    note({ words = "cut short: " .. frame.words, cut_short = frame.number })
 end
 
 local function host(bytes)
     local at = 1
     now.heard = true
     while at <= #bytes do
-        local open = now.open
-            or { data = "", begun = now.t, size = 1 + part_of(bytes:byte(at), "length") }
+        local open = now.open or { data = "", size = 1 + part_of(bytes:byte(at), "length") }
         local stop = math.min(#bytes, at + open.size - #open.data - 1)
         local place = #open == 0 and "beginning" or "part"
         table.insert(open, note({ at = at - 1, size = stop - at + 1,
@@ -251,16 +236,16 @@ end
 
 local function device(bytes, stray)
     for at = 1, #bytes do
-        local byte, frame = bytes:byte(at), now.first
+        local byte, frame = bytes:byte(at), not stray and now.first
         local name, after = GRAMMAR.codes[byte], frame and frame.next
         local answer = note({ at = at - 1, size = 1, byte = byte, kind = "response",
             words = name or "unused " .. byte, known = stray or now.heard })
         if not name then warn(answer, "unused", "Unused response") end
-        if not stray and after and byte ~= frame.judgement and byte == after.judgement
+        if after and byte ~= frame.judgement and byte == after.judgement
             and (frame.cut or now.t - frame.t > GRAMMAR.answer_deadline * MS) then
             unanswered() -- the first may have gone unanswered
         end
-        if not stray and frame then
+        if frame then
             pair(now.first, answer)
             now.first = now.first.next
         elseif not stray then
@@ -270,19 +255,20 @@ local function device(bytes, stray)
 end
 
 local function learn(event, bytes)
-    if now.open and now.t >= now.open[#now.open].t + robot.prefs.truncation_timeout * US then
-        cut_short()
+    local open, timeout = now.open, robot.prefs.truncation_timeout * US
+    if open and (event == 3 or now.t >= open[#open].t + timeout) then
+        local frame = ended()
+        note({ words = "cut short: " .. frame.words, cut_short = frame.number })
     end
     while now.first and now.first.expires <= now.t do unanswered() end
     if event == 1 then
         host(bytes)
     elseif event == 2 or event == 4 then -- what stands at the end of data answers nothing
         device(bytes, event == 4)
-    elseif event == 3 then
-        if now.open then cut_short() end
-        if #bytes > 0 then garbage(note({ at = 0, size = #bytes }), "they belong to no frame") end
+    elseif event == 3 and #bytes > 0 then
+        garbage(note({ at = 0, size = #bytes }), "they belong to no frame")
     elseif event == 5 or event == 10 then -- bytes were lost, by the capture or by the port
-        if now.open then garbage(closed(), "bytes were lost in mid-frame") end
+        if now.open then ended("bytes were lost in mid-frame") end
         now.first, now.early = nil, {}
     end
 end
@@ -321,15 +307,12 @@ end
 local function show(tree, item, payload)
     local range = item.whole and ByteArray.new(item.whole, true):tvb("Frame")()
         or item.size and payload(item.at, item.size)
-    if not range then
-        tree = tree:add(robot, item.words)
-    else
-        tree = tree:add(robot, range, GRAMMAR.title .. ": " .. item.words)
-        if item.state then
-            show_frame(tree, item, range)
-        else
-            tree:add((item.byte and F.response or F.data).field, range)
-        end
+    tree = range and tree:add(robot, range, GRAMMAR.title .. ": " .. item.words)
+        or tree:add(robot, item.words)
+    if item.state then
+        show_frame(tree, item, range)
+    elseif range then
+        tree:add((item.byte and F.response or F.data).field, range)
     end
     for _, row in ipairs(GENERATED) do
         local value = item[row.word]
