@@ -98,7 +98,7 @@ fuzz: setup ## no crash by 200,000 damaged files and texts, 2 minutes; FUZZ_ARGS
 torture: setup ## all the long harms, some hours; renews docs/RELIABILITY.md; TORTURE_ARGS="HARM --runs N"
 	$(BIN)/python -m benchmarks.torture --page $(TORTURE_ARGS)
 
-bench: setup ## how fast each work is beside construct, mcap and C, 6 minutes; renews docs/performance.md
+bench: setup ## how fast each work is beside construct, mcap and C, 10 minutes; renews docs/performance.md
 	$(BIN)/python -m benchmarks.bench --publish $(BENCH_ARGS)
 
 pictures: setup ## draw the pictures anew: the architecture, and those of README and docs
