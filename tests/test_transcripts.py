@@ -228,9 +228,9 @@ def ran(line: str, stdin: str, folder: Path, names: dict[str, str]) -> Iterator[
     )
     for mark, stream in (">", done.stdout), ("!", done.stderr):
         text = stream.decode(errors="backslashreplace").replace("\r", "\\r")
-        if mark == ">" and filters:
-            text = "\n".join(FILTERS[filters[0]](text))
         text = steady(text, folder, CHANGING + TIMED * bool(re.search(r"\bsend (sim|PORT)", line)))
+        if mark == ">" and filters:
+            text = steady("\n".join(FILTERS[filters[0]](text)), folder)
         for name, device in names.items():
             text = text.replace(device, name)
         yield from (f"{mark} {shown}".rstrip() for shown in text.splitlines())
