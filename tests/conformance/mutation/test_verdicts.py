@@ -21,7 +21,8 @@ from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.score import _try, chosen_faults
+from bilprov.conformance.mutation.mixtures import mixtures
+from bilprov.conformance.mutation.score import _try
 from bilprov.conformance.mutation.variants import variants
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
@@ -48,7 +49,7 @@ def own_protocol() -> Protocol:
 
 def names(protocol: Protocol) -> list[str]:
     """The faults, the mixtures and the variants, in the order of the table."""
-    return [*chosen_faults(protocol, 0), *variants(protocol)]
+    return [*fault_bank(protocol), *mixtures(protocol), *variants(protocol)]
 
 
 def line_of(device: tuple[str, str]) -> str:
@@ -100,6 +101,16 @@ def test_smoke_catches_most_of_the_named_faults(protocol: Protocol) -> None:
     missed = [name for _, _, name, *more in rows if name in bank and "missed" in more]
 
     assert len(missed) <= 0.12 * len(bank)
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("name", [n for n, f in fault_bank(own_protocol()).items() if f.needs])
+def test_a_soak_catches_what_only_very_many_frames_show(name: str, protocol: Protocol) -> None:
+    device = device_target(protocol, Simulator(protocol, fault_bank(protocol)[name]))
+
+    report = run_suite(device, Options(level="smoke", soak=70_000), logged=False)
+
+    assert report.exit == 1
 
 
 if __name__ == "__main__":
