@@ -35,9 +35,6 @@ def sentence(*arguments: str) -> str:
     return line.removeprefix("bilprov: ")
 
 
-# encode
-
-
 # explain
 
 
@@ -47,12 +44,6 @@ def test_explain_draws_with_ascii_where_there_is_nothing_else() -> None:
 
     assert "====" in shown
     assert "\\u" not in shown
-
-
-# spec
-
-
-# another grammar
 
 
 # ports, completion
