@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.port_list import drawn, unseen
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
@@ -17,22 +16,12 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support.commands import command, process
 
-PROTOCOL = load_protocol()
-
 
 def text(*arguments: str) -> str:
     result = command(*arguments)
     assert (result.returncode, result.stderr) == (0, b"")
     assert b"\x1b" not in result.stdout
     return result.stdout.decode()
-
-
-def sentence(*arguments: str) -> str:
-    result = command(*arguments)
-    assert (result.returncode, result.stdout) == (2, b"")
-    (line,) = result.stderr.decode().splitlines()
-    assert line.startswith("bilprov: ")
-    return line.removeprefix("bilprov: ")
 
 
 # explain
