@@ -71,6 +71,11 @@ slow: setup packages ## make test, and the slowest 20 tests of it
 transcripts: setup ## write what commands print now into tests/transcripts; read the diff
 	$(BIN)/python -m pytest -n 0 --whole --rewrite-transcripts tests/test_transcripts.py
 
+verdicts: setup ## write the verdict of every fault and variant; half an hour of one core
+	mkdir -p build
+	$(BIN)/python -m tests.conformance.mutation.test_verdicts > build/verdicts.txt
+	mv build/verdicts.txt tests/conformance/mutation/verdicts.txt
+
 pairs: setup ## no device of two legal readings fails: every pair at smoke, some 3 minutes of one core
 	$(BIN)/python -m pytest $(PYTEST_ARGS) --whole tests/conformance/mutation/test_pairs.py
 

@@ -17,8 +17,8 @@ the first characters of a line give its meaning:
     + NAME, | TEXT      a file that it made or changed, and what is in it
     # TEXT              a comment
 
-A file of `GIVEN` is there where a section names it. What follows `$` is written by hand, what is
-expected by `make transcripts`.
+A file of the fixture `given` is there where a section names it. What follows `$` is written by
+hand, what is expected by `make transcripts`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import shlex
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from difflib import unified_diff
 from pathlib import Path
 from typing import Any
@@ -55,13 +55,15 @@ PAGES = sorted((ROOT / "tests" / "transcripts").glob("*.txt"))
 LONGEST = 60  # lines of a made file that are shown
 START = 1_700_000_000_000_000_000  # ns; when the captures of `@` begin, 2023-11-14T22:13:20Z
 
+TODAY = datetime.now(UTC)
+
 # What differs from run to run, from machine to machine or from version to version.
 CHANGING = [
     (rf"\b{re.escape(kit_version())}\b", "VERSION"),
     (rf"(host `?|hostname=\"|recorded on +){re.escape(socket.gethostname())}\b", r"\1HOST"),
     (r"\b[0-9a-f]{64}\b", "SHA256"),
     (r"Python [\d.]+\S*, platform [^,\n]+, pyserial [\d.]+, construct [\d.]+", "VERSIONS"),
-    (rf"{datetime.now(UTC):%Y-%m-%d}[T ][\d:.]+(?=[+Z ])", "NOW"),
+    *((rf"{TODAY + timedelta(n):%Y-%m-%d}[T ][\d:.]+(?=[+Z ])", "NOW") for n in (0, 1)),
     (r"ports here: [^;]+(; did you mean [^;]+)?;", "ports here: PORTS;"),
     (r"(?<=shard, profile)(, begun|, took_s)+", ""),  # of shards, which are shown if they differ
     (r"(?<=took\" value=\")\d+\.\d s", "T s"),
@@ -226,9 +228,9 @@ def ran(line: str, stdin: str, folder: Path, names: dict[str, str]) -> Iterator[
     )
     for mark, stream in (">", done.stdout), ("!", done.stderr):
         text = stream.decode(errors="backslashreplace").replace("\r", "\\r")
-        if mark == ">" and filters:
-            text = "\n".join(FILTERS[filters[0]](text))
         text = steady(text, folder, CHANGING + TIMED * bool(re.search(r"\bsend (sim|PORT)", line)))
+        if mark == ">" and filters:
+            text = steady("\n".join(FILTERS[filters[0]](text)), folder)
         for name, device in names.items():
             text = text.replace(device, name)
         yield from (f"{mark} {shown}".rstrip() for shown in text.splitlines())
@@ -270,7 +272,7 @@ def played(
 
 def marked(name: str) -> Any:
     """A section as a row of the test, with the marks of what it takes."""
-    waits = any(re.search(r"^& |\bsend sim( '|$)", line) for line in SECTIONS[name])
+    waits = any(re.search(r"^& |\b(send|sniff) sim\b", line) for line in SECTIONS[name])
     marks = [pytest.mark.waits] * waits
     if name.endswith("(slow)"):
         marks += [pytest.mark.slow, pytest.mark.sample(0)]

@@ -10,10 +10,8 @@ import pytest
 from bilprov import __main__ as front_door
 from bilprov.analyzer.cli.settings import PORTS
 from bilprov.analyzer.settings import COMMON, DEVICE_KEYS, FORMER, read_settings
-from tests.support import ROOT, commands
+from tests.support import commands
 from tests.support.commands import Done
-
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 
 
 @pytest.fixture

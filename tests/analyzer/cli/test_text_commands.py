@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.port_list import drawn, unseen
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
@@ -17,25 +16,12 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support.commands import command, process
 
-PROTOCOL = load_protocol()
-
 
 def text(*arguments: str) -> str:
     result = command(*arguments)
     assert (result.returncode, result.stderr) == (0, b"")
     assert b"\x1b" not in result.stdout
     return result.stdout.decode()
-
-
-def sentence(*arguments: str) -> str:
-    result = command(*arguments)
-    assert (result.returncode, result.stdout) == (2, b"")
-    (line,) = result.stderr.decode().splitlines()
-    assert line.startswith("bilprov: ")
-    return line.removeprefix("bilprov: ")
-
-
-# encode
 
 
 # explain
@@ -47,12 +33,6 @@ def test_explain_draws_with_ascii_where_there_is_nothing_else() -> None:
 
     assert "====" in shown
     assert "\\u" not in shown
-
-
-# spec
-
-
-# another grammar
 
 
 # ports, completion

@@ -13,12 +13,10 @@ from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
-from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.decoding import MS
 from tests.support.wires import running
 
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 START = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
 
 
