@@ -12,7 +12,7 @@ from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
 _MOST = 1 << 62  # instructions: numbers of some more still fit into 64 bits
-_LATEST = 1 << 80  # ns: no clock shows it, and as seconds it is a number still
+_LATEST = 1 << 62  # ns; some time later still fits into 64 bits. It is 146 years
 
 
 QUIET = 20 * MS
