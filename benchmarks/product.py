@@ -16,7 +16,7 @@ import bilprov
 from benchmarks.ceiling import Judged
 from benchmarks.commands import Skipped, bilprov_words, run
 from bilprov.analyzer.cli.sniff import PATIENCE
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from functools import partial
 from io import BufferedReader
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -35,6 +37,9 @@ from bilprov.captures.storage.messages import Contents, Order, Place, Stored, me
 from bilprov.captures.storage.records import MAGIC, Damaged
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS
+
+if TYPE_CHECKING:
+    from bilprov.captures.events import Events
 
 _CHECKPOINTS = topics.BY_VALUE[Checkpoint].channel
 
@@ -99,6 +104,14 @@ class IndexedCapture(Capture):
         Raises CaptureError if the file changed since it was opened or cannot be read.
         """
         return events_of(self, self._stored(after))
+
+    def batches(self, after: StoredCheckpoint | None = None) -> Iterator[Events]:
+        """Yield all that `events` yields, as arrays."""
+        from bilprov.captures.events import Events
+
+        events = self.events(after)
+        while some := list(islice(events, 4096)):
+            yield Events.of(some)
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, as `events` does."""

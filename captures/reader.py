@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
 from io import BufferedReader
+from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -39,6 +40,9 @@ from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.storage.recovery import WINDOW, RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
 from bilprov.captures.text import printable
+
+if TYPE_CHECKING:
+    from bilprov.captures.events import Events
 
 TOPICS_SHOWN = 10
 _FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
@@ -119,6 +123,14 @@ class Capture:
         CaptureError if the file changed since it was opened or cannot be read.
         """
         return events_of(self, self._stored())
+
+    def batches(self) -> Iterator[Events]:
+        """Yield all that `events` yields, as arrays. Raises CaptureError as `events` does."""
+        from bilprov.captures.events import Events
+
+        events = self.events()
+        while some := list(islice(events, 4096)):
+            yield Events.of(some)
 
     def sights(self) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order.

@@ -12,7 +12,7 @@ import click
 
 from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError

@@ -70,9 +70,14 @@ class Kinds(NamedTuple):
         return self if mask is None else Kinds(self.code[mask], self.kinds)
 
     @property
+    def amounts(self) -> NDArray[np.int64]:
+        """How many each of `kinds` are."""
+        return np.array([len(kinds) for kinds in self.kinds], np.int64)
+
+    @property
     def serious(self) -> Mask:
         """Which rows have one."""
-        return np.array([bool(kinds) for kinds in self.kinds], np.bool_).take(self.code)
+        return self.amounts.take(self.code) > 0
 
 
 class StateColumns:
@@ -222,6 +227,11 @@ class Batch(ABC):
 
     @property
     @abstractmethod
+    def device_count(self) -> int:
+        """How many rows of the device there are."""
+
+    @property
+    @abstractmethod
     def hosts(self) -> HostRows:
         """The host's rows."""
 
@@ -281,6 +291,13 @@ class Batch(ABC):
         return Selection(*((t >= low) & (t < high) for t in sides))
 
     @property
+    def fault_count(self) -> int:
+        """How many anomalies there are, without those of severity info."""
+        sides = (self.hosts.faults, self.devices.faults)
+        count = sum(int(kinds.amounts.take(kinds.code).sum()) for kinds in sides)
+        return count + sum(len(serious_faults(record)) for record in self.others.listed)
+
+    @property
     def serious(self) -> Selection:
         """The rows with an anomaly that is a warning or an error."""
         other = [bool(serious_faults(record)) for record in self.others.listed]
@@ -302,6 +319,16 @@ class Records(Batch):
     def host_count(self) -> int:
         """How many rows of the host there are, garbage left out."""
         return sum(1 for record in self._listed if type(record) is HostRecord and record.judgement)
+
+    @property
+    def device_count(self) -> int:
+        """How many rows of the device there are."""
+        return sum(1 for record in self._listed if type(record) is DeviceRecord)
+
+    @property
+    def fault_count(self) -> int:
+        """How many anomalies there are, without those of severity info."""
+        return sum(len(serious_faults(record)) for record in self._listed)
 
     def records(self, chosen: Selection | None = None) -> Sequence[Record]:
         """The rows in order as records; the chosen ones, None for all."""

@@ -103,6 +103,11 @@ class RegularBatch(Batch):
         """How many rows of the host there are, garbage left out."""
         return len(self.start)
 
+    @property
+    def device_count(self) -> int:
+        """How many rows of the device there are."""
+        return len(self.t)
+
     @cached_property
     def hosts(self) -> HostRows:
         """The host's rows."""

@@ -21,7 +21,8 @@ from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from bilprov.analyzer.decode.batch import Batch
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
@@ -211,7 +212,7 @@ def _selected_times(
     return near
 
 
-def _note(near: _Times, shown: Shown, parts: list[Part]) -> None:
+def _note(near: _Times, shown: Shown, parts: list[Batch]) -> None:
     times = [record.t for part in parts for record in shown.show(part).records()]
     if times:
         near.add(min(times) - AFTERMATH, max(times) + AFTERMATH)

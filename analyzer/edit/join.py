@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from msgspec.structs import replace
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings

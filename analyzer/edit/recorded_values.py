@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.replay.recorder import RecordWriter

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.captures.events import Events
 from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed
 from bilprov.captures.reader import Capture, Recorded, open_capture
 from bilprov.captures.schemas import Chunk, Line
@@ -18,7 +19,7 @@ from bilprov.spec.protocol import Protocol
 
 
 class Opened(NamedTuple):
-    """A capture, a decoder, and the events that the decoder needs from where it stands on.
+    """A capture, and a decoder that stands at its beginning or at a checkpoint.
 
     `note` is a sentence for the user, "" if there is none. `after` is the checkpoint that the
     decoder has gone on from, None at the beginning.
@@ -26,9 +27,20 @@ class Opened(NamedTuple):
 
     capture: Capture
     decoder: StreamDecoder
-    events: Callable[[], Iterator[Chunk | Line]]
     note: str = ""
     after: StoredCheckpoint | None = None
+
+    def events(self) -> Iterator[Chunk | Line]:
+        """The events from there on, one by one."""
+        if isinstance(self.capture, IndexedCapture):
+            return self.capture.events(self.after)
+        return self.capture.events()
+
+    def batches(self) -> Iterator[Events]:
+        """The events from there on, as arrays."""
+        if isinstance(self.capture, IndexedCapture):
+            return self.capture.batches(self.after)
+        return self.capture.batches()
 
     def recorded(self) -> Iterator[Recorded]:
         """All that was recorded from there on and not decoded from the bytes."""
@@ -57,7 +69,7 @@ def opened_at(
             f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
             "which is slow in a long capture"
         )
-    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events, note)
+    return Opened(capture, capture_decoder(capture, protocol, timeout), note)
 
 
 def _from_checkpoint(
@@ -74,4 +86,4 @@ def _from_checkpoint(
         decoder.resume(state)
     except ValueError:  # it was saved with other settings
         return None
-    return Opened(capture, decoder, lambda: capture.events(stored), after=stored)
+    return Opened(capture, decoder, after=stored)

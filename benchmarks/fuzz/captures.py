@@ -39,7 +39,7 @@ from bilprov.analyzer.output.capture_info import summarized
 from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
-from bilprov.analyzer.replay.capture_parts import decoded_parts
+from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.replay.seek import opened_at

@@ -12,7 +12,7 @@ import msgspec
 from benchmarks.fuzz.engine import Target, Test, require
 from benchmarks.fuzz.mutators import json_mutator, mutated_bytes
 from bilprov.analyzer.columns import decoder as columns
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.json_lines import json_line

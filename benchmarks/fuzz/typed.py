@@ -15,7 +15,7 @@ from benchmarks.fuzz.traffic import columns_at_once
 from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, bytes_or_pause
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord

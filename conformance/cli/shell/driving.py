@@ -8,7 +8,7 @@ from functools import partial
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
-from bilprov.analyzer.columns.decoder import Records
+from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import StreamOutput, write_out

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.columns import timeline
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.columns.timeline import Timeline
 from bilprov.analyzer.decode.records import (
     HostRecord,
@@ -22,6 +21,7 @@ from bilprov.analyzer.decode.records import (
     serious_faults,
     written_state,
 )
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from typing import Literal
 
 import pytest
+from bilprov.analyzer.decode.stream import StreamDecoder
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record, Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line

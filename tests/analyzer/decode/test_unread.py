@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable, Sequence
 
 import pytest
+from bilprov.analyzer.decode.stream import StreamDecoder
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.monitor.passive_judge import Findings, PassiveJudge
 from bilprov.captures.schemas import MS, Chunk, Line

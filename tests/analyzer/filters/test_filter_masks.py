@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.filters.filter import Filter, compile_filter

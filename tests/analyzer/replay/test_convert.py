@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from bilprov.analyzer.api import read_capture
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.conversion import write_decoded

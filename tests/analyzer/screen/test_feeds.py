@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.filters.filter import compile_filter
