@@ -20,13 +20,6 @@ QUIET = 20 * MS
 """Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
 
 
-GROUP = 256
-"""A WaitingFrames begins with each instruction whose number is a multiple of this.
-
-So what has many that wait is saved again and again without copying all of them.
-"""
-
-
 class WaitingFrames(msgspec.Struct, frozen=True):
     """Instructions that wait for an answer: whole frames, of which the last may be cut short.
 

@@ -32,7 +32,7 @@ from bilprov.analyzer.decode.batch import (
     sliced,
     written,
 )
-from bilprov.analyzer.decode.checkpoint import GROUP, QUIET, DecoderState, WaitingFrames
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS, unpaired_record
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
@@ -348,8 +348,7 @@ class RegularDecoder:
 
     def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
         """Yield the waiting frames, those with equal times together."""
-        number = carry.rest.sequence - len(carry.end) + np.arange(len(carry.end))
-        first = np.flatnonzero((np.diff(carry.end, prepend=-1) != 0) | (number % GROUP == 0))
+        first = np.flatnonzero(np.diff(carry.end, prepend=-1))
         bounds = [*carry.frames.offset[first].tolist(), carry.begun]
         for end, (low, high) in zip(carry.end[first].tolist(), pairwise(bounds), strict=True):
             yield WaitingFrames(end, end + self._longest, carry.data[low:high].tobytes())

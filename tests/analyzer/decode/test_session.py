@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Literal
 
 import pytest
-from bilprov.analyzer.decode.stream import StreamDecoder
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record, Severity
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds

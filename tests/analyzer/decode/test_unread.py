@@ -6,9 +6,9 @@ import random
 from collections.abc import Callable, Sequence
 
 import pytest
-from bilprov.analyzer.decode.stream import StreamDecoder
 
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import Findings, PassiveJudge
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import judge
