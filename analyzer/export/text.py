@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, BinaryIO
 
-from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import NoOutput, Shown, TextForm, Window
@@ -65,6 +64,5 @@ def _write(
 ) -> None:
     shown = Shown(NoOutput(), test, window=window)
     for decoded in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
-        part = shown.show(decoded)
-        text = form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
+        text = form.text(shown.show(decoded).records())
         stream.write(text.encode("utf-8", "backslashreplace"))
