@@ -24,7 +24,7 @@ from bilprov.analyzer.output.row_columns import (
     Value,
     converted,
 )
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_parts
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_batches
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
@@ -70,7 +70,7 @@ def write_parquet(
     shown = Shown(NoOutput(), test, window=window)
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
         waiting: list[Any] = []
-        for batch in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
+        for batch in decoded_batches(capture, protocol, progress, window, TEXT_BATCH):
             arrays = _arrays(pa, shown.show(batch).records(), columns, schema, capture.start)
             try:
                 waiting.append(pa.record_batch(list(arrays), schema=schema))

@@ -112,9 +112,9 @@ def write_pcapng(
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
-    for batch in event_batches(capture, progress, window, TEXT_BATCH):
-        packets.take(decoder.feed(batch))
-        stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
+    for events in event_batches(capture.batches(), progress, window, TEXT_BATCH):
+        packets.take(decoder.decode(events))
+        stream.write(blocks.of(packets.settled(decoder, int(events.t[-1]))))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
 
