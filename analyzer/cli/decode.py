@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -17,12 +17,12 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
-from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.decode.stream import StreamDecoder
+    from bilprov.analyzer.decode.batch import Batch
 
 PIECE = 1 << 16  # bytes
 
@@ -71,12 +71,9 @@ def decode(
 
         Shown(out, test.started(0)).show(Records(records))
         return
-    decoder, events, start = _input(source, sender, protocol)
+    batches, start = _decoded(source, sender, protocol)
     shown = Shown(out, test and test.started(start))
-    for together in events:
-        for batch in decoder.feed(together):
-            shown.show(batch)
-    for batch in decoder.finish():
+    for batch in batches:
         shown.show(batch)
 
 
@@ -94,26 +91,23 @@ def _source(words: Sequence[str]) -> bytes | Path | None:
         raise click.ClickException(f"{files}{error}") from None
 
 
-def _input(
+def _decoded(
     path: Path | None, sender: Direction, protocol: Protocol
-) -> tuple[StreamDecoder, Iterable[Sequence[Chunk | Line]], int]:
-    """The decoder and the events to decode, from a file or standard input.
+) -> tuple[Iterator[Batch], int]:
+    """What is decoded from a file, or from standard input as it comes.
 
-    And the wall clock (ns since 1970) at their start, 0 where nobody knows it.
+    And the wall clock (ns since 1970) at its start, 0 where nobody knows it.
     """
     if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
-        from bilprov.analyzer.decode.stream import StreamDecoder
-
-        return StreamDecoder(protocol, heard=frozenset({sender})), _pieces(path, sender), 0
+        return _of_bytes(path, sender, protocol), 0
+    from bilprov.analyzer.replay.capture_parts import decoded
     from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
-    from bilprov.analyzer.replay.playback import batches
     from bilprov.captures.reader import open_capture
 
     capture = open_capture(path)
     for sentence in said_about(capture, protocol):
         note(sentence)
-    events = batches(capture.events(), at_once=True)
-    return capture_decoder(capture, protocol), events, capture.start
+    return decoded(capture_decoder(capture, protocol), capture.batches()), capture.start
 
 
 def _is_file(path: Path) -> bool:
@@ -135,15 +129,19 @@ def _begins_like_a_capture(path: Path) -> bool:
         raise _unreadable(path, error) from error
 
 
-def _pieces(path: Path | None, sender: Direction) -> Iterator[list[Chunk]]:
-    """Yield the bytes of a file, or of standard input as they come, as chunks."""
+def _of_bytes(path: Path | None, sender: Direction, protocol: Protocol) -> Iterator[Batch]:
+    """Yield what is decoded from the bytes of a file, or of standard input as they come."""
+    from bilprov.analyzer.decode.stream import StreamDecoder
+
+    decoder = StreamDecoder(protocol, heard=frozenset({sender}))
     try:
         # Unbuffered, so that bytes from a pipe are shown at once.
         with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
             while data := file.read(PIECE):
-                yield [Chunk(0, sender, data)]
+                yield from decoder.feed([Chunk(0, sender, data)])
     except OSError as error:
         raise _unreadable(path or Path("standard input"), error) from error
+    yield from decoder.finish()
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:
