@@ -11,6 +11,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.columns.decoder import Part, Records
+
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_parts import WHOLE

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
-
 from bilprov.analyzer.columns.decoder import Part, Records
 from bilprov.analyzer.columns.stretch import Decoding, Stretch
+from numpy.typing import NDArray
+
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,

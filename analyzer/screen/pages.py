@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
 import numpy as np
-from numpy.typing import NDArray
-
 from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
 from bilprov.analyzer.columns.stretch import Span, Stretch
+from numpy.typing import NDArray
+
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, serious_faults
 

@@ -13,8 +13,8 @@ from threading import Event, RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
-
 from bilprov.analyzer.columns.decoder import Part, Records
+
 from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.screen.packed import Packed, PackedStretch, packed
