@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
+from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture

@@ -10,18 +10,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from functools import partial
 from io import BufferedReader
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.events import Events
 from bilprov.captures.parts import kept_parts, merged, volumes_of
 from bilprov.captures.reader import (
     Capture,
     Recorded,
+    batches_of,
     capture_of,
     events_of,
     first_expected,
@@ -32,14 +32,12 @@ from bilprov.captures.reader import (
 )
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
+from bilprov.captures.storage.blocks import Stored
 from bilprov.captures.storage.index import Index, IndexedChunk, read_index
-from bilprov.captures.storage.messages import Contents, Order, Place, Stored, messages_after
+from bilprov.captures.storage.messages import Contents, Order, Part, Place, parts_after, single
 from bilprov.captures.storage.records import MAGIC, Damaged
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.storage.survey import JSON_ERRORS
-
-if TYPE_CHECKING:
-    from bilprov.captures.events import Events
 
 _CHECKPOINTS = topics.BY_VALUE[Checkpoint].channel
 
@@ -106,12 +104,8 @@ class IndexedCapture(Capture):
         return events_of(self, self._stored(after))
 
     def batches(self, after: StoredCheckpoint | None = None) -> Iterator[Events]:
-        """Yield all that `events` yields, as arrays."""
-        from bilprov.captures.events import Events
-
-        events = self.events(after)
-        while some := list(islice(events, 4096)):
-            yield Events.of(some)
+        """Yield the same as `events(after)` as arrays."""
+        return batches_of(self, self._parts(after))
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, as `events` does."""
@@ -122,12 +116,15 @@ class IndexedCapture(Capture):
         return recorded_of(self, self._stored(after))
 
     def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
+        return single(self._parts(after))
+
+    def _parts(self, after: StoredCheckpoint | None = None) -> Iterator[Part]:
         order = Order(first_expected(self))
         first = after.volume if after else 0
 
-        def read(place: Place | None, file: BufferedReader, contents: Contents) -> Iterator[Stored]:
+        def read(place: Place | None, file: BufferedReader, contents: Contents) -> Iterator[Part]:
             _check_size(file.fileno(), contents.size)
-            yield from messages_after(file, contents, order, place)
+            yield from parts_after(file, contents, order, place)
             _check_size(file.fileno(), contents.size)
 
         volumes = list(self.volumes[first:])

@@ -127,7 +127,7 @@ def merged(volumes: Sequence[Volume]) -> Contents:
 def start_of(contents: Contents) -> int:
     """The wall clock in ns from which the times of a file count."""
     for text in contents.starts:
-        if text.isascii() and text.isdigit() and len(text) <= 20:
+        if text.isascii() and text.isdigit() and len(text) <= 20 and int(text) < 1 << 64:
             return int(text)
     return contents.first
 

@@ -29,6 +29,7 @@ Each line is one object, always with these keys in this order. A key that does n
 from __future__ import annotations
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import (
     Anomaly,
@@ -40,6 +41,7 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
+from bilprov.spec.codec import Judgement
 
 
 class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -62,6 +64,10 @@ class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
 
 encode = msgspec.json.Encoder().encode
+encode_lines = msgspec.json.Encoder().encode_lines
+
+_REMEMBERED = 1 << 14
+_frames: dict[bytes, tuple[Judgement, JsonLine]] = {}  # the judgement of frames, and a line of each
 
 
 def json_line(record: Record) -> JsonLine | None:
@@ -83,6 +89,19 @@ def _kinds(record: Record) -> tuple[str, ...]:
 
 
 def _host_line(record: HostRecord) -> JsonLine:
+    """The line of host bytes. Of a frame that came before only what has changed is made anew."""
+    judgement = record.judgement
+    if judgement is None:
+        return _bytes_line(record)
+    known = _frames.get(judgement.frame)
+    if known is None or known[0] is not judgement:
+        if len(_frames) >= _REMEMBERED:
+            _frames.clear()
+        known = _frames[judgement.frame] = judgement, _bytes_line(record)
+    return replace(known[1], t=record.t / 1e9, state=record.state, sequence=record.sequence)
+
+
+def _bytes_line(record: HostRecord) -> JsonLine:
     judgement = record.judgement
     spec = judgement.instruction if judgement else None
     return JsonLine(
@@ -113,7 +132,7 @@ def _device_line(record: DeviceRecord) -> JsonLine:
         state=record.state,
         answers=record.instruction,
         agrees=record.agrees,
-        faults=_kinds(record),
+        faults=_kinds(record) if record.faults else (),
     )
 
 

@@ -26,10 +26,10 @@ from enum import IntEnum
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
-from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, event_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
@@ -40,7 +40,6 @@ from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.filters.filter import Filter
 
 LINKTYPE_RTAC_SERIAL = 250
@@ -113,15 +112,15 @@ def write_pcapng(
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
-    for batch in event_batches(capture, progress, window, TEXT_BATCH):
-        packets.take(decoder.feed(batch))
-        stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
+    for events in event_batches(capture.batches(), progress, window, TEXT_BATCH):
+        packets.take(decoder.decode(events))
+        stream.write(blocks.of(packets.settled(decoder, int(events.t[-1]))))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
 
 
 class _Packets:
-    """Chooses among decoded parts, and makes packets of them in the order of time.
+    """Chooses among decoded rows, and makes packets of them in the order of time.
 
     A frame is decoded when it is known to be over, an answer when it is known what it answers: so
     packets wait until nothing that is older can follow. `paired` is true if both directions were
@@ -132,20 +131,20 @@ class _Packets:
         self._test = test
         self._window = window
         self._paired = paired
-        self._everything = test is None and window == Window()
         # Chosen instructions whose answers may follow; bounded, since a device may never answer.
         self._asked: deque[int] = deque(maxlen=_MOST_ASKED)
         self._waiting: list[Packet] = []
 
-    def take(self, parts: Iterable[Part]) -> None:
-        """Make packets of the next decoded parts."""
-        for part in parts:
-            if isinstance(part, Records):
-                self._waiting += self._of_records(part.listed)
-            elif self._everything:
-                self._waiting += _of_stretch(part)
-            else:
-                self._waiting += self._of_records(self._chosen(part))
+    def take(self, batches: Iterable[Batch]) -> None:
+        """Make packets of the next batches."""
+        for batch in batches:
+            inside = batch.inside(self._window.first, self._window.after)
+            passing = inside if self._test is None else inside & self._test.selection(batch)
+            self._waiting += self._packets(
+                batch.records(),
+                batch.in_order(inside).tolist(),
+                batch.in_order(passing).tolist(),
+            )
 
     def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
         """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
@@ -166,50 +165,28 @@ class _Packets:
         packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
         return packets
 
-    def _of_records(self, records: Iterable[Record]) -> Iterator[Packet]:
-        """Yield the packets of the records that are chosen."""
-        for record in records:
+    def _packets(
+        self, records: Iterable[Record], inside: Iterable[bool], passing: Iterable[bool]
+    ) -> Iterator[Packet]:
+        """Yield the packets of the records that pass, and those of the answers that they bring."""
+        for record, is_inside, passes in zip(records, inside, passing, strict=True):
             if isinstance(record, DeviceRecord):
                 brought = self._brought(record.instruction)
-                if self._window.has(record.t) and (brought or self._passes(record)):
+                if passes or (brought and is_inside):
                     yield _of_answer(record, stray=self._paired and not brought)
-            elif self._window.has(record.t) and self._passes(record):
-                if isinstance(record, HostRecord):
-                    if record.sequence is not None and not self._everything:
-                        self._asked.append(record.sequence)
-                    yield from _of_host(record)
-                elif isinstance(record, LineRecord):
-                    yield _of_line(record.value)
-
-    def _passes(self, record: Record) -> bool:
-        if self._test is None:
-            return True
-        line = json_line(record)
-        return line is not None and self._test(line)
+            elif passes and isinstance(record, HostRecord):
+                if record.sequence is not None:
+                    self._asked.append(record.sequence)
+                yield from _of_host(record)
+            elif passes and isinstance(record, LineRecord):
+                yield _of_line(record.value)
 
     def _brought(self, instruction: int | None) -> bool:
         """Whether an answer's instruction is in the file, so that the answer is too."""
-        if instruction is None or self._everything:
-            return instruction is not None
         asked = self._asked
-        while asked and asked[0] < instruction:  # answers come in order
-            asked.popleft()
+        while asked and instruction is not None and asked[0] < instruction:
+            asked.popleft()  # answers come in order
         return bool(asked) and asked[0] == instruction
-
-    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
-        """Yield the records of a stretch that pass, and the answers that they may bring."""
-        host, device = stretch.inside(self._window.first, self._window.after)
-        brought = device
-        if self._test is not None:
-            passing = self._test.masks(stretch)
-            host, device = host & passing[0], device & passing[1]
-        if stretch.decoding.paired:
-            carried, asked = stretch.carried, set(self._asked)
-            rows = [row for row in range(carried) if stretch.sequence + row in asked]
-            rows += (host.nonzero()[0] + carried).tolist()
-            answered = [row for row in rows if row < len(device)]
-            device[answered] |= brought[answered]
-        return stretch.chosen(host, device, [True] * len(stretch.lines))
 
 
 def _of_host(record: HostRecord) -> Iterator[Packet]:
@@ -240,24 +217,7 @@ def _of_line(line: Line) -> Packet:
     return Packet(line.t, interface, event, b"", comment, lines)
 
 
-def _of_stretch(stretch: Stretch) -> Iterator[Packet]:
-    """Yield the packets of all rows; every answer is one to an instruction."""
-    frames = stretch.frame_bytes(slice(stretch.carried, None))
-    ends = stretch.end[stretch.carried :].tolist()
-    answers, times = stretch.byte.tolist(), stretch.t.tolist()
-    for side, start, stop, _ in stretch.spans:
-        if side == "host":
-            for row in range(start - stretch.carried, stop - stretch.carried):
-                yield Packet(ends[row], 0, Event.DATA_TX_START, frames[row])
-        elif side == "device":
-            for row in range(start, stop):
-                yield Packet(times[row], 1, Event.DATA_RX_START, _ONE_BYTE[answers[row]])
-        else:
-            yield _of_line(stretch.lines[start])
-
-
 _MOST_ASKED = 1 << 18
-_ONE_BYTE = [bytes([byte]) for byte in range(256)]
 
 
 # The format: https://ietf-opsawg-wg.github.io/draft-ietf-opsawg-pcap/draft-ietf-opsawg-pcapng.html

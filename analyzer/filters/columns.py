@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
-
 from bilprov.analyzer.columns.kinds import device_kinds, host_kinds
 from bilprov.analyzer.columns.stretch import Stretch
+from numpy.typing import NDArray
+
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY

@@ -12,6 +12,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.columns.stretch import Stretch
+
     from bilprov.analyzer.filters.columns import Mask
 
 

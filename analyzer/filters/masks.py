@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from bilprov.analyzer.columns.stretch import Stretch
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.filters.columns import (
     Column,
     DeviceRows,

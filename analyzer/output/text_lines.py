@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import click
 
@@ -23,9 +22,6 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import Line, State
 from bilprov.captures.text import printable
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
 WORDS_WIDTH = 22
@@ -59,13 +55,9 @@ class LineRenderer:
         self._device = lru_cache(maxsize=8192)(self._device_text)
         self._state = lru_cache(maxsize=8192)(self._state_text)
 
-    def records(self, records: Iterable[Record]) -> str:
+    def text(self, records: Iterable[Record]) -> str:
         """Render the lines of the records, each with its newline."""
         return "".join([f"{self.line(record)}\n" for record in records])
-
-    def stretch(self, stretch: Stretch) -> str:
-        """Render the lines of all records of a stretch."""
-        return self.records(stretch.records())
 
     def line(self, record: Record) -> str:
         """Render one line without its newline, safe for a terminal and for a pipe."""

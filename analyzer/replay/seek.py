@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.captures.events import Events
 from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed

@@ -133,6 +133,7 @@ def _read_index(file: BufferedReader, size: int) -> Index:
         size=size,
         regions=((len(MAGIC), size),),
         own=True,
+        in_order=True,
         counted=True,
         library=library,
         metadata=metadata,

@@ -7,12 +7,16 @@ import re
 import zlib
 from collections.abc import Callable
 from io import BufferedReader
+from struct import Struct
 from typing import Final, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
+from bilprov.captures.storage.blocks import message_starts
 from bilprov.captures.storage.records import CHUNK_BYTES, CutOff, Damaged
 
 SKIPPED: Final = -1
@@ -42,6 +46,7 @@ CHUNK_FRONT = re.compile(
 ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 """Largest size in bytes of an attachment record, its names included."""
 
+_INDEX_FRONT = Struct("<BQHI")  # opcode, length, channel, bytes of the entries
 INDEX_RECORDS = {0x08, 0x0A, records.STATISTICS, 0x0D, 0x0E, records.FOOTER}
 
 CHECKS: dict[int, Callable[[bytes, bool], object]] = {
@@ -108,6 +113,28 @@ class RecordFile:
         if opcode == records.MESSAGE:
             return self._message(length, end)
         return self._other(opcode, length, end)
+
+    def messages(self, chunk: Found) -> tuple[NDArray[np.int64], int]:
+        """Where the messages of a chunk begin, and the offset behind its message indexes.
+
+        Raises Damaged if a record in the chunk is inconsistent.
+        """
+        end = chunk.end
+        entries = []
+        self._file.seek(end)
+        while True:
+            head = self._file.read(_INDEX_FRONT.size)
+            if len(head) < _INDEX_FRONT.size:
+                break
+            opcode, length, _, size = _INDEX_FRONT.unpack(head)
+            if opcode != records.MESSAGE_INDEX or size + 6 != length or size > len(chunk.content):
+                break
+            entry = self._file.read(size)
+            if size % 16 or len(entry) < size:
+                break
+            entries.append(entry)
+            end += _INDEX_FRONT.size + size
+        return message_starts(chunk.content, b"".join(entries)), end
 
     def next_chunk(self, offset: int, until: int | None = None) -> int | None:
         """Find the start of the next chunk with a correct checksum, at `offset` or later, or None.

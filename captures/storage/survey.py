@@ -81,6 +81,8 @@ class _Survey:
         self._verified: set[int] = set()
         self._tally = _Tally()
         self._order: TimeWindow[None] = TimeWindow()
+        self._in_order = True
+        self._latest = 0
         self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
@@ -135,6 +137,7 @@ class _Survey:
             size=self._size,
             regions=tuple(self._regions),
             own=own,
+            in_order=self._in_order,
             counted=self._library.startswith(records.OWN_LIBRARY),
             library=self._library,
             metadata=self._metadata,
@@ -233,6 +236,8 @@ class _Survey:
             return
         tally.message(channel, time, size)
         if not self._records.own:
+            self._in_order &= time >= self._latest
+            self._latest = time
             for _ in self._order.push(time, size, None):
                 pass
         if channel in lines:

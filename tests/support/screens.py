@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bilprov.analyzer.columns.decoder import Part
 from textual.pilot import Pilot
 
-from bilprov.analyzer.columns.decoder import Part
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.recording import Recording

@@ -7,12 +7,12 @@ from random import Random
 from typing import Any
 
 import pytest
+from bilprov.analyzer.columns.stretch import Stretch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.columns.stretch import Stretch
 from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build, judge, nearest

@@ -8,10 +8,10 @@ import json
 from typing import Any
 
 import pytest
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from hypothesis import given, settings
 
-from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.spec.protocol import Protocol

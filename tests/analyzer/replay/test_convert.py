@@ -18,9 +18,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from bilprov.analyzer.api import read_capture
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.conversion import write_decoded
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
 from bilprov.analyzer.replay.seek import opened_at

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Input
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.row_columns import TimeStyle

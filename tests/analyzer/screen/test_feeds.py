@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import Times

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import Records, StreamDecoder
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import serious_faults
 from bilprov.analyzer.filters.filter import compile_filter
