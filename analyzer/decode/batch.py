@@ -314,6 +314,9 @@ class Records(Batch):
     def __init__(self, listed: Sequence[Record]) -> None:
         self._listed = listed
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Records, (self._listed,)  # without what is worked out from them
+
     def __len__(self) -> int:
         return len(self._listed)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise, repeat
 from typing import Any, NamedTuple
@@ -94,6 +94,10 @@ class RegularBatch(Batch):
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = [getattr(self, field.name) for field in fields(self)]
+        return RegularBatch, tuple(kept)  # without what is worked out from them
 
     def __len__(self) -> int:
         return len(self.start) + len(self.t) + len(self.lines)
@@ -414,6 +418,7 @@ class RegularDecoder:
         # What comes in the first `cut` events.
         chunks, answers = int(host.before[cut]), int(device.before[cut])
         rows = int(come[chunks])
+        begun = int(until[rows - carried - 1]) if rows > carried else before.begun
         heard = len(held) + (int(device.bytes[answers - 1]) if answers else 0)
         given = min(heard, rows) if paired else heard
         new_frames = frames.rows(slice(carried, rows))
@@ -425,7 +430,7 @@ class RegularDecoder:
         upto = np.append(0, device.bytes)[device.before[line_event]] + len(held)
         batch = RegularBatch(
             decoding=self._decoding,
-            data=data,
+            data=data[:begun],
             frames=frames.rows(slice(rows)),
             carried=carried,
             first=rest.sequence - carried,
@@ -447,7 +452,6 @@ class RegularDecoder:
 
         # What is left: the frames without an answer, and the open frame.
         said = int(bounds[chunks - 1]) if chunks else len(before.data)
-        begun = int(until[rows - carried - 1]) if rows > carried else before.begun
         begun_in = int(np.searchsorted(bounds, begun, "right"))
         kept = given if paired else rows
         out_of_step = rest.out_of_step
