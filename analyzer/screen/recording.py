@@ -112,6 +112,7 @@ class Recording:
             with self.lock:
                 row = max(row, self.first)
                 block = self._block_of(row)
+                batch: Batch
                 if block.packed is None:
                     first, batch = row, Records(self._listed[row - block.first :])
                 else:

@@ -162,9 +162,9 @@ def exporting() -> Test:
             for chosen in (None, faulty.started(capture.start)):
                 _export(capture, chosen)
             totals, timeline = Totals(protocol), Timeline(protocol)
-            for part in decoded_parts(capture, protocol, lambda count: None):
-                totals.add(part)
-                timeline.add(part)
+            for batch in decoded_batches(capture, protocol, lambda count: None):
+                totals.add(batch)
+                timeline.add(batch)
         stats = file_stats(capture, totals, capture_line(capture, protocol))
         msgspec.json.encode(stats)
         require("</html>" in plot_page(capture, protocol, timeline, stats, "0"), "half a page")

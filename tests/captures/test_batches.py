@@ -1,4 +1,4 @@
-"""Captures as arrays: the same events in the same order as one by one, whatever the file is like."""
+"""Captures as arrays: the same events in the same order as one by one, whatever the file."""
 
 from __future__ import annotations
 
