@@ -110,7 +110,7 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
     decoder = StreamDecoder(protocol, skew=0)
     statistics = Statistics()
-    with Recorder(path, time.time_ns(), _metadata(protocol)) as recorder:
+    with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(NoOutput())
         pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
         pipeline.events([Line(0, "open")])
@@ -125,8 +125,8 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
 
 @contextmanager
 def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
-    """A capture of the raw bytes alone, for a file that `sniffing` would take too long to make."""
-    words = _metadata(protocol)
+    """A capture of the raw bytes alone, in the chunks that `sniff -w` makes."""
+    words = metadata(protocol)
     with CaptureWriter(path, start_wall=time.time_ns(), metadata=words, version="bench") as writer:
 
         def take(chunk: Chunk) -> None:
@@ -136,7 +136,8 @@ def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object
         yield take
 
 
-def _metadata(protocol: Protocol) -> dict[str, str]:
+def metadata(protocol: Protocol) -> dict[str, str]:
+    """What a capture of two taps says of itself, but for its start."""
     return session_metadata(
         protocol,
         ports={"host": "bench", "device": "bench"},
