@@ -46,8 +46,7 @@ from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Asked, CaseMark, Checkpoint, Chunk, Look, Resumption
 from bilprov.captures.storage.records import MAGIC
 

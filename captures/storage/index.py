@@ -33,15 +33,6 @@ _MAP_ITEM = Struct("<H8x")  # a channel that the chunk has messages of, and wher
 
 
 @dataclass(frozen=True, slots=True)
-class IndexedChunk:
-    """A chunk as the index describes it: its first log time (ns), offset and size in the file."""
-
-    first: int
-    offset: int
-    size: int
-
-
-@dataclass(frozen=True, slots=True)
 class Index:
     """The contents of a file as its index tells them, without bytes by topic; and its chunks.
 
@@ -53,20 +44,20 @@ class Index:
     summary: bytes = field(repr=False)
     entries: list[int] = field(repr=False)  # the offset of each chunk's entry in the summary
 
-    def chunks_before(self, time: int, channel: int) -> Iterator[IndexedChunk]:
-        """Yield the chunks with messages on `channel` that begin before the log time `time` (ns).
+    def chunks_before(self, time: int, channel: int) -> Iterator[int]:
+        """Yield the offsets of the chunks with messages on `channel` that begin before `time` (ns).
 
         The last one in the file comes first.
         """
         for at in reversed(self.entries):
-            _, length, first, _, offset, size, map_length = _ENTRY.unpack_from(self.summary, at)
+            _, length, first, _, offset, _, map_length = _ENTRY.unpack_from(self.summary, at)
             start = at + _ENTRY.size
             if first >= time or start + map_length > at + RECORD_HEAD.size + length:
                 continue
             if map_length % 10 == 0 and channel in {
                 of for (of,) in _MAP_ITEM.iter_unpack(self.summary[start : start + map_length])
             }:
-                yield IndexedChunk(first, offset, size)
+                yield offset
 
 
 def read_index(file: BufferedReader, size: int) -> Index | None:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
+import msgspec
+
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
 """The prefix of the library's name in our own files."""
@@ -39,6 +41,9 @@ ATTACHMENT_BYTES: Final = 64 * 1024 * 1024  # of one attachment whose content is
 CHANNELS: Final = 64  # in one file
 PAIRS: Final = 4096  # of one map of strings
 DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas and channels
+
+JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
+"""Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
 
 _COUNTS = struct.Struct("<QHIIIIQQI")
 _COUNT = struct.Struct("<HQ")
@@ -258,25 +263,6 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
-
-
-def messages_in(content: bytes) -> list[tuple[int, int]]:
-    """The start and the end of the content of each message in a chunk's unpacked bytes.
-
-    Raises Damaged if a record is inconsistent.
-    """
-    return [(start, end) for opcode, start, end in records_in(content) if opcode == MESSAGE]
-
-
-def sequences_from(content: bytes, start: int, expected: int) -> int:
-    """How many sequence numbers lie between the expected one and that of a message.
-
-    `start` is where the content of the message starts. A negative number means that it was met
-    before; sequences have 32 bits and begin anew after the last.
-    """
-    sequence = MESSAGE_HEAD.unpack_from(content, start)[1]
-    ahead: int = (sequence - expected) & 0xFFFF_FFFF
-    return ahead if ahead < 1 << 31 else ahead - (1 << 32)
 
 
 def _ends(cursor: Cursor, own: bool) -> None:

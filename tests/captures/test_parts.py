@@ -16,9 +16,8 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.indexed import open_indexed
 from bilprov.captures.parts import part_path, part_paths, require_new, said_of_parts
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.storage.survey import surveyed
 from bilprov.captures.writer import CaptureWriter
