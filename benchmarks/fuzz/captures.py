@@ -94,10 +94,10 @@ def examined(path: Path) -> Hashable:
         if after is not None:
             list(indexed.recorded(after))
     try:
-        sealed = open_evidence(path, attached).sealed
+        sound = not open_evidence(path, attached).capture.unfinished
     except CaptureError:
-        sealed = None
-    return _seen(capture), indexed is None, sealed, len(held).bit_length()
+        sound = None
+    return _seen(capture), indexed is None, sound, len(held).bit_length()
 
 
 def _seen(capture: Capture) -> Hashable:

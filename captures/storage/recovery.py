@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
-from bilprov.captures.storage.records import CHUNK_BYTES, ChannelRecord, CutOff, Damaged
+from bilprov.captures.storage.records import (
+    CHUNK_BYTES,
+    ChannelRecord,
+    ChunkFields,
+    CutOff,
+    Damaged,
+)
 
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
@@ -172,10 +178,7 @@ class RecordFile:
             if opcode == records.CHANNEL
         ]
         if len(starts):
-            first, last = (
-                records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
-                for start in (int(starts[0]), int(starts[-1]))
-            )
+            first, last = _sequence(content, starts[0]), _sequence(content, starts[-1])
             # Two copies of a chunk are what a repair by a file system, or a careless tool, leaves.
             before = first if self._expected is None else self._expected
             if self.own and (first - before) & 0xFFFF_FFFF >= 1 << 31:
@@ -185,7 +188,7 @@ class RecordFile:
             raise self._ended(f"more than {MESSAGES_FREE} messages, and more than one in 2 bytes")
         if len(starts):
             self._expected = last + 1
-        return chunk._replace(end=end, starts=starts, channels=channels)
+        return Found(records.CHUNK, end, content, chunk.verified, "", starts, channels)
 
     def _index(self, offset: int, most: int) -> tuple[bytes, int]:
         """The entries of the message indexes that stand at `offset`, and where these end."""
@@ -245,11 +248,11 @@ class RecordFile:
 
     def _chunk(self, offset: int, length: int, end: int) -> Found:
         front = self._content(min(length, HEAD_ROOM))
-        size, _, _, start = records.chunk_fields(front)
-        packed = records.packed_length(front, start)
-        if start + packed != length:
+        fields = records.chunk_fields(front)
+        size = fields.size
+        if fields.start + fields.packed != length:
             raise Damaged("a chunk's length does not fit its content")
-        if max(size, packed) > CHUNK_BYTES:
+        if max(size, fields.packed) > CHUNK_BYTES:
             if self.own:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
@@ -258,7 +261,8 @@ class RecordFile:
         if self._unpacked < 0:
             free = UNPACKED_FREE >> 20
             raise self._ended(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
-        content, verified = _unpacked_chunk(front + self._content(length - len(front)), self.own)
+        content = front + self._content(length - len(front))
+        content, verified = _unpacked_chunk(fields, memoryview(content)[fields.start :], self.own)
         return Found(records.CHUNK, end, content, verified)
 
     def _message(self, length: int, end: int) -> Found:
@@ -306,19 +310,23 @@ class RecordFile:
         return content
 
 
-def _unpacked_chunk(content: bytes, own: bool) -> tuple[bytes, bool]:
+def _sequence(content: bytes, start: int) -> int:
+    number: int = records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
+    return number
+
+
+def _unpacked_chunk(fields: ChunkFields, packed: memoryview, own: bool) -> tuple[bytes, bool]:
     """Unpack the records of a chunk; also return whether a checksum covers them.
 
     A CRC of 0 means that there is none, which is accepted from foreign writers only. Raises Damaged
     if anything is not as declared.
     """
-    size, crc, compression, start = records.chunk_fields(content)
-    data = _unpacked(memoryview(content)[start:], compression, size)
-    if len(data) != size:
+    data = _unpacked(packed, fields.compression, fields.size)
+    if len(data) != fields.size:
         raise Damaged("a chunk does not unpack to the size that it declares")
-    if crc == 0 and not own:
+    if fields.crc == 0 and not own:
         return data, False
-    if zlib.crc32(data) != crc:
+    if zlib.crc32(data) != fields.crc:
         raise Damaged("a chunk's checksum is wrong")
     return data, True
 
@@ -328,7 +336,8 @@ def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
         if compression == "zstd":
             return _zstd(packed, size)
         if compression == "lz4":
-            return _lz4(packed, size)
+            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+            return data
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
     if compression == "":
@@ -337,13 +346,9 @@ def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
 
 
 def _zstd(packed: memoryview, size: int) -> bytes:
-    # Streamed, because the one-call function allocates what the *frame* declares.
     decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
-    source = io.BytesIO(packed)
-    with decompressor.stream_reader(source, read_across_frames=True) as reader:
+    if zstandard.frame_content_size(packed) == size:  # so much is allocated
+        return decompressor.decompress(packed, allow_extra_data=False)
+    # What the frame declares is not to be allocated: unpacked piece by piece.
+    with decompressor.stream_reader(io.BytesIO(packed), read_across_frames=True) as reader:
         return reader.read(size + 1)
-
-
-def _lz4(packed: memoryview, size: int) -> bytes:
-    data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-    return data
