@@ -25,8 +25,7 @@ from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 from bilprov.captures.writer import CaptureWriter
