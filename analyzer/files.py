@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import select
 import shutil
 import stat
@@ -168,7 +167,7 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
     file, if there is one by then, unless `force`.
     """
     file = _target(file)
-    part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
+    part = file.with_name(f".{file.name[:200]}.{os.urandom(8).hex()}.part")
     try:
         yield part
         with part.open("rb") as written:
