@@ -23,11 +23,12 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
+from itertools import repeat
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from bilprov.analyzer.decode.batch import Batch
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
@@ -138,13 +139,7 @@ class _Packets:
     def take(self, batches: Iterable[Batch]) -> None:
         """Make packets of the next batches."""
         for batch in batches:
-            inside = batch.inside(self._window.first, self._window.after)
-            passing = inside if self._test is None else inside & self._test.selection(batch)
-            self._waiting += self._packets(
-                batch.records(),
-                batch.in_order(inside).tolist(),
-                batch.in_order(passing).tolist(),
-            )
+            self._waiting += self._of(batch)
 
     def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
         """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
@@ -165,14 +160,17 @@ class _Packets:
         packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
         return packets
 
-    def _packets(
-        self, records: Iterable[Record], inside: Iterable[bool], passing: Iterable[bool]
-    ) -> Iterator[Packet]:
-        """Yield the packets of the records that pass, and those of the answers that they bring."""
-        for record, is_inside, passes in zip(records, inside, passing, strict=True):
+    def _of(self, batch: Batch) -> Iterator[Packet]:
+        """Yield the packets of the rows that pass, and those of the answers that they bring."""
+        passing: Iterable[bool] = repeat(True)
+        if self._test is not None:
+            passing = batch.in_order(self._test.selection(batch)).tolist()
+        for record, passes in zip(batch.records(), passing, strict=False):
+            if not self._window.has(record.t):
+                continue
             if isinstance(record, DeviceRecord):
                 brought = self._brought(record.instruction)
-                if passes or (brought and is_inside):
+                if passes or brought:
                     yield _of_answer(record, stray=self._paired and not brought)
             elif passes and isinstance(record, HostRecord):
                 if record.sequence is not None:
