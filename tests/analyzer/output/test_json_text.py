@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 
+from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.json_text import JsonText
@@ -17,27 +19,30 @@ from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 
 def told(record: HostRecord | DeviceRecord) -> dict[str, Any]:
-    """What the line of a frame or an answer tells, from the record alone."""
-    host = isinstance(record, HostRecord)
-    judgement = record.judgement if host else record.answered
-    spec = judgement.instruction if host and judgement else None
-    answer = None if host else record.answer
-    latency = None if host else record.latency
-    return {
-        "t": record.t / 1e9,
-        "direction": "host" if host else "device",
-        "kind": record.kind if host else "response",
-        "hex": record.hex,
-        "name": spec.name if spec else answer.name if answer else None,
-        "fields": dict(judgement.fields) if host and judgement else {},
-        "judgement": judgement.response.name if judgement else None,
-        "reason": record.reason,
-        "latency": None if latency is None else latency / 1e9,
-        "state": {name: getattr(record.state, name) for name in record.state.__struct_fields__},
-        "sequence": record.sequence if host else None,
-        "answers": None if host else record.instruction,
-        "agrees": None if host else record.agrees,
-        "faults": [fault.kind for fault in serious_faults(record)],
+    """What the line of a frame or an answer tells, from the record alone; the keys in order."""
+    line: dict[str, Any] = dict.fromkeys(JsonLine.__struct_fields__)
+    line |= {"t": record.t / 1e9, "hex": record.hex, "reason": record.reason, "fields": {}}
+    line["state"] = msgspec.structs.asdict(record.state)
+    line["faults"] = [fault.kind for fault in serious_faults(record)]
+    if isinstance(record, DeviceRecord):
+        answered, latency = record.answered, record.latency
+        return line | {
+            "direction": "device",
+            "kind": "response",
+            "name": record.answer.name if record.answer else None,
+            "judgement": answered.response.name if answered else None,
+            "latency": None if latency is None else latency / 1e9,
+            "answers": record.instruction,
+            "agrees": record.agrees,
+        }
+    line |= {"direction": "host", "kind": record.kind, "sequence": record.sequence}
+    if record.judgement is None:
+        return line
+    spec = record.judgement.instruction
+    return line | {
+        "name": spec.name if spec else None,
+        "fields": dict(record.judgement.fields),
+        "judgement": record.judgement.response.name,
     }
 
 
