@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import select
-import shutil
 import stat
 import time
 from collections.abc import Iterator
@@ -174,7 +173,7 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
             os.fsync(written.fileno())
         if force:
             if file.exists():
-                shutil.copymode(file, part)
+                part.chmod(stat.S_IMODE(file.stat().st_mode))
             part.replace(file)
         elif not _linked(part, file):
             part.rename(file)
