@@ -31,6 +31,7 @@ from __future__ import annotations
 import msgspec
 from msgspec.structs import replace
 
+from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -41,7 +42,6 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
-from bilprov.spec.codec import Judgement
 
 
 class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
@@ -66,14 +66,12 @@ class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 encode = msgspec.json.Encoder().encode
 encode_lines = msgspec.json.Encoder().encode_lines
 
-_REMEMBERED = 1 << 14
-_frames: dict[bytes, tuple[Judgement, JsonLine]] = {}  # the judgement of frames, and a line of each
-
 
 def json_line(record: Record) -> JsonLine | None:
     """Convert a record to a line; None for a line event without an anomaly."""
     if isinstance(record, HostRecord):
-        return _host_line(record)
+        line = _frame_line(record)
+        return replace(line, t=record.t / 1e9, state=record.state, sequence=record.sequence)
     if isinstance(record, DeviceRecord):
         return _device_line(record)
     if isinstance(record, FaultRecord):
@@ -88,20 +86,8 @@ def _kinds(record: Record) -> tuple[str, ...]:
     return tuple(fault.kind for fault in serious_faults(record))
 
 
-def _host_line(record: HostRecord) -> JsonLine:
-    """The line of host bytes. Of a frame that came before only what has changed is made anew."""
-    judgement = record.judgement
-    if judgement is None:
-        return _bytes_line(record)
-    known = _frames.get(judgement.frame)
-    if known is None or known[0] is not judgement:
-        if len(_frames) >= _REMEMBERED:
-            _frames.clear()
-        known = _frames[judgement.frame] = judgement, _bytes_line(record)
-    return replace(known[1], t=record.t / 1e9, state=record.state, sequence=record.sequence)
-
-
-def _bytes_line(record: HostRecord) -> JsonLine:
+@PerFrame
+def _frame_line(record: HostRecord) -> JsonLine:
     judgement = record.judgement
     spec = judgement.instruction if judgement else None
     return JsonLine(

@@ -96,20 +96,24 @@ def _arrays(
     pa: Any, records: Iterable[Record], columns: Iterable[Column], schema: Any, start: int
 ) -> Iterator[Any]:
     """Yield an array for each column. Raises OverflowError or ArrowInvalid for a time too far."""
-    rows = [(record.t, line) for record in records if (line := json_line(record))]
+    rows = [(line, record.t) for record in records if (line := json_line(record))]
+    lines, times = [line for line, _ in rows], [t for _, t in rows]
     for column, field in zip(columns, schema, strict=True):
-        yield pa.array(_values(column, rows, start), field.type)
+        yield pa.array(_values(column, lines, times, start), field.type)
 
 
-def _values(column: Column, rows: Sequence[tuple[int, JsonLine]], start: int) -> Sequence[Any]:
-    """The values of a column in rows with these times (ns), of a capture that began at `start`."""
+def _values(
+    column: Column, lines: Sequence[JsonLine], times: Sequence[int], start: int
+) -> Sequence[Any]:
+    """The values of a column in lines at these times (ns), of a capture that began at `start`."""
     name = column.name
-    if name in ("t_ns", "time"):
-        origin = start if name == "time" else 0
-        return [origin + t for t, _ in rows]
+    if name == "time":
+        return [start + t for t in times]
+    if name == "t_ns":
+        return times
     if name == "faults":
-        return [line.faults for _, line in rows]
-    values = [column.value(line) for _, line in rows]
+        return [line.faults for line in lines]
+    values = list(map(column.value, lines))
     if name == "bytes":
         return converted(values, bytes.fromhex)
     return converted(values, _harmless) if name in _WORDS | _TEXTS else values

@@ -23,11 +23,12 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
+from itertools import repeat
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from bilprov.analyzer.decode.batch import Batch
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
@@ -138,13 +139,7 @@ class _Packets:
     def take(self, batches: Iterable[Batch]) -> None:
         """Make packets of the next batches."""
         for batch in batches:
-            inside = batch.inside(self._window.first, self._window.after)
-            passing = inside if self._test is None else inside & self._test.selection(batch)
-            self._waiting += self._packets(
-                batch.records(),
-                batch.in_order(inside).tolist(),
-                batch.in_order(passing).tolist(),
-            )
+            self._waiting += self._of(batch)
 
     def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
         """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
@@ -165,14 +160,17 @@ class _Packets:
         packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
         return packets
 
-    def _packets(
-        self, records: Iterable[Record], inside: Iterable[bool], passing: Iterable[bool]
-    ) -> Iterator[Packet]:
-        """Yield the packets of the records that pass, and those of the answers that they bring."""
-        for record, is_inside, passes in zip(records, inside, passing, strict=True):
+    def _of(self, batch: Batch) -> Iterator[Packet]:
+        """Yield the packets of the rows that pass, and those of the answers that they bring."""
+        passing: Iterable[bool] = repeat(True)
+        if self._test is not None:
+            passing = batch.in_order(self._test.selection(batch)).tolist()
+        for record, passes in zip(batch.records(), passing, strict=False):
+            if not self._window.has(record.t):
+                continue
             if isinstance(record, DeviceRecord):
                 brought = self._brought(record.instruction)
-                if passes or (brought and is_inside):
+                if passes or brought:
                     yield _of_answer(record, stray=self._paired and not brought)
             elif passes and isinstance(record, HostRecord):
                 if record.sequence is not None:
@@ -226,9 +224,8 @@ _END_OF_OPTIONS, _COMMENT = 0, 1
 _USER_APPLICATION = 4  # of a section
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9  # of an interface
 _NANOSECONDS = 9  # as a resolution: 10^-9 s
-_PACKET_FRONT = struct.Struct("<7I")
+_PACKET_FRONT = struct.Struct("<5I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
-_LENGTH = struct.Struct("<I")
 _LATEST = (1 << 64) - 1  # ns
 _LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
@@ -251,23 +248,14 @@ class _Blocks:
         # The times of a forged capture may be any.
         wall = min(max(self._start + t, 0), _LATEST)
         seconds, rest = divmod(wall, 1_000_000_000)
-        size = _RTAC_FRONT.size + len(data)
-        options = _options((_COMMENT, _utf8(comment))) if comment else b""
-        whole = _PACKET_FRONT.size + _padded(size) + len(options) + _LENGTH.size
-        return b"".join(
-            (
-                _PACKET_FRONT.pack(
-                    _ENHANCED_PACKET, whole, interface, wall >> 32, wall & 0xFFFFFFFF, size, size
-                ),
-                _RTAC_FRONT.pack(
-                    seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0
-                ),
-                data,
-                bytes(-size % 4),
-                options,
-                _LENGTH.pack(whole),
-            )
+        data = (
+            _RTAC_FRONT.pack(seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0)
+            + data
         )
+        size = len(data)
+        front = _PACKET_FRONT.pack(interface, wall >> 32, wall & 0xFFFFFFFF, size, size)
+        options = _options((_COMMENT, _utf8(comment))) if comment else b""
+        return _any_block(_ENHANCED_PACKET, front + _padded(data) + options)
 
 
 def _section(capture: Capture, protocol: Protocol) -> bytes:
@@ -309,19 +297,19 @@ def _ports(capture: Capture) -> dict[str, str]:
 
 
 def _any_block(kind: int, body: bytes) -> bytes:
-    whole = _LENGTH.pack(len(body) + 12)
-    return _LENGTH.pack(kind) + whole + body + whole
+    whole = len(body) + 12
+    return struct.pack("<II", kind, whole) + body + struct.pack("<I", whole)
 
 
 def _options(*options: tuple[int, bytes]) -> bytes:
     return b"".join(
-        struct.pack("<HH", code, len(value)) + value + bytes(-len(value) % 4)
+        struct.pack("<HH", code, len(value)) + _padded(value)
         for code, value in (*options, (_END_OF_OPTIONS, b""))
     )
 
 
-def _padded(size: int) -> int:
-    return size + -size % 4
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)
 
 
 def _utf8(text: str) -> bytes:
