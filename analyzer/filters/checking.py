@@ -6,13 +6,14 @@ What can never hold, or asks nothing of a row, is a mistake: the error says what
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
-from bilprov.analyzer.filters import moments, parts, tree
+from bilprov.analyzer.filters import moments, tree
 from bilprov.analyzer.filters.fields import Field, Kind, find, folded
 from bilprov.analyzer.filters.parts import FilterError, Part
 from bilprov.analyzer.filters.values import (
+    TEXTS,
     example,
     instant,
     kind_of,
@@ -52,17 +53,15 @@ class _Checker:
 
     def condition(self, part: Part) -> tree.Node:
         """What is true or false by itself. Raises FilterError."""
-        match part:
-            case parts.Joined(every=every, parts=several):
-                return tree.Joined(every, tuple(map(self.condition, several)))
-            case parts.Negated(part=negated):
-                return tree.Not(self.condition(negated))
-            case parts.Compared(first=left, steps=steps):
-                nodes = []
-                for sign, right in steps:
-                    nodes.append(self._comparison(left, sign, right))
-                    left = right
-                return nodes[0] if len(nodes) == 1 else tree.Joined(True, tuple(nodes))
+        match part.kind:
+            case "and" | "or":
+                return tree.Joined(part.kind == "and", tuple(map(self.condition, part.parts)))
+            case "not":
+                return tree.Not(self.condition(part.parts[0]))
+            case "compared":
+                operands, signs = part.parts[::2], part.parts[1::2]
+                nodes = tuple(map(self._comparison, operands, signs, operands[1:]))
+                return nodes[0] if len(nodes) == 1 else tree.Joined(True, nodes)
         if self._field(part) is None or only_a_value(self._protocol, part):
             return self._refuse_value(part)
         operand, field = self._operand(part)
@@ -73,7 +72,7 @@ class _Checker:
             refuse_part(part, rest)
         return tree.Comparison(operand, "==", tree.Constant(True))
 
-    def _comparison(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
         one, other = self._fields(left, right)
         if one and (one.kind is Kind.TEXT or sign.text.endswith("contains")):
             other = None  # any word is text there
@@ -97,14 +96,14 @@ class _Checker:
             return one, None
         if other and names_value(left, other):
             return None, other
-        numbers = parts.Number | parts.Range | parts.Listed
-        if not isinstance(right, numbers) and only_a_value(self._protocol, left):
+        numbers = ("number", "range", "set")
+        if right.kind not in numbers and only_a_value(self._protocol, left):
             one = None
-        if not isinstance(left, numbers) and only_a_value(self._protocol, right):
+        if left.kind not in numbers and only_a_value(self._protocol, right):
             other = None
         return one, other
 
-    def _turned(self, left: Part, sign: parts.Sign, right: Part, field: Field) -> tree.Node:
+    def _turned(self, left: Part, sign: Part, right: Part, field: Field) -> tree.Node:
         """A comparison whose field stands on the right: `100 < speed`, `'LED' in reason`."""
         if sign.text in _TURNED:
             turned = _TURNED[sign.text]
@@ -112,9 +111,9 @@ class _Checker:
             turned = sign.text.replace("in", "contains")
         else:
             refuse(sign, f"the name stands before {sign.text}, like {example(field)}")
-        return self._with_value(right, parts.Sign(sign.start, sign.end, turned), left)
+        return self._with_value(right, sign._replace(text=turned), left)
 
-    def _two_fields(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
         if sign.text not in _TURNED:
             refuse_part(right, f"is a name of the row, and {sign.text} takes values")
@@ -130,7 +129,7 @@ class _Checker:
             refuse_part(right, f"is a name of the row; {one.name} is compared with values")
         return tree.Comparison(operand, sign.text, with_operand)
 
-    def _with_value(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _with_value(self, left: Part, sign: Part, right: Part) -> tree.Node:
         """A comparison of a field with what is the same in all rows."""
         operand, field = self._operand(left)
         self._require_sign(field, sign)
@@ -139,7 +138,7 @@ class _Checker:
         if sign.text.endswith("in"):
             return self._among(operand, field, right, sign.text == "in")
         if field.kind is Kind.WORDS:
-            kinds = right.parts if isinstance(right, parts.Listed) else (right,)
+            kinds = right.parts if right.kind == "set" else (right,)
             found = frozenset(str(word(self._protocol, kind, field)) for kind in kinds)
             return tree.Comparison(operand, sign.text, tree.Constant(found))
         if field.kind is Kind.CLOCK:
@@ -155,13 +154,9 @@ class _Checker:
         return tree.Comparison(operand, sign.text, tree.Constant(found_value))
 
     def _among(self, operand: tree.Operand, field: Field, right: Part, holds: bool) -> tree.Node:
-        match right:
-            case parts.Listed(parts=several):
-                pass
-            case parts.Range():
-                several = (right,)
-            case _:
-                refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
+        if right.kind not in ("set", "range"):
+            refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
+        several = right.parts if right.kind == "set" else (right,)
         if field.kind is Kind.CLOCK:
             return self._among_moments(several, holds)
         return tree.Among(
@@ -170,7 +165,7 @@ class _Checker:
 
     def _ends(self, operand: tree.Operand, field: Field, part: Part) -> _Ends:
         """The ends of a range; those of a single value are the same."""
-        if isinstance(part, parts.Range):
+        if part.kind == "range":
             low, high = self._range_ends(part, field)
             return tree.Constant(low), tree.Constant(high)
         if self._field(part) is not None and not names_value(part, field):
@@ -184,33 +179,33 @@ class _Checker:
         _require_possible(operand, field, "==", found, part)
         return tree.Constant(found), tree.Constant(found)
 
-    def _range_ends(self, part: parts.Range, field: Field) -> tuple[float, float]:
-        low, high = (value(self._protocol, end, field) for end in (part.low, part.high))
+    def _range_ends(self, part: Part, field: Field) -> tuple[float, float]:
+        low, high = (value(self._protocol, end, field) for end in part.parts)
         if isinstance(low, str | bytes | bool) or isinstance(high, str | bytes | bool):
             refuse(part, f"{field.name} is {kind_of(field)}, which has no ranges: name each value")
         if low > high:
-            refuse(part, f"the range ends at {shown(part.high)}, before it begins")
+            refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
         if field.kind is Kind.NUMBER:
             low, high = math.ceil(low), math.floor(high)
             if low > high:
                 refuse(part, f"no whole number is in this range, and {field.name} always is one")
-        require_possible(field, ">=", low, part.low)
-        require_possible(field, "<=", high, part.high)
+        require_possible(field, ">=", low, part.parts[0])
+        require_possible(field, "<=", high, part.parts[1])
         return low, high
 
     def _among_moments(self, several: Sequence[Part], holds: bool) -> tree.Node:
         """Ranges of moments; of a day, one that ends before it begins goes over midnight."""
         ranges: list[tuple[moments.Instant, moments.Instant]] = []
         for part in several:
-            if not isinstance(part, parts.Range):
+            if part.kind != "range":
                 refuse(
                     part, "no row matches a moment exactly: write a range, like 14:03:20..14:03:21"
                 )
-            low, high = instant(part.low), instant(part.high)
+            low, high = map(instant, part.parts)
             if len({low.daily, high.daily, *(first.daily for first, _ in ranges)}) > 1:
                 refuse(part, "times of day and times with a date do not go together in one set")
             if low > high and not low.daily:
-                refuse(part, f"the range ends at {shown(part.high)}, before it begins")
+                refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
             if low > high:
                 ranges.append((low, moments.Instant(True, moments.DAY)))
                 low = moments.Instant(True, 0)
@@ -226,7 +221,7 @@ class _Checker:
             if not isinstance(data, bytes) or not data:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
             return tree.Contains(field.key, data, holds)
-        if not isinstance(right, parts.Quoted | parts.Word) or not right.text:
+        if right.kind not in TEXTS or not right.text:
             refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
             return tree.Contains(field.key, right.text, holds)
@@ -241,34 +236,31 @@ class _Checker:
 
     def _field(self, part: Part) -> Field | None:
         """The field that a part asks the row for, None for what is the same in all rows."""
-        match part:
-            case parts.Word(text=text):
-                return find(self._protocol, text)
-            case parts.Item() | parts.Bits():
-                return self._operand(part)[1]
-            case parts.Compared() | parts.Joined() | parts.Negated():
-                refuse(part, "a condition is not compared: join it with and, or, not")
-        return None
+        if part.kind in ("compared", "and", "or", "not"):
+            refuse(part, "a condition is not compared: join it with and, or, not")
+        if part.kind == "word":
+            return find(self._protocol, part.text)
+        return self._operand(part)[1] if part.kind in ("item", "bits") else None
 
     def _operand(self, part: Part) -> tuple[tree.Operand, Field]:
         """What a part asks the row for, and as a field: its kind and its limits."""
-        match part:
-            case parts.Item(of=of, index=index):
-                whole = self._operand(of)[1]
-                place = self._index(whole, index)
-                byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
-                return tree.Item(whole.key, place), byte
-            case parts.Bits(left=left, right=right):
-                if id(part) not in self._known:
-                    if self._field(left) is None:
-                        left, right = right, left
-                    self._known[id(part)] = self._bits(left, right, shown(part))
-                return self._known[id(part)]
+        if part.kind == "item":
+            whole = self._operand(part.parts[0])[1]
+            place = self._index(whole, part.parts[1])
+            byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
+            return tree.Item(whole.key, place), byte
+        if part.kind == "bits":
+            if id(part) not in self._known:
+                left, right = part.parts
+                if self._field(left) is None:
+                    left, right = right, left
+                self._known[id(part)] = self._bits(left, right, shown(part))
+            return self._known[id(part)]
         field = self._field(part)
         assert field is not None
         return tree.Name(field.key), field
 
-    def _index(self, field: Field, index: parts.Number) -> int:
+    def _index(self, field: Field, index: Part) -> int:
         place, most = whole_number(index), self._protocol.data_lengths[-1]
         if place is None or place < 0:
             refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
@@ -302,7 +294,7 @@ class _Checker:
 
     # What is a mistake
 
-    def _require_sign(self, field: Field, sign: parts.Sign) -> None:
+    def _require_sign(self, field: Field, sign: Part) -> None:
         text = sign.text.removeprefix("not ")
         if text in field.signs:
             return
@@ -318,7 +310,7 @@ class _Checker:
 
     def _refuse_value(self, part: Part) -> NoReturn:
         """Refuse a value that stands where a condition should. Raises FilterError."""
-        if isinstance(part, parts.Word):
+        if part.kind == "word":
             names = owners(self._protocol, part.text)
             if not names:
                 refuse_unknown(self._protocol, part)
@@ -327,12 +319,12 @@ class _Checker:
 
     def _refuse_constants(self, left: Part, right: Part) -> NoReturn:
         """Refuse a comparison that asks nothing of the row. Raises FilterError."""
-        for part in (left, right):
-            if isinstance(part, parts.Word) and not owners(self._protocol, part.text):
+        words = [part for part in (left, right) if part.kind == "word"]
+        for part in words:
+            if not owners(self._protocol, part.text):
                 refuse_unknown(self._protocol, part)
-        words: Iterable[Part] = (part for part in (left, right) if isinstance(part, parts.Word))
-        first = next((shown(part) for part in words), "")
-        meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if first else ""
+        first = shown(words[0]) if words else ""
+        meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if words else ""
         sentence = f"two values are compared, which is the same for all rows{meant}"
         raise FilterError(sentence, left.start, right.end)
 
