@@ -9,27 +9,10 @@ import math
 from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
-from bilprov.analyzer.filters import moments, tree
+from bilprov.analyzer.filters import moments, tree, values
 from bilprov.analyzer.filters.fields import Field, Kind, find, folded
 from bilprov.analyzer.filters.parts import FilterError, Part
-from bilprov.analyzer.filters.values import (
-    TEXTS,
-    example,
-    instant,
-    kind_of,
-    listed,
-    names_value,
-    only_a_value,
-    owners,
-    refuse,
-    refuse_part,
-    refuse_unknown,
-    require_possible,
-    shown,
-    value,
-    whole_number,
-    word,
-)
+from bilprov.analyzer.filters.values import kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
 
 _TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
@@ -62,14 +45,14 @@ class _Checker:
                 operands, signs = part.parts[::2], part.parts[1::2]
                 nodes = tuple(map(self._comparison, operands, signs, operands[1:]))
                 return nodes[0] if len(nodes) == 1 else tree.Joined(True, nodes)
-        if self._field(part) is None or only_a_value(self._protocol, part):
+        if self._field(part) is None or values.only_a_value(self._protocol, part):
             return self._refuse_value(part)
         operand, field = self._operand(part)
         if isinstance(operand, tree.Bits):
             return tree.Comparison(operand, "!=", tree.Constant(0))
         if field.kind is not Kind.TRUTH:
-            rest = f"is {kind_of(field)}, not a condition: compare it, like {example(field)}"
-            refuse_part(part, rest)
+            example = values.example(field)
+            refuse_part(part, f"is {kind_of(field)}, not a condition: compare it, like {example}")
         return tree.Comparison(operand, "==", tree.Constant(True))
 
     def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
@@ -92,14 +75,14 @@ class _Checker:
         number (`Speed != OK`).
         """
         one, other = self._field(left), self._field(right)
-        if one and names_value(right, one):
+        if one and values.names_value(right, one):
             return one, None
-        if other and names_value(left, other):
+        if other and values.names_value(left, other):
             return None, other
         numbers = ("number", "range", "set")
-        if right.kind not in numbers and only_a_value(self._protocol, left):
+        if right.kind not in numbers and values.only_a_value(self._protocol, left):
             one = None
-        if left.kind not in numbers and only_a_value(self._protocol, right):
+        if left.kind not in numbers and values.only_a_value(self._protocol, right):
             other = None
         return one, other
 
@@ -110,7 +93,7 @@ class _Checker:
         elif sign.text.endswith("in") and "contains" in field.signs:
             turned = sign.text.replace("in", "contains")
         else:
-            refuse(sign, f"the name stands before {sign.text}, like {example(field)}")
+            refuse(sign, f"the name stands before {sign.text}, like {values.example(field)}")
         return self._with_value(right, sign._replace(text=turned), left)
 
     def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
@@ -139,12 +122,12 @@ class _Checker:
             return self._among(operand, field, right, sign.text == "in")
         if field.kind is Kind.WORDS:
             kinds = right.parts if right.kind == "set" else (right,)
-            found = frozenset(str(word(self._protocol, kind, field)) for kind in kinds)
+            found = frozenset(str(values.word(self._protocol, kind, field)) for kind in kinds)
             return tree.Comparison(operand, sign.text, tree.Constant(found))
         if field.kind is Kind.CLOCK:
-            moment = instant(right)
+            moment = values.instant(right)
             return tree.Comparison(_clock(moment), sign.text, tree.Constant(moment.ns))
-        found_value = value(self._protocol, right, field)
+        found_value = values.value(self._protocol, right, field)
         if field.kind is Kind.NUMBER and isinstance(found_value, float):
             if sign.text in ("==", "!="):
                 refuse_part(right, f"is not whole, and {field.name} always is")
@@ -168,29 +151,32 @@ class _Checker:
         if part.kind == "range":
             low, high = self._range_ends(part, field)
             return tree.Constant(low), tree.Constant(high)
-        if self._field(part) is not None and not names_value(part, field):
+        if self._field(part) is not None and not values.names_value(part, field):
             end, other = self._operand(part)
             if other.kind is not field.kind:
                 refuse_part(part, f"is {kind_of(other)}, and {field.name} is {kind_of(field)}")
             return end, end
-        found = value(self._protocol, part, field)
+        found = values.value(self._protocol, part, field)
         if field.kind is Kind.NUMBER and isinstance(found, float):
             refuse_part(part, f"is not whole, and {field.name} always is")
         _require_possible(operand, field, "==", found, part)
         return tree.Constant(found), tree.Constant(found)
 
     def _range_ends(self, part: Part, field: Field) -> tuple[float, float]:
-        low, high = (value(self._protocol, end, field) for end in part.parts)
+        low, high = (values.value(self._protocol, end, field) for end in part.parts)
         if isinstance(low, str | bytes | bool) or isinstance(high, str | bytes | bool):
-            refuse(part, f"{field.name} is {kind_of(field)}, which has no ranges: name each value")
+            refuse(
+                part,
+                f"{field.name} is {kind_of(field)}, which has no ranges: name each value",
+            )
         if low > high:
             refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
         if field.kind is Kind.NUMBER:
             low, high = math.ceil(low), math.floor(high)
             if low > high:
                 refuse(part, f"no whole number is in this range, and {field.name} always is one")
-        require_possible(field, ">=", low, part.parts[0])
-        require_possible(field, "<=", high, part.parts[1])
+        values.require_possible(field, ">=", low, part.parts[0])
+        values.require_possible(field, "<=", high, part.parts[1])
         return low, high
 
     def _among_moments(self, several: Sequence[Part], holds: bool) -> tree.Node:
@@ -201,7 +187,7 @@ class _Checker:
                 refuse(
                     part, "no row matches a moment exactly: write a range, like 14:03:20..14:03:21"
                 )
-            low, high = map(instant, part.parts)
+            low, high = map(values.instant, part.parts)
             if len({low.daily, high.daily, *(first.daily for first, _ in ranges)}) > 1:
                 refuse(part, "times of day and times with a date do not go together in one set")
             if low > high and not low.daily:
@@ -215,20 +201,20 @@ class _Checker:
 
     def _containing(self, field: Field, right: Part, holds: bool) -> tree.Node:
         if field.kind is Kind.WORDS:
-            return tree.Contains(field.key, str(word(self._protocol, right, field)), holds)
+            return tree.Contains(field.key, str(values.word(self._protocol, right, field)), holds)
         if field.kind is Kind.BYTES:
-            data = value(self._protocol, right, field)
+            data = values.value(self._protocol, right, field)
             if not isinstance(data, bytes) or not data:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
             return tree.Contains(field.key, data, holds)
-        if right.kind not in TEXTS or not right.text:
+        if right.kind not in values.TEXTS or not right.text:
             refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
             return tree.Contains(field.key, right.text, holds)
         same = folded(right.text)
         found = [named for text, named in field.words.items() if same in folded(text)]
         if not found:
-            refuse_part(right, f"is in no {field.name}; there are {listed(field)}")
+            refuse_part(right, f"is in no {field.name}; there are {values.listed(field)}")
         ends = tuple((tree.Constant(one), tree.Constant(one)) for one in found)
         return tree.Among(tree.Name(field.key), ends, holds)
 
@@ -261,7 +247,7 @@ class _Checker:
         return tree.Name(field.key), field
 
     def _index(self, field: Field, index: Part) -> int:
-        place, most = whole_number(index), self._protocol.data_lengths[-1]
+        place, most = values.whole_number(index), self._protocol.data_lengths[-1]
         if place is None or place < 0:
             refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
         if field.name == "data" and place >= most:
@@ -281,7 +267,7 @@ class _Checker:
         if self._field(right) is not None:
             both = tree.Bits(operand, self._operand(right)[0])
             return both, Field(name, Kind.NUMBER, "bits")
-        mask = value(self._protocol, right, field)
+        mask = values.value(self._protocol, right, field)
         if not isinstance(mask, int) or mask < 0 or mask.bit_length() > 63:
             refuse_part(right, "is not a mask; & takes a whole number like 4 or 0x80")
         reach = mask
@@ -303,7 +289,7 @@ class _Checker:
         elif text == "contains":
             why = "which contains nothing: contains is for names, text, bytes and faults"
         elif text == "in":
-            why = f"so write {example(field)}"
+            why = f"so write {values.example(field)}"
         else:
             why = "which has no order: use == or !="
         refuse(sign, f"{field.name} is {kind_of(field)}, {why}")
@@ -313,7 +299,7 @@ class _Checker:
         if part.kind == "word":
             names = owners(self._protocol, part.text)
             if not names:
-                refuse_unknown(self._protocol, part)
+                values.refuse_unknown(self._protocol, part)
             refuse_part(part, f"is a value, not a condition: write {names[0]} == {shown(part)}")
         refuse_part(part, "asks nothing of the row: compare it with a name, like latency > 20ms")
 
@@ -322,7 +308,7 @@ class _Checker:
         words = [part for part in (left, right) if part.kind == "word"]
         for part in words:
             if not owners(self._protocol, part.text):
-                refuse_unknown(self._protocol, part)
+                values.refuse_unknown(self._protocol, part)
         first = shown(words[0]) if words else ""
         meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if words else ""
         sentence = f"two values are compared, which is the same for all rows{meant}"
@@ -335,7 +321,7 @@ def _require_possible(
     """Refuse a value that the operand never has. Raises FilterError."""
     if isinstance(found, str | bytes):
         return
-    require_possible(field, sign, found, part)
+    values.require_possible(field, sign, found, part)
     match operand:
         case tree.Bits(right=tree.Constant(value=int() as mask)):
             if sign in ("==", "!=") and int(found) & ~mask:
