@@ -126,9 +126,7 @@ def _of_rows(protocol: Protocol) -> list[Field]:
         Field("latency", seconds, "from the instruction's last byte to the answer"),
         Field("answers", number, "the number of the instruction that it answers", low=0),
         Field("agrees", truth, "whether the answer is the expected one", words=_TRUTH),
-        Field(
-            "name", word, "the name of the instruction, the response or the anomaly", words=names
-        ),
+        Field("name", word, named, words=names),
         Field("direction", word, "host or device", words=_itself(get_args(Direction))),
         Field("kind", word, "the kind of the row", words=kinds),
         Field("hex", Kind.BYTES, "all bytes of the row; hex[0] is the first"),
