@@ -80,6 +80,7 @@ def passing(test: Filter, records: list[Record]) -> list[Any]:
         ("data == 7f", ["11 7f"]),
         ("data == 09 || data in {40, 7f}", ["11 7f", "81 09", "41 40"]),
         ("data == '' and faulty", []),
+        ("data[1] >= 0 and len == 1", []),
         ("data == ''", ["20"]),
         ("data[0] & 0x40 and data[0] < 0x7f", ["41 40"]),
         ("hex contains 81 09 or hex[1] == 0x7f", ["11 7f", "81 09"]),
@@ -189,6 +190,14 @@ def test_truncated_bytes_have_the_header_that_came_and_garbage_has_none(
     found = passing(compile_filter(text, protocol), [cut, garbage])
 
     assert found == [[cut, garbage][row] for row in rows]
+
+
+def test_a_frame_that_is_cut_short_has_no_fields(protocol: Protocol) -> None:
+    events = [Chunk(0, "host", b"\x11"), Chunk(2000 * MS, "host", b"\x11\x05")]
+    cut, whole = hosts(decoded(Session(protocol), events))
+
+    assert passing(compile_filter("speed >= 0", protocol), [cut, whole]) == [whole]
+    assert passing(compile_filter("name == Speed", protocol), [cut, whole]) == [cut, whole]
 
 
 @pytest.mark.parametrize("text", ["t >= 0", "not name == Speed", "not kind == garbage"])
