@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import Batch, Mask, Selection
 from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.filters import tree
 from bilprov.analyzer.filters.columns import (
+    NOTHING,
     Column,
     Columns,
     DeviceColumns,
@@ -20,19 +22,6 @@ from bilprov.analyzer.filters.columns import (
     Numbers,
     Octets,
     Words,
-)
-from bilprov.analyzer.filters.tree import (
-    Among,
-    Bits,
-    Comparison,
-    Constant,
-    Contains,
-    Item,
-    Joined,
-    Name,
-    Node,
-    Not,
-    Operand,
 )
 from bilprov.spec.protocol import Protocol
 
@@ -47,7 +36,9 @@ _COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {
 }
 
 
-def selection(tree: Node, protocol: Protocol, batch: Batch, start: int | None = None) -> Selection:
+def selection(
+    test: tree.Node, protocol: Protocol, batch: Batch, start: int | None = None
+) -> Selection:
     """The rows in which a condition holds; a line event without an anomaly is none of them.
 
     `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
@@ -57,36 +48,36 @@ def selection(tree: Node, protocol: Protocol, batch: Batch, start: int | None = 
     shown = np.array([line is not None for line in lines], np.bool_)
     other = np.zeros(len(others), np.bool_)
     listed = [line for line in lines if line is not None]
-    other[shown] = _mask(LineColumns(protocol, listed, others.t[shown], start), tree)
+    other[shown] = _mask(LineColumns(listed, others.t[shown], start), test)
     return Selection(
-        _mask(HostColumns(protocol, batch.hosts, start), tree),
-        _mask(DeviceColumns(protocol, batch.devices, start), tree),
+        _mask(HostColumns(protocol, batch.hosts, start), test),
+        _mask(DeviceColumns(protocol, batch.devices, start), test),
         other,
     )
 
 
-def _mask(rows: Columns, node: Node) -> Mask:
+def _mask(rows: Columns, node: tree.Node) -> Mask:
     """In which rows a condition holds."""
     if not len(rows):
         return np.zeros(0, np.bool_)
     return np.broadcast_to(_true(rows, node), len(rows))
 
 
-def _true(rows: Columns, node: Node) -> Mask:
+def _true(rows: Columns, node: tree.Node) -> Mask:
     match node:
-        case Comparison(left=left, sign=sign, right=right):
+        case tree.Comparison(left=left, sign=sign, right=right):
             return _compared(_operand(rows, left), sign, _operand(rows, right))
-        case Among():
+        case tree.Among():
             return _among(rows, node)
-        case Contains(key=key, part=part, holds=holds):
+        case tree.Contains(key=key, part=part, holds=holds):
             return _containing(rows[key], part, holds)
-        case Not(part=part):
+        case tree.Not(part=part):
             return ~_true(rows, part)
-        case Joined(every=every, parts=parts):
+        case tree.Joined(every=every, parts=parts):
             return _joined(rows, parts, every)
 
 
-def _joined(rows: Columns, parts: Sequence[Node], every: bool) -> Mask:
+def _joined(rows: Columns, parts: Sequence[tree.Node], every: bool) -> Mask:
     true = _true(rows, parts[0])
     for part in parts[1:]:
         if (every and not true.any()) or (not every and true.all()):
@@ -95,7 +86,7 @@ def _joined(rows: Columns, parts: Sequence[Node], every: bool) -> Mask:
     return true
 
 
-def _among(rows: Columns, node: Among) -> Mask:
+def _among(rows: Columns, node: tree.Among) -> Mask:
     column = _operand(rows, node.left)
     true: Mask = np.zeros((), np.bool_)
     for low, high in node.ranges:
@@ -107,15 +98,15 @@ def _among(rows: Columns, node: Among) -> Mask:
     return true if node.holds else _present(column) & ~true
 
 
-def _operand(rows: Columns, operand: Operand) -> Column:
+def _operand(rows: Columns, operand: tree.Operand) -> Column:
     match operand:
-        case Constant(value=value):
+        case tree.Constant(value=value):
             return _constant(value)
-        case Name(key=key):
+        case tree.Name(key=key):
             return rows[key]
-        case Item(key=key, place=place):
+        case tree.Item(key=key, place=place):
             return _item(rows[key], place)
-        case Bits(left=left, right=right):
+        case tree.Bits(left=left, right=right):
             return _bits(_operand(rows, left), _operand(rows, right))
 
 
@@ -138,8 +129,8 @@ def _item(column: Column, place: int) -> Column:
 
 
 def _bits(left: Column, right: Column) -> Numbers:
-    assert isinstance(left, Numbers)
-    assert isinstance(right, Numbers)
+    if not (isinstance(left, Numbers) and isinstance(right, Numbers)):
+        return NOTHING
     present = _both(left.present, right.present)
     return Numbers(_whole(left) & _whole(right), present)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cache
 from random import Random
 from typing import Any
@@ -11,11 +11,11 @@ import click
 
 from benchmarks.fuzz.engine import Target, Test, encoded, require
 from benchmarks.fuzz.mutators import words_mutator
-from benchmarks.fuzz.traffic import columns_at_once
 from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, bytes_or_pause
 from bilprov.analyzer.decode.batch import Batch, Records
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.fields import fields_of
@@ -26,6 +26,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns, columns_of
 from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.streams import parse_address
+from bilprov.captures.events import Events
 from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.conformance.cases.selection import shard_named
 from bilprov.conformance.oracle.choices import parse_allowed
@@ -45,10 +46,10 @@ def text_of(data: bytes) -> str:
 
 
 @cache
-def _batches() -> list[Batch]:
-    """Some traffic with answers of all kinds."""
+def _batches() -> list[tuple[Records, Sequence[Batch]]]:
+    """Some traffic with answers of all kinds: as decoded one by one, and as decoded as arrays."""
     protocol = load_protocol()
-    found: list[Batch] = []
+    found = []
     for heard in (_BOTH, frozenset[Direction]({"device"})):
         random, t, played = Random(2), 0, []
         for _ in range(24):
@@ -59,8 +60,10 @@ def _batches() -> list[Batch]:
             late = random.choice((1000, MS, 150 * MS))
             played += [Chunk(t, "host", frame), Chunk(t + late, "device", bytes([answer]))]
             t += 200 * MS
-        with columns_at_once():
-            found += StreamDecoder(protocol, heard=heard).feed(played)
+        session = Session(protocol, heard=heard)
+        records = [record for event in played for record in session.feed(event)]
+        batches = StreamDecoder(protocol, heard=heard).decode(Events.of(played))
+        found.append((Records(records), batches))
     return found
 
 
@@ -76,11 +79,11 @@ def filters() -> Test:
         plain = compile_filter(text, protocol)
         passing = 0
         for test in (plain.started(_WALL), plain):
-            for batch in batches:
-                listed = Records(batch.records())
-                rows = batch.in_order(test.selection(batch)).tolist()
-                require(rows == listed.in_order(test.selection(listed)).tolist(), "rows differ")
-                passing += sum(rows)
+            for one_by_one, arrays in batches:
+                chosen = [batch.in_order(test.selection(batch)) for batch in (one_by_one, *arrays)]
+                selected = [row for rows in chosen[1:] for row in rows.tolist()]
+                require(chosen[0].tolist() == selected, "records and arrays differ")
+                passing += sum(selected)
         return passing, len(text).bit_length()
 
     return test
@@ -200,7 +203,7 @@ _VALUES = encoded(
 TARGETS = (
     Target(
         "filter",
-        "filters: lines and columns agree",
+        "filters: records and arrays agree",
         filters,
         (FilterError,),
         lambda: _FILTERS,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from random import Random
 from typing import Any, TypeAlias
 
@@ -232,8 +233,12 @@ def test_numbers_that_floats_cannot_tell_apart_are_told_apart(
     protocol = load(text)
     for batch in batches(protocol, driving(protocol, 3, 1), heard=frozenset({"host"})):
         for sign, compare in _SIGNS.items():
-            test = compile_filter(f"state.led {sign} {number}", protocol)
-            require_selected(test, batch, lambda row, c=compare: c(row["state.led"], int(number)))
+            meaning = partial(_led, compare, int(number))
+            require_selected(compile_filter(f"state.led {sign} {number}", protocol), batch, meaning)
+
+
+def _led(compare: Callable[[Any, Any], bool], number: int, row: Values) -> bool:
+    return compare(row["state.led"], number)
 
 
 def test_numbers_beyond_64_bits_are_asked_for(grammar_text: str) -> None:
