@@ -119,6 +119,7 @@ class HostRows:
     `t`, `end` and `known` (ns) are the times of the first and the last byte, and when it was known
     that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
+    `reasons` gives the reasons why some rows are faulty.
     """
 
     t: NDArray[np.int64]
@@ -131,6 +132,7 @@ class HostRows:
     verdict: NDArray[np.uint8]
     sequence: NDArray[np.int64]
     states: StateColumns
+    reasons: Callable[[NDArray[np.int64]], Sequence[str]]
 
     def __len__(self) -> int:
         return len(self.t)
@@ -355,6 +357,7 @@ class Records(Batch):
             verdict=np.array([_verdict(record) for record in listed], np.uint8),
             sequence=_numbers([record.sequence for record in listed]),
             states=_states_of(listed),
+            reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
         )
 
     @cached_property

@@ -128,6 +128,7 @@ class RegularBatch(Batch):
             verdict=new.verdict,
             sequence=self.first + np.arange(self.carried, len(self.frame_end)),
             states=StateColumns(self._host_states),
+            reasons=lambda rows: [one.reason for one in self._judgements(self.hosts.frames(rows))],
         )
 
     @cached_property

@@ -116,7 +116,7 @@ class _Checker:
 
     def _two_fields(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
-        if sign.text not in tree.COMPARISONS:
+        if sign.text not in _TURNED:
             refuse_part(right, f"is a name of the row, and {sign.text} takes values")
         if one.kind is not other.kind:
             kinds = f"{one.name} is {kind_of(one)}, {other.name} is {kind_of(other)}"

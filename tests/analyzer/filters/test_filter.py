@@ -9,15 +9,16 @@ from datetime import datetime
 from typing import Any
 from zoneinfo import ZoneInfo
 
-import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
-from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.moments import offset
 from bilprov.analyzer.filters.parts import FilterError
 from bilprov.captures.schemas import Chunk, Line
@@ -35,14 +36,18 @@ TALK = [
 
 
 @pytest.fixture(scope="module")
-def lines(protocol: Protocol) -> list[JsonLine]:
-    events = [*conversation(TALK), Line(9000 * MS, "break", "host")]
-    found = [json_line(record) for record in decoded(Session(protocol), events)]
-    return [line for line in found if line is not None]
+def talk(protocol: Protocol) -> list[Record]:
+    return decoded(Session(protocol), [*conversation(TALK), Line(9000 * MS, "break", "host")])
+
+
+def passing(test: Filter, records: list[Record]) -> list[Any]:
+    """The records that pass."""
+    batch = Records(records)
+    return list(batch.records(test.selection(batch)))
 
 
 @pytest.mark.parametrize(
-    ("text", "passing"),
+    ("text", "selected"),
     [
         ("name == Speed", ["11 7f"]),
         ("name == 'Speed'", ["11 7f"]),
@@ -112,12 +117,12 @@ def lines(protocol: Protocol) -> list[JsonLine]:
         ("kind == instruction and not state.moving and len == 1", ["11 7f", "81 09", "41 40"]),
     ],
 )
-def test_a_filter_lets_pass_the_lines_that_it_describes(
-    protocol: Protocol, lines: list[JsonLine], text: str, passing: list[str]
+def test_a_filter_lets_pass_the_rows_that_it_describes(
+    protocol: Protocol, talk: list[Record], text: str, selected: list[str]
 ) -> None:
     test = compile_filter(text, protocol)
 
-    assert [line.hex for line in lines if test(line)] == passing
+    assert [getattr(record, "hex", "") for record in passing(test, talk)] == selected
 
 
 @pytest.mark.parametrize(
@@ -129,12 +134,12 @@ def test_a_filter_lets_pass_the_lines_that_it_describes(
         "not (speed not in {1}) and name == Speed or speed not in 0..1",
     ],
 )
-def test_comparing_what_a_line_does_not_have_is_false(
-    protocol: Protocol, lines: list[JsonLine], text: str
+def test_comparing_what_a_row_does_not_have_is_false(
+    protocol: Protocol, talk: list[Record], text: str
 ) -> None:
     test = compile_filter(text, protocol)
 
-    assert {line.name for line in lines if test(line)} == {"Speed"}
+    assert {record.words.split()[0] for record in passing(test, talk)} == {"Speed"}
 
 
 @pytest.mark.parametrize(
@@ -148,44 +153,61 @@ def test_comparing_what_a_line_does_not_have_is_false(
     ],
 )
 def test_an_answer_lacks_what_is_the_instructions(
-    protocol: Protocol, lines: list[JsonLine], text: str
+    protocol: Protocol, talk: list[Record], text: str
 ) -> None:
     test = compile_filter(text, protocol)
 
-    assert {line.direction for line in lines if test(line)} == {"host"}
+    assert {type(record) for record in passing(test, talk)} == {HostRecord}
 
 
 @pytest.mark.parametrize(
     "text", ["response >= 0", "latency > -1s", "answers >= 0", "response & 1 == 1 or response == 0"]
 )
 def test_an_instruction_lacks_what_is_the_answers(
-    protocol: Protocol, lines: list[JsonLine], text: str
+    protocol: Protocol, talk: list[Record], text: str
 ) -> None:
     test = compile_filter(text, protocol)
 
-    assert {line.direction for line in lines if test(line)} == {"device"}
+    assert {type(record) for record in passing(test, talk)} == {DeviceRecord}
 
 
 def test_an_answer_of_no_code_is_a_response_and_none_of_the_names(protocol: Protocol) -> None:
-    (line,) = (json_line(r) for r in decoded(Session(protocol), [Chunk(0, "device", b"\x55")]))
-    assert line
+    records = decoded(Session(protocol), [Chunk(0, "device", b"\x55")])
 
-    assert compile_filter("response != OK and response == 0x55", protocol)(line)
-    assert not compile_filter("name == OK or name != OK", protocol)(line)
+    assert passing(compile_filter("response != OK and response == 0x55", protocol), records)
+    assert not passing(compile_filter("name == OK or name != OK", protocol), records)
 
 
-def test_truncated_bytes_have_the_header_that_came_and_garbage_has_none(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x9f\x01"), Chunk(2000 * MS, "host", b"\x00")]
-    (cut, _) = (json_line(record) for record in hosts(decoded(Session(protocol), events)))
-    assert cut
+@pytest.mark.parametrize(
+    ("text", "rows"),
+    [
+        ("id == 9 and len == 15 and data == 01 and sequence == 0", [0]),
+        ("faulty and kind == truncated and faults contains truncated", [0]),
+        ("reason contains 'ID 9'", [0]),
+        ("judgement == BAD_HEADER", [0]),
+        ("id >= 0 or len >= 0 or data not contains 05 or sequence >= 0 or speed >= 0", [0]),
+        ("judgement >= 0 or name != Speed", [0]),
+        ("kind == garbage and faulty and faults == garbage and hex == 1e ff", [1]),
+        ("reason contains attached", [1]),
+        ("hex contains ff", [1]),
+    ],
+)
+def test_truncated_bytes_have_the_header_that_came_and_garbage_has_none(
+    protocol: Protocol, text: str, rows: list[int]
+) -> None:
+    (cut,) = hosts(decoded(Session(protocol), [Chunk(0, "host", b"\x9f\x01")]))
+    garbage = HostRecord(5, 6, 6, "garbage", b"\x1e\xff", None, None, cut.state, "attached late")
 
-    assert compile_filter("id == 9 and len == 15 and data == 01", protocol)(cut)
-    assert compile_filter("faulty and kind == truncated and faults contains truncated", protocol)(
-        cut
-    )
-    garbage = msgspec.structs.replace(cut, kind="garbage")
-    assert not compile_filter("id >= 0 or len >= 0 or data not contains 05", protocol)(garbage)
-    assert compile_filter("hex == 9f 01", protocol)(garbage)
+    found = passing(compile_filter(text, protocol), [cut, garbage])
+
+    assert found == [[cut, garbage][row] for row in rows]
+
+
+@pytest.mark.parametrize("text", ["t >= 0", "not name == Speed", "not kind == garbage"])
+def test_a_line_event_without_an_anomaly_never_passes(protocol: Protocol, text: str) -> None:
+    opened, broken = decoded(Session(protocol), [Line(0, "opened", ""), Line(MS, "break", "host")])
+
+    assert passing(compile_filter(text, protocol), [opened, broken]) == [broken]
 
 
 def wall(zone: str, text: str) -> int:
@@ -235,7 +257,7 @@ def test_time_is_the_readers_time_of_day(
     zone("Europe/Stockholm")
     stop = bytes([protocol.pad_byte])
     events: list[Event] = [Chunk(n * 1000 * MS, "host", stop) for n in range(4)]
-    lines = [json_line(record) for record in hosts(decoded(Session(protocol), events))]
+    records: list[Record] = [*hosts(decoded(Session(protocol), events))]
     if seconds is None:
         with pytest.raises(FilterError, match="same"):
             compile_filter(text, protocol)
@@ -244,8 +266,8 @@ def test_time_is_the_readers_time_of_day(
 
     started = test.started(wall("Europe/Stockholm", "2026-11-22 14:03:19"))
 
-    assert [line.t for line in lines if line and started(line)] == seconds
-    assert [line for line in lines if line and test(line)] == []
+    assert [record.t / 1e9 for record in passing(started, records)] == seconds
+    assert passing(test, records) == []
 
 
 def test_the_time_of_day_follows_the_clock_that_is_put_back(
@@ -254,22 +276,22 @@ def test_the_time_of_day_follows_the_clock_that_is_put_back(
     zone("Europe/Stockholm")
     stop = bytes([protocol.pad_byte])
     events: list[Event] = [Chunk(n * 1800 * 1000 * MS, "host", stop) for n in range(6)]
-    lines = [json_line(record) for record in hosts(decoded(Session(protocol), events))]
+    records: list[Record] = [*hosts(decoded(Session(protocol), events))]
     # At 3:00 on 2026-10-25 it is 2:00 again.
     test = compile_filter("time in 2:00..2:45", protocol).started(
         wall("Europe/Stockholm", "2026-10-25 01:30")
     )
 
-    assert [line.t / 1800 for line in lines if line and test(line)] == [1, 2, 3, 4]
+    assert [record.t / 1800e9 for record in passing(test, records)] == [1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("start", [0, -5, 1 << 62, 10**20])
 def test_a_recording_without_a_start_has_no_time_of_day(
-    protocol: Protocol, lines: list[JsonLine], start: int
+    protocol: Protocol, talk: list[Record], start: int
 ) -> None:
     test = compile_filter("time >= 00:00", protocol).started(start)
 
-    assert [line for line in lines if test(line)] == []
+    assert passing(test, talk) == []
 
 
 WRONG = [
@@ -493,10 +515,10 @@ def test_every_anomaly_and_every_row_has_words_that_the_language_knows(
 
 def test_another_grammars_fields_and_names_are_known(horn: Protocol, protocol: Protocol) -> None:
     events = conversation([(b"\x91\x02", b"\0"), (b"\x91\x00", b"\0")])
-    lines = [json_line(record) for record in decoded(Session(horn), events)]
     test = compile_filter("name == Horn and sound > 1", horn)
 
-    assert [line.hex for line in lines if line and test(line)] == ["91 02"]
+    found = passing(test, decoded(Session(horn), events))
+    assert [record.hex for record in found] == ["91 02"]
     with pytest.raises(FilterError):
         compile_filter("sound > 1", protocol)
 
@@ -513,10 +535,10 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     grammar_text: str,
 ) -> None:
     protocol = load(grammar_text.replace('"rgb"', '"len"'))
-    (line,) = (json_line(r) for r in decoded(Session(protocol), [Chunk(0, "host", b"\x81\x05")]))
-    assert line
+    records = decoded(Session(protocol), [Chunk(0, "host", b"\x81\x05")])
+    test = compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)
 
-    assert compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)(line)
+    assert len(passing(test, records)) == len(hosts(records)) == 1
 
 
 @pytest.mark.parametrize(
