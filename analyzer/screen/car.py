@@ -9,6 +9,7 @@ from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion, wheels
 from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.tables import MOTIONS
 
 WIDTH = 26
 ROWS = 8
@@ -28,7 +29,7 @@ def car(protocol: Protocol, state: State, signs: Signs) -> list[Text]:
     axle = (_turning(left, signs), _turning(right, signs))
     return [
         Text(front.join(axle).center(WIDTH)),
-        Text.assemble(f"{side:>9}   ", (signs.motions[motion], colour), f"   {side}"),
+        Text.assemble(f"{side:>9}   ", (signs.motions[MOTIONS.index(motion)], colour), f"   {side}"),
         Text(back.join(axle).center(WIDTH)),
         Text(_caption(state).center(WIDTH), colour),
         Text(f"wheels {left:+d} {right:+d}".center(WIDTH), "dim"),

@@ -138,7 +138,7 @@ class FrameList(Rows):
         mark = self.signs.mark if row in self.marks else _SIGNED if serious else " "
         text = Text(no_wrap=True)
         text.append(mark, f"bold {style}" if serious else "bold")
-        text.append(self._direction(record) + " ", "bold cyan" if _is_host(record) else "bold")
+        text.append(self._direction(record) + " ", "bold cyan" if isinstance(record, HostRecord) else "bold")
         line = json_line(record)
         if line is None:
             assert isinstance(record, LineRecord)
@@ -151,7 +151,7 @@ class FrameList(Rows):
         return text
 
     def _direction(self, record: Record) -> str:
-        if _is_host(record):
+        if isinstance(record, HostRecord):
             return self.signs.to_device
         return self.signs.to_host if isinstance(record, DeviceRecord) else "-"
 
@@ -218,10 +218,6 @@ def _fault_line(record: Record) -> Text:
     colour = f"bold {SEVERITY_COLOURS[fault.severity]}"
     line = Text.assemble((f"{fault.t / 1e9:12.6f} ", "dim"), (printable(fault.kind), colour))
     return line.append(f"  {printable(fault.reason)}")
-
-
-def _is_host(record: Record) -> bool:
-    return isinstance(record, HostRecord)
 
 
 def _style(record: Record, severity: Severity | None) -> str:
