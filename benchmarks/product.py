@@ -16,8 +16,8 @@ import bilprov
 from benchmarks.ceiling import Judged
 from benchmarks.commands import Skipped, bilprov_words, run
 from bilprov.analyzer.cli.sniff import PATIENCE
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
@@ -168,7 +168,7 @@ def browsing(path: Path) -> Browser:
     from bilprov.analyzer.screen.feeds import capture_feed
 
     capture, protocol = open_indexed(path) or open_capture(path), bilprov.load_protocol()
-    opened = Opened(capture, capture_decoder(capture, protocol), capture.events)
+    opened = Opened(capture, capture_decoder(capture, protocol))
     byte_time = line_settings(protocol).byte_time
     return Browser(capture_feed(opened, protocol), Told(path.name, capture.start, byte_time))
 

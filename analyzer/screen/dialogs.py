@@ -34,7 +34,6 @@ class Dialog(ModalScreen[Answer | None]):
     Dialog.plain > Vertical, Dialog.plain > VerticalScroll, Dialog.plain > Rows {
         border: ascii ansi_blue;
     }
-    Dialog > Rows { padding: 0; }
     Dialog Input, Dialog OptionList {
         border: none; height: auto; padding: 0; background: ansi_default;
     }

@@ -156,4 +156,4 @@ class FilterPrompt(Vertical):
 
 def _common(words: list[str]) -> str:
     """What all words begin with, in any case."""
-    return words[0][: len(commonprefix([word.lower() for word in words]))]
+    return words[0][: len(commonprefix([word.lower() for word in words]))]  # noqa: RUF071 - no paths

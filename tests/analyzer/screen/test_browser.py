@@ -572,7 +572,7 @@ def test_a_long_filter_can_be_stopped(screen: Browser, protocol: Protocol) -> No
             await pilot.pause()
             assert "Esc stops it" in text_of(screen)[-1]
             await pilot.press("escape")
-        assert screen.filtering is None or screen.filtering.cancelled
+        assert screen.filtering is None or screen.filtering.cancelled.is_set()
         while screen.filtering:
             await pilot.pause(0.01)
             screen.tick()
