@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.regular import Carry, RegularDecoder, prepare
@@ -124,7 +122,7 @@ class StreamDecoder:
     def _stop(self, events: Events, at: int) -> int:
         """The end of the events from `at` on that are decoded at once."""
         begun = int(events.end[at - 1]) if at else 0
-        fit = int(np.searchsorted(events.end, begun + _BYTES, "right"))
+        fit = int(events.end.searchsorted(begun + _BYTES, "right"))
         return min(at + self._window, max(fit, at + 1))
 
     def _feed_session(self, events: Sequence[Chunk | Line], batches: list[Batch]) -> None:
