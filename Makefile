@@ -19,10 +19,10 @@ PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc
 # Another reader of captures, in JavaScript; npm brings it, where there is one.
 MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0
 
-.PHONY: help setup lock packages demo test quick whole slow pairs mutants check format lint types bench noise fuzz torture pictures clean
+.PHONY: help setup lock packages demo test quick whole slow transcripts verdicts pairs mutants check format lint types bench noise fuzz torture pictures clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## set up .venv with the packages of requirements.lock
 
@@ -68,6 +68,9 @@ whole: setup packages ## every row of the tests of which make test runs a seeded
 slow: setup packages ## make test, and the slowest 20 tests of it
 	$(BIN)/python -m pytest $(PYTEST_ARGS) --durations=20
 
+transcripts: setup ## write what commands print now into tests/transcripts; read the diff
+	$(BIN)/python -m pytest -n 0 --whole --rewrite-transcripts tests/test_transcripts.py
+
 pairs: setup ## no device of two legal readings fails: every pair at smoke, some 3 minutes of one core
 	$(BIN)/python -m pytest $(PYTEST_ARGS) --whole tests/conformance/mutation/test_pairs.py
 
@@ -95,7 +98,7 @@ fuzz: setup ## no crash by 200,000 damaged files and texts, 2 minutes; FUZZ_ARGS
 torture: setup ## all the long harms, some hours; renews docs/RELIABILITY.md; TORTURE_ARGS="HARM --runs N"
 	$(BIN)/python -m benchmarks.torture --page $(TORTURE_ARGS)
 
-bench: setup ## how fast each work is beside construct, mcap and C, 6 minutes; renews docs/performance.md
+bench: setup ## how fast each work is beside construct, mcap and C, 10 minutes; renews docs/performance.md
 	$(BIN)/python -m benchmarks.bench --publish $(BENCH_ARGS)
 
 pictures: setup ## draw the pictures anew: the architecture, and those of README and docs

@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Sequence
 from fnmatch import fnmatch
-from functools import partial
 from pathlib import Path
 
 from benchmarks import browse, captures, decoding, first_lines, latency, live
@@ -37,59 +36,29 @@ from benchmarks.setting import FULL, QUICK, Setting, Work
 
 _FOLDER = ROOT / "build/bench"
 _PAGE, _PLOT = ROOT / "docs/performance.md", ROOT / "docs/performance.svg"
-BOTH_WAYS = "both directions"
+_SNIFF = "`sniff -w`'s path, both directions"
+_FOREIGN = "another program's capture, 64 frames a message,"
 WORKS = (
     Work("columns", "bytes to verdict and state columns", decoding.columns),
     Work("records", "the same to Python records, one by one, cold", decoding.records),
-    Work(
-        "capture-4k",
-        f"`sniff -w`'s path, {BOTH_WAYS}, reads of 4 KiB",
-        partial(
-            captures.sniffed, read=4096, times_construct=300, most_bytes=2, byte_time=captures.FAST
-        ),
-    ),
-    Work(
-        "capture-16",
-        f"`sniff -w`'s path, {BOTH_WAYS}, reads of 16 bytes",
-        partial(captures.sniffed, read=16, times_construct=20, most_bytes=8),
-    ),
+    Work("capture-4k", f"{_SNIFF}, reads of 4 KiB", captures.sniffed_pages),
+    Work("capture-16", f"{_SNIFF}, reads of 16 bytes", captures.sniffed_bytes),
     Work("replay-statistics", "capture to statistics", captures.to_statistics),
     Work("replay-jsonl", "capture to `jsonl`", captures.to_jsonl),
+    Work("waited-statistics", "waited traffic to statistics", captures.waited_to_statistics),
+    Work("waited-jsonl", "waited traffic to `jsonl`", captures.waited_to_jsonl),
+    Work("foreign-statistics", f"{_FOREIGN} to statistics", captures.foreign_to_statistics),
     Work("seek", "`replay --start` near the end, to the first line", first_lines.seek),
     Work("browse", "`replay` on a screen to its first page", browse.browse),
-    Work(
-        "line-jsonl",
-        "a full line, `jsonl`",
-        partial(live.full_line, style="jsonl", write=False, percent=6),
-    ),
-    Work(
-        "line-write",
-        "a full line, `jsonl` and `-w`",
-        partial(live.full_line, style="jsonl", write=True, percent=10),
-    ),
-    Work(
-        "line-screen",
-        "a full line, live screen and `-w`",
-        partial(live.full_line, style="live", write=True, percent=15),
-    ),
-    Work(
-        "fast-quiet",
-        "1.2 MB/s, `-w` and `--quiet`",
-        partial(live.fast_line, style="quiet", percent=40),
-    ),
-    Work(
-        "fast-screen",
-        "1.2 MB/s, `-w` and the live screen",
-        partial(live.fast_line, style="live", percent=60),
-    ),
+    Work("line-jsonl", "a full line, `jsonl`", live.full_line),
+    Work("line-write", "a full line, `jsonl` and `-w`", live.full_line_written),
+    Work("line-screen", "a full line, live screen and `-w`", live.full_line_on_screen),
+    Work("fast-quiet", "1.2 MB/s, `-w` and `--quiet`", live.fast_line),
+    Work("fast-screen", "1.2 MB/s, `-w` and the live screen", live.fast_line_on_screen),
     Work("latency", "byte to JSON line", latency.to_json_line),
     Work("bridge", "round trip added by a bridge", latency.through_a_bridge),
-    Work("help", "`--help`", partial(first_lines.start, words=["--help"], over=60)),
-    Work(
-        "decode",
-        "`decode 2111` to its line",
-        partial(first_lines.start, words=["decode", "2111"], over=100),
-    ),
+    Work("help", "`--help`", first_lines.help_page),
+    Work("decode", "`decode 2111` to its line", first_lines.decoded),
 )
 
 
@@ -124,9 +93,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="small sizes, under a minute")
     parser.add_argument("--only", default="*", metavar="NAME", help="rows by name, * for any")
     parser.add_argument("--seconds", type=float, metavar="N", help="on the fast line (60)")
-    parser.add_argument(
-        "-o", dest="folder", type=Path, default=ROOT / "build/bench", metavar="FOLDER"
-    )
+    parser.add_argument("-o", dest="folder", type=Path, default=_FOLDER, metavar="FOLDER")
     parser.add_argument(
         "--publish", action="store_true", help="renew docs/performance.md and its plot"
     )

@@ -48,7 +48,6 @@ def browse(setting: Setting, work: Work) -> Row:
             Goal("a filter in 1 s", found["filter"], 1, at_most=True),
             Goal("500 MB", memory, 500, at_most=True),
         ),
-        note=made.note,
     )
 
 

@@ -6,22 +6,28 @@ import gc
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from zlib import crc32
 
-from benchmarks import peers, product
-from benchmarks.commands import bilprov_words, medians, run
+from benchmarks import peers, product, traffic
+from benchmarks.commands import ROOT, bilprov_words, medians, run
 from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
 from benchmarks.setting import Made, Setting, Work
-from benchmarks.traffic import reads
+from benchmarks.traffic import reads, waited
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.topics import START_KEY
 
 FAST = 833  # ns of a byte at 12 Mbaud
 _CALM = 1_500_000_000  # ns at the protocol's own rate, after which decoded channels have stopped
 _PAGE = 4096  # bytes of a read
 _SAMPLES = 4  # times the sample for construct, so that opening the file does not count
-_TRIED = 20  # reads of a capture that is made, after which it is known how long it takes
+_CHUNK = 2_000 * 33  # bytes of a chunk of a capture with one message a frame
 _LONGEST = 24  # times the patience of a row that a whole command may take
 
+_KEPT = ROOT / "build/bench"
+
+Maker = Callable[[Setting], Made]
 Figures = tuple[float, float]
 """Frames/s, and bytes in the file for each frame."""
 
@@ -82,6 +88,10 @@ def sniffed(
     )
 
 
+sniffed_pages = partial(sniffed, read=_PAGE, times_construct=300, most_bytes=2, byte_time=FAST)
+sniffed_bytes = partial(sniffed, read=16, times_construct=20, most_bytes=8)
+
+
 def _calm(setting: Setting) -> list[Chunk]:
     """A full line of the protocol's own, for as long as decoded channels may go on."""
     said = setting.said.first(setting.protocol, _CALM // setting.byte_time)
@@ -122,105 +132,148 @@ def _peer(path: Path, write: Callable[[], int]) -> Figures:
 
 def small(setting: Setting) -> Made:
     """The small capture of this run."""
-    return _made(setting, "small", setting.sizes.replay_sample)
+    return _sniffed(setting, "small", setting.sizes.replay_sample)
 
 
 def big(setting: Setting) -> Made:
     """The big capture of this run."""
-    return _made(setting, "big", setting.sizes.replay)
+    return _sniffed(setting, "big", setting.sizes.replay)
 
 
-def _made(setting: Setting, name: str, size: int) -> Made:
+def _sniffed(setting: Setting, name: str, size: int) -> Made:
     """A capture as `sniff -w` writes it, made when it is first asked for."""
     if name not in setting.made:
         said = setting.said.first(setting.protocol, size)
-        before = _calm(setting)
-        chunks = [*before, *reads(said, setting.protocol, _PAGE, FAST, start=_CALM)]
+        chunks = [*_calm(setting), *reads(said, setting.protocol, _PAGE, FAST, start=_CALM)]
         frames = sum(len(chunk.data) for chunk in chunks if chunk.direction == "device")
-        path, note = setting.new_file(f"{name}.mcap"), ""
-        if not _sniffed_in_time(setting, path, chunks, len(before)):
-            note = "a capture of raw chunks alone: sniffing would take too long to make it"
-            with product.logging(setting.new_file(path.name), setting.protocol) as take:
-                for chunk in chunks:
-                    take(chunk)
-        setting.made[name] = Made(path, frames, chunks[-1].t, note)
+        path = setting.new_file(f"{name}.mcap")
+        with product.sniffing(path, setting.protocol) as take:
+            for chunk in chunks:
+                take(chunk)
+        setting.made[name] = Made(path, frames, chunks[-1].t)
     return setting.made[name]
 
 
-def _sniffed_in_time(setting: Setting, path: Path, chunks: list[Chunk], calm: int) -> bool:
-    """Make a capture as `sniff -w` does, if that does not take too long; returns whether it did."""
-    longest = _LONGEST * setting.sizes.patience
-    with product.sniffing(path, setting.protocol) as take:
-        for chunk in chunks[:calm]:
-            take(chunk)
-        begun = time.perf_counter()
-        for place, chunk in enumerate(chunks[calm:], 1):
-            take(chunk)
-            passed = time.perf_counter() - begun
-            if place == _TRIED and passed / place * len(chunks) > longest:
-                return False
-    return True
+def few_waited(setting: Setting) -> Made:
+    """A small capture of a host that waits for its answers, in chunks of 0.1 s as `sniff -w`'s."""
+    frames = setting.sizes.replay_sample * 10 // 17
+    path = setting.folder / "waited.mcap"
+    if not path.exists():
+        with product.logging(path, setting.protocol) as take:
+            for chunk in waited(setting.protocol, frames):
+                take(chunk)
+    return Made(path, frames)
 
 
-def to_statistics(setting: Setting, work: Work) -> Row:
-    """A capture to its statistics."""
-    return _replayed(setting, work, product.statistics, None, 200)
+def much_waited(setting: Setting) -> Made:
+    """The big one, in chunks of 2,000 messages; it is kept, since it takes a minute to make."""
+    about = product.metadata(setting.protocol) | {START_KEY: "0"}
+    return _kept(setting, "waited", about=about)
 
 
-def to_jsonl(setting: Setting, work: Work) -> Row:
-    """A capture to JSON lines that nobody reads."""
-    made = small(setting)
-    told = run(bilprov_words(*product.replayed(made.path)), keep=True).output.count("\n")
-    if told < 2 * made.frames:
-        raise RuntimeError(f"{made.frames} frames and their answers gave {told} lines")
-    with Path(os.devnull).open("wb") as nowhere:
-        return _replayed(setting, work, product.replayed, nowhere, 10)
+def foreign(setting: Setting) -> Made:
+    """A big capture of another program with 64 frames a message, which is kept too."""
+    return _kept(setting, "foreign", together=64)
 
 
-def _replayed(
+def _kept(
+    setting: Setting, name: str, *, together: int = 1, about: dict[str, str] | None = None
+) -> Made:
+    """A capture by the mcap library that stays for later runs, until other traffic is drawn."""
+    frames = setting.sizes.replay * 10 // 17
+    drawn = crc32(Path(traffic.__file__).read_bytes() + setting.protocol.source.encode())
+    path = _KEPT / f"{name}-{frames}-{drawn:08x}.mcap"
+    if not path.exists():
+        _KEPT.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        part.unlink(missing_ok=True)
+        chunks = waited(setting.protocol, frames, together)
+        peers.raw_written(part, chunks, about, _CHUNK if about else 1 << 20)
+        part.replace(path)
+    return Made(path, frames)
+
+
+def replayed(
     setting: Setting,
     work: Work,
+    *,
     words: Callable[[Path], list[str]],
-    out: object,
     times_construct: float,
+    captures: tuple[Maker, Maker] = (small, big),
 ) -> Row:
-    """The whole command, on the big capture unless it takes too long; construct on a sample."""
-    made, few = big(setting), small(setting)
-    note = made.note
-    little = run(bilprov_words(*words(few.path)))
+    """A whole command on the big capture, unless it takes too long.
+
+    Beside it is construct on a sample of the one with reads of 4 KiB, on which it is the fastest.
+    """
+    few, made = (make(setting) for make in captures)
+    reads_of_4k = big(setting).path
+    note, lines = "", words is product.replayed
+    little = run(bilprov_words(*words(few.path)), keep=lines)
+    if lines and little.output.count("\n") < 2 * few.frames:
+        raise RuntimeError(f"{few.frames} frames and their answers gave fewer lines")
     longest = _LONGEST * setting.sizes.patience
     if little.seconds * made.frames / few.frames > longest:
         note = f"{made.frames / 1e6:.3g} M frames would take over {longest:.0f} s"
         made, ended = few, little
     else:
         ended = run(bilprov_words(*words(made.path)))
-    start, most = product.capture_start(made.path) + _CALM, _SAMPLES * setting.sample.frames
-    speed = {
-        CONSTRUCT: lambda: _rate(
-            lambda: peers.construct_replayed(made.path, setting.construct, start, most, out)
-        )
-    }
-    if setting.has_ceiling():
-        speed[f"mcap + {C_LOOP}"] = lambda: _rate(
-            lambda: peers.ceiling_replayed(made.path, setting.ceiling)
-        )
-    rates = medians(min(3, setting.sizes.rounds), speed)
+    start, most = product.capture_start(reads_of_4k) + _CALM, _SAMPLES * setting.sample.frames
+    with Path(os.devnull).open("wb") as nowhere:
+        out = nowhere if lines else None
+        speed = {
+            CONSTRUCT: lambda: _rate(
+                lambda: peers.construct_replayed(reads_of_4k, setting.construct, start, most, out)
+            )
+        }
+        if setting.has_ceiling():
+            speed[f"mcap + {C_LOOP}"] = lambda: _rate(
+                lambda: peers.ceiling_replayed(made.path, setting.ceiling)
+            )
+        rates = medians(min(3, setting.sizes.rounds), speed)
+    ours = made.frames / ended.seconds
     return Row(
         work.name,
         f"{made.frames / 1e6:.3g} M frames, {work.words}",
         "frames/s",
-        made.frames / ended.seconds,
+        ours,
         rates,
-        {"MB at peak": ended.memory / 1e6, "MB with the small capture": little.memory / 1e6},
+        {
+            "MB at peak": ended.memory / 1e6,
+            "MB with the small capture": little.memory / 1e6,
+            "frames/s with the small capture": few.frames / little.seconds,
+        },
         goals=(
-            Goal(
-                f"{times_construct} x {CONSTRUCT}",
-                made.frames / ended.seconds / rates[CONSTRUCT],
-                times_construct,
-            ),
+            Goal(f"{times_construct} x {CONSTRUCT}", ours / rates[CONSTRUCT], times_construct),
             Goal("at most 300 MB", ended.memory / 1e6, 300, True),
         ),
         note=note,
+    )
+
+
+_WAITED = (few_waited, much_waited)
+to_statistics = partial(replayed, words=product.statistics, times_construct=200)
+to_jsonl = partial(replayed, words=product.replayed, times_construct=10)
+waited_to_statistics = partial(to_statistics, times_construct=40, captures=_WAITED)
+waited_to_jsonl = partial(to_jsonl, times_construct=8, captures=_WAITED)
+
+
+def foreign_to_statistics(setting: Setting, work: Work) -> Row:
+    """Another program's capture to statistics, beside the big one with its reads of 4 KiB."""
+    made = {"bilprov": foreign(setting), "reads of 4 KiB": big(setting)}
+
+    def measured(one: Made) -> float:
+        return one.frames / run(bilprov_words(*product.statistics(one.path))).seconds
+
+    works = {name: partial(measured, one) for name, one in made.items()}
+    rates = medians(min(3, setting.sizes.rounds), works)
+    ours = rates.pop("bilprov")
+    return Row(
+        work.name,
+        f"{made['bilprov'].frames / 1e6:.3g} M frames, {work.words}",
+        "frames/s",
+        ours,
+        rates,
+        goals=(Goal("0.8 x reads of 4 KiB", ours / min(rates.values()), 0.8),),
     )
 
 

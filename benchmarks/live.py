@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import NamedTuple
+from functools import partial
 
 from benchmarks import lines, product
 from benchmarks.captures import FAST
@@ -17,41 +16,24 @@ _DISTINCT = 2_000_000  # host bytes, after which the traffic is sent again
 _BARE_SECONDS = 5.0
 
 
-class _Line(NamedTuple):
-    """How fast a line is, in ns a byte and in words, and for how many seconds it is full."""
-
-    byte_time: int
-    words: str
-    seconds: float
-
-
-def full_line(setting: Setting, work: Work, *, style: str, write: bool, percent: float) -> Row:
-    """The protocol's own line, full from the host, an answer to each frame."""
-    line = _Line(setting.byte_time, f"{setting.protocol.line.baud:,} baud", setting.sizes.line)
-    return _row(setting, work, line, style, write, percent)
-
-
-def fast_line(setting: Setting, work: Work, *, style: str, percent: float) -> Row:
-    """12 Mbaud, full from the host, an answer to each frame; everything is logged."""
-    return _row(setting, work, _Line(FAST, "12 Mbaud", setting.seconds), style, True, percent)
-
-
-def _row(
-    setting: Setting,
-    work: Work,
-    line: _Line,
-    style: str,
-    write: bool,
-    percent: float,
+def _full(
+    setting: Setting, work: Work, *, style: str, percent: float, fast: bool, write: bool = True
 ) -> Row:
+    """A line that is full from the host, an answer to each frame: the protocol's own, or a fast.
+
+    The share of a core that `sniff` takes may be so many percent.
+    """
+    byte_time, seconds = (
+        (FAST, setting.seconds) if fast else (setting.byte_time, setting.sizes.line)
+    )
+    baud = "12 Mbaud" if fast else f"{setting.protocol.line.baud:,} baud"
     said = setting.said.first(setting.protocol, _DISTINCT)
-    ready = lines.bursts(said, setting.protocol, line.byte_time)
-    share, lost, late = _ours(setting, ready, line.seconds, style, write)
-    bare_seconds = min(line.seconds, _BARE_SECONDS)
-    bare_share, bare_lost = _bare(setting, ready, bare_seconds, write)
+    ready = lines.bursts(said, setting.protocol, byte_time)
+    share, lost, late = _ours(setting, ready, seconds, style, write)
+    bare_share, bare_lost = _bare(setting, ready, min(seconds, _BARE_SECONDS), write)
     return Row(
         work.name,
-        f"{work.words}, {line.words}, {line.seconds:g} s",
+        f"{work.words}, {baud}, {seconds:g} s",
         "% of a core",
         share * 100,
         {_BARE: bare_share * 100},
@@ -62,6 +44,13 @@ def _row(
             Goal("no byte lost", lost, 0, at_most=True),
         ),
     )
+
+
+full_line = partial(_full, style="jsonl", percent=6, fast=False, write=False)
+full_line_written = partial(_full, style="jsonl", percent=10, fast=False)
+full_line_on_screen = partial(_full, style="live", percent=15, fast=False)
+fast_line = partial(_full, style="quiet", percent=40, fast=True)
+fast_line_on_screen = partial(_full, style="live", percent=60, fast=True)
 
 
 def _ours(
@@ -84,13 +73,9 @@ def _bare(setting: Setting, ready: lines.Bursts, seconds: float, write: bool) ->
     with lines.wires() as on, lines.screen() as screen, out.open("xb") as file:
         words = [sys.executable, "-m", "benchmarks.bare_reader", on.host.name, on.device.name]
         heard = lines.listen([*words, *more], on, ready, seconds, file, screen)
-    got = _size(log) if write else sum(lines.shown(out).values())
+    got = log.stat().st_size if write else sum(lines.shown(out).values())
     return heard.share, _missing(heard.sent, got)
 
 
 def _missing(sent: lines.Sent, got: int) -> int:
     return sent.host + sent.device - got
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size

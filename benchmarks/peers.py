@@ -7,7 +7,7 @@ with that library; none of it is made slow on purpose.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from benchmarks.ceiling import Ceiling, Judged
 from bilprov.captures.schemas import Chunk
-from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW, METADATA_NAME
 from bilprov.spec.fields import From, Outcome
 from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
@@ -121,12 +121,19 @@ def frame_json(construct: Construct, frame: Parsed, t: int, answer: int | None) 
 
 
 class PlainWriter:
-    """An MCAP file by the mcap library alone; a context manager."""
+    """An MCAP file by the mcap library alone; a context manager.
 
-    def __init__(self, path: Path) -> None:
+    `about` becomes its metadata record, and a chunk has `size` bytes before it is compressed.
+    """
+
+    def __init__(
+        self, path: Path, about: Mapping[str, str] | None = None, size: int = 1 << 20
+    ) -> None:
         self._file = path.open("xb")
-        self._mcap = Writer(self._file, compression=CompressionType.ZSTD)
+        self._mcap = Writer(self._file, chunk_size=size, compression=CompressionType.ZSTD)
         self._mcap.start()
+        if about:
+            self._mcap.add_metadata(METADATA_NAME, dict(about))
         schema = self._mcap.register_schema("frame", "jsonschema", b'{"type": "object"}')
         self._channels = {
             "frame": self._mcap.register_channel("/frame", "json", schema),
@@ -164,10 +171,15 @@ def json_written(path: Path, construct: Construct, chunks: Iterable[Chunk]) -> i
     return frames
 
 
-def raw_written(path: Path, chunks: Iterable[Chunk]) -> int:
-    """Write raw chunks alone; returns how many frames were answered in them."""
+def raw_written(
+    path: Path,
+    chunks: Iterable[Chunk],
+    about: Mapping[str, str] | None = None,
+    size: int = 1 << 20,
+) -> int:
+    """Write raw chunks alone, as PlainWriter does; returns how many frames were answered."""
     frames = 0
-    with PlainWriter(path) as file:
+    with PlainWriter(path, about, size) as file:
         for chunk in chunks:
             file.write(chunk.direction, chunk.t, chunk.data)
             frames += len(chunk.data) if chunk.direction == "device" else 0

@@ -25,8 +25,7 @@ from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 from bilprov.captures.writer import CaptureWriter
@@ -64,13 +63,14 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 
     def decode(data: bytes) -> list[Columns]:
         buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
-        state = [getattr(protocol.power_on, name) for name in VARIABLES]
+        state = list(tables.values_of(protocol.power_on))
         while at < len(data):
             part = buffer[at : at + _PART]
             offsets, used = found.offsets(part)
             frames = found.frames(part, offsets)
-            columns.append(Columns(frames.verdict, found.states(part, frames, state)))
-            state = [int(column[-1]) for column in columns[-1].state]
+            states = {name: found.state(name, part, frames, state) for name in VARIABLES}
+            columns.append(Columns(frames.verdict, states))
+            state = [int(column[-1]) for column in states.values()]
             at += used or len(data)
         return columns
 
@@ -80,7 +80,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
     codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES).ljust(256, b"\0")
-    last = {name: int(getattr(columns[-1].state, name)[-1]) for name in VARIABLES}
+    last = {name: int(columns[-1].state[name][-1]) for name in VARIABLES}
     state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
     verdicts = b"".join(part.verdict.tobytes() for part in columns)
     return Judged(verdicts.translate(codes), state)
@@ -109,7 +109,7 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
     decoder = StreamDecoder(protocol, skew=0)
     statistics = Statistics()
-    with Recorder(path, time.time_ns(), _metadata(protocol)) as recorder:
+    with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(NoOutput())
         pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
         pipeline.events([Line(0, "open")])
@@ -124,8 +124,8 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
 
 @contextmanager
 def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
-    """A capture of the raw bytes alone, for a file that `sniffing` would take too long to make."""
-    words = _metadata(protocol)
+    """A capture of the raw bytes alone, in the chunks that `sniff -w` makes."""
+    words = metadata(protocol)
     with CaptureWriter(path, start_wall=time.time_ns(), metadata=words, version="bench") as writer:
 
         def take(chunk: Chunk) -> None:
@@ -135,7 +135,8 @@ def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object
         yield take
 
 
-def _metadata(protocol: Protocol) -> dict[str, str]:
+def metadata(protocol: Protocol) -> dict[str, str]:
+    """What a capture of two taps says of itself, but for its start."""
     return session_metadata(
         protocol,
         ports={"host": "bench", "device": "bench"},

@@ -39,12 +39,11 @@ QUICK = Sizes(2_600_000, 50_000, 5_000, 2, 300_000, 0.5, 200_000, 20_000, 1.5, 1
 
 
 class Made(NamedTuple):
-    """A capture that was made: how many frames it has, its last time (ns), what to know of it."""
+    """A capture that was made: how many frames it has, and its last time (ns) if that is used."""
 
     path: Path
     frames: int
-    end: int
-    note: str
+    end: int = 0
 
 
 @dataclass

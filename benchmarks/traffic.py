@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain, islice
 from random import Random
 
 from bilprov.captures.schemas import Chunk
@@ -45,18 +46,18 @@ class Traffic:
         return Traffic(self.host[:end], self.device[:frames])
 
 
-def blocks(protocol: Protocol, seed: int) -> Iterator[list[Exchange]]:
+def blocks(protocol: Protocol, seed: int, faulty: float = FAULTY) -> Iterator[list[Exchange]]:
     """Yield blocks of random exchanges without end; the same seed gives the same.
 
-    Each instruction is as likely as any other, and so is each value of a field. The faulty frames
-    are in equal parts unused IDs, wrong lengths and data out of range, as far as the grammar has
-    such.
+    `faulty` is the share of faulty frames. Each instruction is as likely as any other, and so is
+    each value of a field. The faulty frames are in equal parts unused IDs, wrong lengths and data
+    out of range, as far as the grammar has such.
     """
     draw = Random(seed)
     ok = _answer(protocol, Outcome.VALID)
     valid = [(_valid(protocol, draw), ok) for _ in range(_VALID)]
     kinds = _faults(protocol)
-    share = round(_BLOCK * FAULTY) if kinds else 0
+    share = round(_BLOCK * faulty) if kinds else 0
     while True:
         block = draw.choices(valid, k=_BLOCK)
         for place in draw.sample(range(_BLOCK), share):
@@ -96,6 +97,21 @@ def reads(
             answered += 1
         if answered > before:
             yield Chunk(t + min(_ANSWERED, byte_time), "device", said.device[before:answered])
+
+
+def waited(
+    protocol: Protocol, frames: int, together: int = 1, pause: int = 20_000_000
+) -> Iterator[Chunk]:
+    """Yield the traffic of a host that waits for its answers, 2 % of its frames faulty.
+
+    Each `pause` (ns) it sends so many frames `together`, which are answered together as well.
+    """
+    exchanges = islice(chain.from_iterable(blocks(protocol, 3, 0.02)), frames)
+    t = 0
+    while batch := list(islice(exchanges, together)):
+        t += pause
+        yield Chunk(t, "host", b"".join(frame for frame, _ in batch))
+        yield Chunk(t + _ANSWERED, "device", b"".join(answer for _, answer in batch))
 
 
 def _answer(protocol: Protocol, outcome: Outcome) -> bytes:

@@ -18,13 +18,13 @@ RESERVED = frozenset({"close", "home", "look", "protocol", "sees", "send", "send
 def method_names(protocol: Protocol) -> Mapping[str, InstructionSpec]:
     """Return each instruction by the name of its method, in the order of the IDs."""
     words = ((snake_case(spec.name, "do_"), spec) for spec in protocol.instructions)
-    return _each_once(words, RESERVED)
+    return each_once(words, RESERVED.union(keyword.kwlist))
 
 
 def parameter_names(spec: InstructionSpec) -> Mapping[str, FieldSpec]:
     """Return each field by the name of its parameter, in the order in which they are sent."""
     words = ((snake_case(part.name, "field_"), part) for part in spec.fields)
-    return _each_once(words, frozenset({"self"}))
+    return each_once(words, {"self", *keyword.kwlist})
 
 
 def snake_case(name: str, prefix: str) -> str:
@@ -45,11 +45,11 @@ def snake_case(name: str, prefix: str) -> str:
     return word if word[:1].isalpha() else prefix + word.strip("_")
 
 
-def _each_once(words: Iterable[tuple[str, T]], reserved: Collection[str]) -> Mapping[str, T]:
-    """Return the words as keys; one that is taken gets an underscore, as PEP 8 recommends."""
+def each_once(words: Iterable[tuple[str, T]], reserved: Collection[str]) -> Mapping[str, T]:
+    """Return the values by their words; a word that is taken or reserved gets an underscore."""
     taken: dict[str, T] = {}
     for word, value in words:
-        while keyword.iskeyword(word) or word in reserved or word in taken:
+        while word in reserved or word in taken:
             word += "_"
         taken[word] = value
     return taken

@@ -71,6 +71,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="every row of the tests that are sampled, and other random inputs in each run",
     )
     parser.addoption("--sample-seed", type=int, default=1, help="which rows a sample holds")
+    parser.addoption(
+        "--rewrite-transcripts",
+        action="store_true",
+        help="write what commands print now into tests/transcripts, instead of comparing it",
+    )
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -11,14 +11,16 @@ from xml.etree import ElementTree
 
 import pytest
 
+from benchmarks import product
 from benchmarks.ceiling import Ceiling, Judged
 from benchmarks.commands import medians
 from benchmarks.peers import Construct, json_written, raw_written, read_by_mcap
 from benchmarks.plot import as_svg
 from benchmarks.report import Goal, Machine, Row, as_json, as_markdown, between_markers
-from benchmarks.traffic import FAULTY, Traffic, blocks, reads, traffic
+from benchmarks.traffic import FAULTY, Traffic, blocks, reads, traffic, waited
 from bilprov.analyzer.api import decode
 from bilprov.captures.reader import open_capture
+from bilprov.captures.topics import START_KEY
 from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES
@@ -113,6 +115,37 @@ def test_reads_are_the_traffic_and_no_answer_comes_before_its_frame(
         else:
             answered += len(chunk.data)
             assert ends[answered] <= heard
+
+
+@pytest.mark.parametrize("together", [1, 7])
+def test_a_host_that_waits_sends_whole_frames_and_has_each_answered(
+    grammar: Protocol, together: int
+) -> None:
+    chunks = list(waited(grammar, 100, together, pause=1_000_000))
+
+    assert [chunk.t for chunk in chunks] == sorted(chunk.t for chunk in chunks)
+    for sent, answered in zip(chunks[::2], chunks[1::2], strict=True):
+        frames = [record.data for record in decode(sent.data, protocol=grammar)]
+        assert (sent.direction, answered.direction) == ("host", "device")
+        assert answered.data == bytes(judge(grammar, frame).response.code for frame in frames)
+    sizes = [len(chunk.data) for chunk in chunks[1::2]]
+    assert (sizes[0], sum(sizes)) == (together, 100)
+
+
+def test_a_capture_of_a_waiting_host_by_the_library_is_read_as_one_of_ours(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = tmp_path / "waited.mcap"
+    about = product.metadata(protocol) | {START_KEY: "0"}
+
+    assert raw_written(path, waited(protocol, 300), about, size=1_000) == 300
+
+    capture = open_capture(path)
+    counts = capture.contents.counts
+    assert (counts["/host/raw"], counts["/device/raw"]) == (300, 300)
+    assert not capture.damage
+    assert not capture.unfinished
+    assert capture.metadata["grammar_sha256"] == protocol.sha256
 
 
 def expected(protocol: Protocol, said: Traffic) -> Judged:

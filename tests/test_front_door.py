@@ -20,7 +20,6 @@ import bilprov
 from bilprov import __main__ as front_door
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.output.help import examples_in
-from bilprov.analyzer.settings import FORMER
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
@@ -116,12 +115,6 @@ def test_a_narrow_locale_is_no_reason_to_fail(variable: dict[str, str]) -> None:
     assert (result.returncode, result.stderr) == (0, b"")
 
 
-def test_version_is_one_plain_line() -> None:
-    name, version = process("--version").stdout.decode().split()
-    assert name == "bilprov"
-    assert version[0].isdigit()
-
-
 def test_an_installation_gets_the_version_that_the_command_shows() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     module, _, attribute = declared["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(
@@ -131,57 +124,6 @@ def test_an_installation_gets_the_version_that_the_command_shows() -> None:
     assert declared["project"]["dynamic"] == ["version"]
     shown = command("--version").stdout.decode()
     assert shown == f"bilprov {getattr(import_module(module), attribute)}\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        (["explian"], "no such command 'explian', did you mean explain?"),
-        (["frobnicate"], "no such command 'frobnicate'; see bilprov --help"),
-        (["--grammer"], "did you mean --grammar?"),
-        (["--grammar"], "option '--grammar' requires an argument"),
-        (["explain"], "missing argument 'HEX...'; see bilprov explain --help"),
-        (["explain", "00", "--format", "xml"], "'xml' is not one of"),
-        (["sniff", "--baud", "x"], "'x' is not a whole number; see bilprov sniff --help"),
-        (["sniff", "--duration", "x"], "'x' is not a number; see bilprov sniff --help"),
-        (["explain", "00", "--grammar", "x.py"], "the grammar x.py cannot be read"),
-        (["explain", "00", "--grammar"], "option '--grammar' requires an argument"),
-        (["completion", "bash", "extra"], "unexpected extra argument (extra)"),
-        (["spec", "emit", "rust"], "no bilprov spec emit rust; there are c, wireshark, grammar"),
-        (["help", "frobnicate"], "no such command 'frobnicate'"),
-        (["/nowhere/c.mcap"], "does not exist"),
-        (["--grammar", "/nowhere/g.py", "spec", "show"], "cannot be read"),
-        (["capture", "info", "/nowhere/c.mcap"], "does not exist"),
-        (["explain", "\x1b[31mred\u202e"], "is not hex"),
-    ],
-)
-def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], part: str) -> None:
-    sentence = said(command(*arguments))
-    assert part in sentence
-    assert sentence.isprintable()
-
-
-@pytest.mark.parametrize(
-    ("source", "part"),
-    [
-        ("", "declares no HEADER"),
-        ("def (", "SyntaxError"),
-        ("1/0", "ZeroDivisionError"),
-        ("raise SystemError('a\\nb')", "SystemError: a b"),
-    ],
-)
-def test_a_grammar_that_does_not_load_is_one_sentence(
-    tmp_path: Path, source: str, part: str
-) -> None:
-    file = tmp_path / "g.py"
-    file.write_text(source)
-    assert part in said(command("--grammar", str(file), "explain", "00"))
-
-
-def test_no_arguments_show_the_help_as_wrong_use() -> None:
-    result = process()
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert b"Usage: bilprov" in result.stderr
 
 
 BROKEN_COMMAND = """
@@ -333,56 +275,6 @@ def test_a_former_name_and_help_are_no_files(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     assert "is now bilprov capture info" in said(command("info", cwd=tmp_path))
     assert command("help", cwd=tmp_path).returncode == 0
-
-
-def test_a_former_name_is_one_sentence_with_the_new_one() -> None:
-    new = {
-        "info x.mcap": "bilprov capture info x.mcap",
-        "cut a.mcap b.mcap --end 3": "bilprov capture cut a.mcap b.mcap --end 3",
-        "join a b -o c": "bilprov capture join a b -o c",
-        "recover a b": "bilprov capture repair a b",
-        "convert --decoded a b": "bilprov capture decode a b",
-        "compare a b": "bilprov capture diff a b",
-        "doctor /dev/ttyUSB0 --ask": "bilprov ports /dev/ttyUSB0 --ask",
-        "doctor x.mcap": "bilprov capture check x.mcap",
-        "browse x.mcap": "bilprov replay x.mcap",
-        "shell sim": "bilprov send sim",
-        "emulate x.elf --pty": "bilprov simulate --firmware x.elf --pty",
-        "score --random 0": "bilprov lab score --random 0",
-        "learn sim": "bilprov lab learn sim",
-        "line a pty": "bilprov lab line a pty",
-    }
-    for old, line in new.items():
-        name = old.partition(" ")[0]
-        sentence = said(command(*old.split()))
-        assert sentence.startswith(f"bilprov: bilprov {name} is now bilprov ")
-        assert sentence.endswith(f": {line}")
-        parsed(line.removeprefix("bilprov "))
-    assert said(command("cut")) == "bilprov: bilprov cut is now bilprov capture cut"
-    assert {old.partition(" ")[0] for old in new} == set(FORMER)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--grammar", "{horn}", "encode", "Horn", "2"],
-        ["encode", "--grammar", "{horn}", "Horn", "2"],
-        ["encode", "Horn", "2", "--grammar", "{horn}"],
-        ["--grammar", "/nowhere/g.py", "encode", "Horn", "2", "--grammar={horn}"],
-        ["spec", "--grammar", "{horn}", "show"],
-        ["spec", "emit", "c", "--grammar", "{horn}"],
-    ],
-)
-def test_another_grammar_is_named_before_the_command_or_behind_it(
-    words: list[str], tmp_path: Path, horn_text: str
-) -> None:
-    horn = tmp_path / "horn.py"
-    horn.write_text(horn_text)
-
-    result = command(*(word.format(horn=horn) for word in words))
-
-    assert (result.returncode, result.stderr) == (0, b"")
-    assert result.stdout == b"91 02\n" or b"horn" in result.stdout.lower()
 
 
 def test_the_grammar_that_is_written_is_the_one_in_use(tmp_path: Path, horn_text: str) -> None:

@@ -19,8 +19,8 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
-from tests.support.robots import failing, judged_exit, sentence, simulate
+from tests.support.commands import process
+from tests.support.robots import failing, judged_exit, simulate
 from tests.support.wires import running
 
 
@@ -148,22 +148,6 @@ def test_the_faults_of_the_horns_grammar_are_caught(horn: Protocol, name: str) -
     assert report.exit == 1
 
 
-@pytest.mark.slow
-def test_the_command_conforms_with_the_copy(grammar: str, tmp_path: Path) -> None:
-    result = command(
-        *("--grammar", grammar, "conform", "sim", "--only", "*/Horn/*", "--json", "-"),
-        cwd=tmp_path,
-    )
-
-    report = msgspec.json.decode(result.stdout)
-    assert result.returncode == report["exit"] == 0
-    assert report["grammar"]["name"] == "robot-car"
-    assert report["counts"]["pass"] == len(report["cases"])
-    assert {"valid/Horn/3", "bad-data/Horn/255", "truncated/Horn/0"} <= {
-        case["id"] for case in report["cases"]
-    }
-
-
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("device", "suite", "code"),
@@ -188,38 +172,6 @@ def test_the_copy_goes_over_tcp(grammar: str, device: bool, suite: bool, code: i
     assert state["moving"] is False
 
 
-def test_the_copy_decodes(grammar: str) -> None:
-    result = command(
-        *("--grammar", grammar, "decode", "--format", "jsonl", "91 02 91 04 90 a0".replace(" ", ""))
-    )
-
-    assert result.returncode == 0, result.stderr
-    frames = [line for line in map(json.loads, result.stdout.splitlines()) if "name" in line]
-    told = [(f["hex"], f["name"], f["judgement"]) for f in frames if f["kind"] == "instruction"]
-    assert told == [
-        ("91 02", "Horn", "OK"),
-        ("91 04", "Horn", "BAD_DATA"),
-        ("90", "Horn", "TOO_FEW_DATA"),
-        ("a0", None, "BAD_HEADER"),
-    ]
-    assert frames[0]["fields"] == {"sound": 2}
-
-
-def test_the_copy_encodes_and_explains(grammar: str) -> None:
-    encoded = command("--grammar", grammar, "encode", "Horn", "sound=3")
-    refused = command("--grammar", grammar, "encode", "Horn", "sound=4")
-    explained = command("--grammar", grammar, "explain", "91 03")
-    unknown = command("encode", "Horn", "sound=3")
-
-    assert encoded.stdout.decode().split() == ["91", "03"]
-    assert refused.returncode == 2
-    assert "allowed are 0 to 3" in sentence(refused)
-    assert "Horn" in explained.stdout.decode()
-    assert "which of the four sounds" in explained.stdout.decode()
-    assert unknown.returncode == 2
-    assert "no instruction 'Horn'" in sentence(unknown)
-
-
 def test_the_copy_sniffs_and_filters(grammar: str) -> None:
     with (
         open_pty() as host,
@@ -234,10 +186,3 @@ def test_the_copy_sniffs_and_filters(grammar: str) -> None:
     assert code == 0, err
     (line,) = [json.loads(text) for text in out.splitlines()]
     assert (line["name"], line["fields"], line["judgement"]) == ("Horn", {"sound": 2}, "OK")
-
-
-def test_the_copys_spec_is_shown(grammar: str) -> None:
-    result = command("--grammar", grammar, "spec", "show")
-
-    assert result.returncode == 0
-    assert "Horn" in result.stdout.decode()

@@ -34,8 +34,8 @@ ROOMS = (
         "captures.evidence",
         "captures.background",
         "captures.chunked_file",
-        "captures.indexed",
         "captures.parts",
+        "captures.recorded",
         "captures.reader",
         "captures.writer",
     ),
@@ -86,6 +86,7 @@ HOMES = {
     "numpy": (
         "spec/tables.py",
         "captures/events.py",
+        "captures/recorded.py",
         "captures/storage/",
         "analyzer/columns/",
         "analyzer/filters/columns.py",

@@ -52,8 +52,7 @@ from bilprov.analyzer.replay.playback import interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW

@@ -39,8 +39,8 @@ from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture, Recorded
-from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Resumption
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Recorded, Resumption
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 

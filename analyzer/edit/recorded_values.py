@@ -9,8 +9,7 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.recorder import RecordWriter
-from bilprov.captures.reader import Recorded
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption
 
 _BATCH_VALUES = 1 << 12
 _BATCH_BYTES = 1 << 15

@@ -10,9 +10,8 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.captures.events import Events
-from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed
-from bilprov.captures.reader import Capture, Recorded, open_capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
+from bilprov.captures.schemas import Chunk, Line, Recorded
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
 from bilprov.spec.protocol import Protocol
@@ -32,21 +31,15 @@ class Opened(NamedTuple):
 
     def events(self) -> Iterator[Chunk | Line]:
         """The events from there on, one by one."""
-        if isinstance(self.capture, IndexedCapture):
-            return self.capture.events(self.after)
-        return self.capture.events()
+        return self.capture.events(self.after)
 
     def batches(self) -> Iterator[Events]:
         """The events from there on, as arrays."""
-        if isinstance(self.capture, IndexedCapture):
-            return self.capture.batches(self.after)
-        return self.capture.batches()
+        return self.capture.batches(self.after)
 
     def recorded(self) -> Iterator[Recorded]:
         """All that was recorded from there on and not decoded from the bytes."""
-        if isinstance(self.capture, IndexedCapture):
-            return self.capture.recorded(self.after)
-        return self.capture.recorded()
+        return self.capture.recorded(self.after)
 
 
 def opened_at(
@@ -73,7 +66,7 @@ def opened_at(
 
 
 def _from_checkpoint(
-    capture: IndexedCapture, protocol: Protocol, start: int, timeout: int | None
+    capture: Capture, protocol: Protocol, start: int, timeout: int | None
 ) -> Opened | None:
     stored = capture.checkpoint_before(start, protocol.sha256)
     if stored is None:

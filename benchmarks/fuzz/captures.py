@@ -46,8 +46,7 @@ from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Asked, CaseMark, Checkpoint, Chunk, Look, Resumption
 from bilprov.captures.storage.records import MAGIC
 
@@ -95,10 +94,10 @@ def examined(path: Path) -> Hashable:
         if after is not None:
             list(indexed.recorded(after))
     try:
-        sealed = open_evidence(path, attached).sealed
+        sound = not open_evidence(path, attached).capture.unfinished
     except CaptureError:
-        sealed = None
-    return _seen(capture), indexed is None, sealed, len(held).bit_length()
+        sound = None
+    return _seen(capture), indexed is None, sound, len(held).bit_length()
 
 
 def _seen(capture: Capture) -> Hashable:
@@ -162,9 +161,9 @@ def exporting() -> Test:
             for chosen in (None, faulty.started(capture.start)):
                 _export(capture, chosen)
             totals, timeline = Totals(protocol), Timeline(protocol)
-            for part in decoded_parts(capture, protocol, lambda count: None):
-                totals.add(part)
-                timeline.add(part)
+            for batch in decoded_batches(capture, protocol, lambda count: None):
+                totals.add(batch)
+                timeline.add(batch)
         stats = file_stats(capture, totals, capture_line(capture, protocol))
         msgspec.json.encode(stats)
         require("</html>" in plot_page(capture, protocol, timeline, stats, "0"), "half a page")

@@ -15,10 +15,8 @@ from benchmarks.fuzz.traffic import columns_at_once
 from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, bytes_or_pause
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import compile_filter
@@ -47,10 +45,10 @@ def text_of(data: bytes) -> str:
 
 
 @cache
-def _stretches() -> list[tuple[Stretch, list[JsonLine], list[JsonLine]]]:
-    """Some traffic with answers of all kinds, as columns and as the JSON lines of each side."""
+def _batches() -> list[Batch]:
+    """Some traffic with answers of all kinds."""
     protocol = load_protocol()
-    found = []
+    found: list[Batch] = []
     for heard in (_BOTH, frozenset[Direction]({"device"})):
         random, t, played = Random(2), 0, []
         for _ in range(24):
@@ -62,22 +60,14 @@ def _stretches() -> list[tuple[Stretch, list[JsonLine], list[JsonLine]]]:
             played += [Chunk(t, "host", frame), Chunk(t + late, "device", bytes([answer]))]
             t += 200 * MS
         with columns_at_once():
-            parts = StreamDecoder(protocol, heard=heard).feed(played)
-        for part in parts:
-            if isinstance(part, Stretch):
-                sides: tuple[list[JsonLine], list[JsonLine]] = ([], [])
-                for record in part.records():
-                    line = json_line(record)
-                    if line is not None and isinstance(record, HostRecord | DeviceRecord):
-                        sides[isinstance(record, DeviceRecord)].append(line)
-                found.append((part, *sides))
+            found += StreamDecoder(protocol, heard=heard).feed(played)
     return found
 
 
 def filters() -> Test:
-    """A filter is refused, or its mask over columns holds where it lets the JSON line pass."""
+    """A filter is refused, or selects the same rows whoever decoded them."""
     protocol = load_protocol()
-    stretches = _stretches()
+    batches = _batches()
 
     def test(data: bytes) -> Hashable:
         text = text_of(data)
@@ -86,12 +76,11 @@ def filters() -> Test:
         plain = compile_filter(text, protocol)
         passing = 0
         for test in (plain.started(_WALL), plain):
-            for stretch, host, device in stretches:
-                masks = test.masks(stretch)
-                for mask, lines in zip(masks, (host, device), strict=True):
-                    passes = [test(line) for line in lines]
-                    require(mask.tolist() == passes, "columns and lines differ")
-                    passing += sum(passes)
+            for batch in batches:
+                listed = Records(batch.records())
+                rows = batch.in_order(test.selection(batch)).tolist()
+                require(rows == listed.in_order(test.selection(listed)).tolist(), "rows differ")
+                passing += sum(rows)
         return passing, len(text).bit_length()
 
     return test

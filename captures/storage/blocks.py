@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,8 @@ class Messages:
     def __len__(self) -> int:
         return len(self.start)
 
-    def part(self, first: int, last: int | None = None) -> Messages:
-        """The rows from `first` up to, not including, `last`."""
-        rows = slice(first, last)
+    def rows(self, rows: slice | NDArray[np.bool_]) -> Messages:
+        """Some of the rows."""
         return Messages(
             self.content,
             self.start[rows],
@@ -140,26 +139,33 @@ def _joined(pieces: list[Piece]) -> tuple[Messages, str]:
     return Messages.at(b"".join([piece.content for piece in pieces]), starts), pieces[0].lost
 
 
-def message_starts(content: bytes, index: bytes = b"") -> NDArray[np.int64]:
-    """Where the record of each message begins in a chunk's unpacked bytes.
+Others: TypeAlias = list[tuple[int, int, int]]
+"""Records that are no messages: opcode, start and end of the content."""
+
+
+def message_starts(content: bytes, index: bytes = b"") -> tuple[NDArray[np.int64], Others]:
+    """Where the record of each message begins in a chunk's unpacked bytes; and the other records.
 
     `index` has the entries of the chunk's message indexes, of all channels. Nothing covers them by
     a checksum: they are used where they lead from each message right to the next one, else all
     records are walked. Raises Damaged if a record is inconsistent.
     """
     if len(index) >= 16 * _WORTH_AN_INDEX:
-        starts = _indexed_starts(content, index)
-        if starts is not None:
-            return starts
-    found = [
-        start - _FRONT for opcode, start, _ in records_in(content) if opcode == records.MESSAGE
-    ]
-    return np.array(found, np.int64)
+        found = _indexed_starts(content, index)
+        if found is not None:
+            return found
+    starts, others = [], []
+    for record in records_in(content):
+        if record[0] == records.MESSAGE:
+            starts.append(record[1] - _FRONT)
+        else:
+            others.append(record)
+    return np.array(starts, np.int64), others
 
 
-def _indexed_starts(content: bytes, index: bytes) -> NDArray[np.int64] | None:
+def _indexed_starts(content: bytes, index: bytes) -> tuple[NDArray[np.int64], Others] | None:
     offsets = np.sort(np.frombuffer(index, "<u8")[1::2])
-    if offsets[-1] + _HEAD.itemsize > len(content):
+    if int(offsets[-1]) + _HEAD.itemsize > len(content):
         return None
     starts = offsets.astype(np.int64)
     heads = _heads(content, starts)
@@ -171,10 +177,10 @@ def _indexed_starts(content: bytes, index: bytes) -> NDArray[np.int64] | None:
     ):
         return None
     try:
-        front = [opcode for opcode, _, _ in records_in(content[: int(starts[0])])]
+        front = list(records_in(content[: int(starts[0])]))
     except Damaged:
         return None
-    return None if records.MESSAGE in front else starts
+    return None if any(opcode == records.MESSAGE for opcode, _, _ in front) else (starts, front)
 
 
 def _heads(content: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:

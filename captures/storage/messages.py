@@ -7,24 +7,25 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BufferedReader
+from itertools import chain
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of
+from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
 from bilprov.captures.storage.records import (
-    ATTACHMENT_BYTES,
     MAGIC,
     MESSAGE_BYTES,
-    RECORD_HEAD,
     AttachmentRecord,
     Damaged,
 )
-from bilprov.captures.storage.recovery import SKIPPED, RecordFile
+from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
 
+_WITH_MESSAGES = {records.CHUNK, records.MESSAGE}
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
 WINDOW_BYTES = 16 * 1024 * 1024  # of the messages held back
 
@@ -83,6 +84,15 @@ class TimeWindow(Generic[Item]):
         while len(self._held) > WINDOW_MESSAGES or self._bytes > WINDOW_BYTES:
             yield self._pop()
 
+    def pass_over(self, times: list[int]) -> None:
+        """Let messages through that no message before is later than, and after which a window's
+        worth of later ones comes, so that all before them goes too.
+        """
+        if times:
+            for _ in self.rest():
+                pass
+            self._latest = times[-1]
+
     def rest(self) -> Iterator[Item]:
         """Yield all messages that are still held."""
         while self._held:
@@ -137,6 +147,14 @@ def single(parts: Iterable[Part]) -> Iterator[Stored]:
             yield from part.single()
 
 
+def split(parts: Iterator[Part]) -> tuple[Stored | None, Iterator[Part]]:
+    """The first message, None if there is none, and the rest."""
+    begin = next(parts, None)
+    if isinstance(begin, Messages):
+        return next(begin.single()), chain([begin.rows(slice(1, None))], parts)
+    return begin, parts
+
+
 class Place(NamedTuple):
     """The place of a message: offset of its chunk, its end in the unpacked chunk, its sequence."""
 
@@ -155,6 +173,26 @@ def parts_after(
     if place is not None:
         order.expected = place.sequence + 1
     return _in_file_order(_pieces_after(file, contents, place), counted=True, order=order)
+
+
+def messages_before(
+    file: BufferedReader, contents: Contents, chunks: Iterable[int], channel: int
+) -> Iterator[tuple[Stored, Place]]:
+    """Yield the messages on a channel of the chunks at some offsets; of each the last one first."""
+    source = RecordFile(file, contents.size)
+    source.own = True
+    for offset in chunks:
+        try:
+            found = source.record(offset)
+            starts, _ = message_starts(found.content)
+        except Damaged:
+            continue
+        if found.opcode == records.CHUNK:
+            block = Messages.at(found.content, starts)
+            block = block.rows(block.channel == channel)
+            places = [Place(offset, end, 0) for end in block.end.tolist()]
+            for message, place in reversed(list(zip(block.single(), places, strict=True))):
+                yield message, place._replace(sequence=message.sequence)
 
 
 def _in_file_order(pieces: Iterator[Piece], counted: bool, order: Order) -> Iterator[Part]:
@@ -236,50 +274,30 @@ class _Reading:
 def _pieces_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
     source = RecordFile(file, contents.size)
     source.own = True
-    offset = len(MAGIC) if place is None else place.chunk
-    passed = 0 if place is None else place.end
-    while offset < contents.size:
-        try:
-            found = source.record(offset)
+    start, passed = (len(MAGIC), 0) if place is None else (place.chunk, place.end)
+    for found in source.walk(start, contents.size):
+        if isinstance(found, Found):
             if found.opcode == records.CHUNK:
-                starts, end = source.messages(found)
-                found = found._replace(end=end)
-                source.count_messages(len(starts))
-                yield Piece(found.content, starts[starts >= passed], "")
-        except Damaged:
-            resumed = source.next_chunk(offset + 1)
-            if resumed is None:
+                yield Piece(found.content, found.starts[found.starts >= passed], "")
+            elif found.opcode == records.DATA_END:
                 return
-            offset, passed = resumed, 0
-            continue
-        if found.opcode == records.DATA_END:
-            return
-        offset, passed = found.end, 0
+        passed = 0
 
 
 def _pieces(file: BufferedReader, contents: Contents) -> Iterator[Piece]:
     # The survey has checked each record of these regions; here they only must still be complete.
     source = RecordFile(file, contents.size)
-    source.past_data = True
     where = ""
-    for at, region_end in contents.regions:
-        offset = at
-        while offset < region_end:
-            found = source.record(offset)
-            offset = found.end
-            if found.opcode == records.CHUNK:
-                starts, offset = source.messages(found)
-                yield Piece(found.content, starts, where)
-                if len(starts):
+    for start, end in contents.regions:
+        for found in source.walk(start, end, only=_WITH_MESSAGES):
+            if isinstance(found, Lost):
+                raise found.damage
+            if found.opcode in _WITH_MESSAGES:
+                yield Piece(found.content, found.starts, where)
+                if len(found.starts):
                     where = ""
-            elif found.opcode == records.MESSAGE:
-                head = RECORD_HEAD.pack(records.MESSAGE, len(found.content))
-                yield Piece(head + found.content, np.zeros(1, np.int64), where)
-                where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"
-            elif found.opcode == records.FOOTER:
-                return
         where = "the file is damaged here"
 
 
@@ -288,19 +306,14 @@ def attachments(file: BufferedReader, contents: Contents) -> Iterator[Attachment
 
     Raises Damaged if the file has changed since the survey.
     """
-    for at, region_end in contents.regions:
-        offset = at
-        while offset < region_end:
-            file.seek(offset)
-            head = file.read(RECORD_HEAD.size)
-            if len(head) < RECORD_HEAD.size:
-                raise Damaged("it has another size")
-            opcode, length = RECORD_HEAD.unpack(head)
-            offset += RECORD_HEAD.size + length
-            if opcode == records.FOOTER:
-                return
-            if opcode == records.ATTACHMENT and length <= ATTACHMENT_BYTES + MESSAGE_BYTES:
-                try:
-                    yield records.attachment_record(file.read(length), contents.own)
-                except Damaged:  # nobody looked at those of foreign files
-                    continue
+    source = RecordFile(file, contents.size)
+    source.own = contents.own
+    for start, end in contents.regions:
+        for found in source.walk(start, end, only=()):
+            if isinstance(found, Lost):
+                raise found.damage
+            if found.opcode == records.ATTACHMENT:
+                with suppress(Damaged):  # nobody looked at those of foreign files
+                    content = source.record(start, {records.ATTACHMENT}).content
+                    yield records.attachment_record(content, contents.own)
+            start = found.end

@@ -24,8 +24,17 @@ def c_header(protocol: Protocol) -> str:
             (f"{spec.id}: {spec.name}", _instruction(protocol, spec))
             for spec in protocol.instructions
         ),
-        ("Answers, one byte each", _answers(protocol)),
-        ("Which answer is due", _outcomes(protocol)),
+        (
+            "Answers, one byte each",
+            (
+                (f"ANSWER_{_word(one.name)}", _hex(one.code), one.prose)
+                for one in protocol.responses
+            ),
+        ),
+        (
+            "Which answer is due",
+            ((f"ON_{one.name}", _hex(protocol.answers[one].code), "") for one in Outcome),
+        ),
         ("Times in ms, and the line", _times(protocol)),
     ]
     lines = [
@@ -41,7 +50,8 @@ def c_header(protocol: Protocol) -> str:
             while name in taken:  # names may differ in characters that C has not
                 name += "_"
             taken.add(name)
-            lines.append(_define(prefix, name, value, prose))
+            comment = f" /* {_plain(prose)} */" if prose else ""
+            lines.append(f"#define {prefix}_{name} {value}{comment}")
     return "\n".join([*lines, "", "#endif", ""])
 
 
@@ -76,32 +86,13 @@ def _field(instruction: str, field: FieldSpec) -> Iterator[Line]:
         yield f"{name}_{_word(bit)}", _hex(1 << place), ""
 
 
-def _answers(protocol: Protocol) -> Iterator[Line]:
-    for response in protocol.responses:
-        yield f"ANSWER_{_word(response.name)}", _hex(response.code), response.prose
-
-
-def _outcomes(protocol: Protocol) -> Iterator[Line]:
-    for outcome in Outcome:
-        if outcome in protocol.answers:
-            yield f"ON_{_word(outcome.name)}", _hex(protocol.answers[outcome].code), ""
-
-
 def _times(protocol: Protocol) -> Iterator[Line]:
     timing, line = protocol.timing, protocol.line
-    yield (
-        "TRUNCATION_TIMEOUT_MS",
-        f"{timing.truncation_timeout:g}",
-        "a pause inside a frame ends it",
-    )
+    timeout = f"{timing.truncation_timeout:g}"
+    yield "TRUNCATION_TIMEOUT_MS", timeout, "a pause inside a frame ends it"
     yield "ANSWER_DEADLINE_MS", f"{timing.answer_deadline:g}", ""
     yield "STOP_LONGEST_MS", f"{timing.stop_longest:g}", "after a faulty instruction"
     yield "BAUD", str(line.baud), f"parity {line.parity}, {line.stopbits:g} stop bit"
-
-
-def _define(prefix: str, name: str, value: str, prose: str) -> str:
-    said = f" /* {_plain(prose)} */" if prose else ""
-    return f"#define {prefix}_{name} {value}{said}"
 
 
 def _word(name: str) -> str:

@@ -1,22 +1,26 @@
-"""Generates a Wireshark dissector in Lua: fields, verdicts, pairing and state of a grammar."""
+"""Generates a Wireshark dissector in Lua: a grammar as tables, and the program that reads them."""
 
 from __future__ import annotations
 
 import json
+import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Effect, Motion, is_moving
+from bilprov.spec.motion import VARIABLES, Effect, Motion
 from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
-from bilprov.spec.python_names import snake_case
+from bilprov.spec.python_names import each_once, snake_case
 
-_WIDTH = 72  # of a table on one line, without its name
+T = TypeVar("T")
+
+_WIDTH = 90  # of a table on one line
 _WIDEST = 6  # bytes of a field: Lua's numbers are exact up to 2^53
+_UNSAFE = re.compile(r'[\x00-\x1f\x7f"\\]')  # in a string of Lua
 
 _HEAD = """\
 -- Wireshark dissector of {title}: {document}
@@ -42,33 +46,30 @@ def lua_dissector(protocol: Protocol, skew: float) -> str:
     otherwise. Raises UserError for a field that is not a plain integer of 1 to 6 bytes.
     """
     grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
-    head = _HEAD.format(
-        title=_line(grammar["title"]),
-        document=_line(protocol.document),
-        sha256=protocol.sha256,
-        word=grammar["word"],
-    )
+    head = _HEAD.format_map({**grammar, "document": protocol.document, "sha256": protocol.sha256})
     return f"{head}\n\nlocal GRAMMAR = {_lua(grammar)}\n{PROGRAM}"
 
 
 def _grammar(protocol: Protocol) -> dict[str, Any]:
-    """Return all that the program knows of the protocol."""
+    """Return all that the program knows of the protocol; rows of fields are as it declares them."""
     timing = protocol.timing
+    words = _by_word(((spec.name, spec) for spec in protocol.instructions), {"state", "expert"})
+    power_on = {name: getattr(protocol.power_on, name) for name in VARIABLES}
     return {
         "word": _word(protocol.name),
         "title": f"{protocol.name} {protocol.version}",
-        "header": _header(protocol),
+        "header": list(_header(protocol)),
         "used": ", ".join(str(identity) for identity in protocol.by_id),
-        "instructions": _instructions(protocol),
+        "instructions": {spec.id: _instruction(word, spec) for word, spec in words.items()},
         "codes": {spec.code: spec.name for spec in protocol.responses},
-        "outcomes": {
-            outcome.name: {"words": outcome.value, "code": protocol.answers[outcome].code}
-            for outcome in Outcome
-        },
-        "variables": list(VARIABLES),
-        "power_on": {name: _plain(getattr(protocol.power_on, name)) for name in VARIABLES},
+        "outcomes": {one.name: [one.value, protocol.answers[one].code] for one in Outcome},
+        "state": [
+            _row("STRING" if isinstance(value, str) else "INT64", f"state.{name}", name)
+            for name, value in power_on.items()
+        ],
+        "power_on": power_on,
         "on_fault": _sets(protocol.on_fault, ()),
-        "drives": {motion.value: True for motion in Motion if is_moving(motion, 1)},
+        "stopped": Motion.STOPPED,
         "truncation_timeout": round(timing.truncation_timeout * 1000),  # us; the others are in ms
         "truncation_longest": timing.truncation_longest,
         "answer_deadline": timing.answer_deadline,
@@ -76,30 +77,26 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
     }
 
 
-def _header(protocol: Protocol) -> dict[Any, Any]:
-    """Return the parts of the header byte in order, and again by their names."""
-    parts: dict[Any, dict[str, Any]] = {}
-    shift = 8
-    for place, (name, width, prose) in enumerate(protocol.header_bits, 1):
-        shift -= width
-        part = {"unit": 1 << shift, "size": 1 << width}
-        parts[name] = part
-        mask = (part["size"] - 1) * part["unit"]
-        shown = {"word": name, "prose": prose, "mask": mask}
-        if name == "id":
-            known = {spec.id: spec.name for spec in protocol.instructions}
-            shown["names"] = {identity: known.get(identity, "unused") for identity in protocol.ids}
-        parts[place] = shown
-    return parts
+def _row(kind: str, word: str, name: str, **more: Any) -> dict[str, Any]:
+    """Return a field of the dissector: its type, its word in display filters, its name."""
+    return {"kind": kind, "word": word, "name": name, **more}
 
 
-def _instructions(protocol: Protocol) -> dict[int, Any]:
-    words = _distinct(((spec, spec.name) for spec in protocol.instructions), {"state", "expert"})
-    return {spec.id: _instruction(word, spec) for word, spec in words.items()}
+def _header(protocol: Protocol) -> Iterator[dict[str, Any]]:
+    """Yield the parts of the header byte in order; a part is `header / unit % size`."""
+    known = {identity: spec.name for identity, spec in protocol.by_id.items()}
+    names = {"id": {"names": dict.fromkeys(protocol.ids, "unused") | known}}
+    unit = 256
+    for name, width, prose in protocol.header_bits:
+        size = 1 << width
+        unit //= size
+        mask = (size - 1) * unit
+        more = names.get(name, {})
+        yield _row("UINT8", name, name, prose=prose, unit=unit, size=size, mask=mask, **more)
 
 
 def _instruction(word: str, spec: InstructionSpec) -> dict[str, Any]:
-    fields = _distinct((part, part.name) for part in spec.fields)
+    fields = _by_word((part.name, part) for part in spec.fields)
     return {
         "name": spec.name,
         "length": spec.length,
@@ -110,107 +107,72 @@ def _instruction(word: str, spec: InstructionSpec) -> dict[str, Any]:
 
 def _field(word: str, spec: InstructionSpec, part: FieldSpec) -> dict[str, Any]:
     little, signed = _coding(spec, part)
-    masks = [1 << place for place in reversed(range(len(part.bits)))]
-    named = zip(part.bits, masks, strict=True)
-    bits = _distinct((bit, bit[0]) for bit in named)
-    return {
-        "word": word,
-        "name": part.name,
-        "prose": part.prose,
-        "offset": part.offset,
-        "size": part.size,
-        "low": part.low,
-        "high": part.high,
-        "little": little,
-        "signed": signed,
-        "modulus": 256**part.size,
-        "bits": [
-            {"word": short, "name": name, "mask": mask} for short, (name, mask) in bits.items()
-        ],
-    }
+    kind = f"{'INT' if signed else 'UINT'}{8 * part.size if part.size <= 4 else 64}"
+    numbers = {name: getattr(part, name) for name in ("offset", "size", "low", "high")}
+    bits = _by_word((bit, (bit, 1 << len(part.bits) - at)) for at, bit in enumerate(part.bits, 1))
+    more: dict[str, Any] = {"width": 8 * part.size, "names": ["on", "off"]}
+    rows = [
+        _row("BOOLEAN", f"{word}.{short}", bit, mask=mask, **more)
+        for short, (bit, mask) in bits.items()
+    ]
+    return (
+        _row(kind, word, part.name, prose=part.prose, little=little, signed=signed, bits=rows)
+        | numbers
+    )
 
 
 def _coding(spec: InstructionSpec, part: FieldSpec) -> tuple[bool, bool]:
-    """Return whether a field is little-endian and whether it is signed, as its parser shows."""
-    orders: tuple[Literal["big", "little"], ...] = ("big", "little")
-    for order, signed in product(orders, (False, True)):
-        if 0 < part.size <= _WIDEST and all(
-            part.parse(raw) == int.from_bytes(raw, order, signed=signed)
-            for raw in _samples(part.size)
-        ):
-            return order == "little", signed
+    """Return whether a field is little-endian and whether it is signed, as its parser shows.
+
+    The data tried are all bits, and each value of each byte among zeros.
+    """
+    size = part.size
+    tried = [bytes([0xFF]) * size]
+    tried += [(one << 8 * at).to_bytes(size, "big") for at in range(size) for one in range(256)]
+    for little, signed in product((False, True), repeat=2):
+        order: Literal["big", "little"] = "little" if little else "big"
+        values = (int.from_bytes(data, order, signed=signed) for data in tried)
+        if 0 < size <= _WIDEST and all(map(operator.eq, map(part.parse, tried), values)):
+            return little, signed
     raise UserError(
         f"{spec.name}.{part.name} is not a plain integer of 1 to {_WIDEST} bytes, and a dissector "
         "in Lua can hold nothing else: give it such a field in the grammar"
     )
 
 
-def _samples(size: int) -> Iterator[bytes]:
-    """Yield data that tell the codings of integers apart: each value of each byte, among zeros."""
-    yield bytes([0xFF]) * size
-    for place in range(size):
-        for value in range(256):
-            yield bytes(place) + bytes([value]) + bytes(size - 1 - place)
-
-
 def _sets(effect: Effect, fields: Iterable[FieldSpec]) -> dict[str, Any]:
     """Return the new value of each state variable, or the place of its field and the factor."""
     places = {part.name: place for place, part in enumerate(fields, 1)}
     return {
-        variable: {"field": places[value[0]], "factor": value[1]}
-        if isinstance(value, tuple)
-        else _plain(value)
+        variable: [places[value[0]], value[1]] if isinstance(value, tuple) else value
         for variable, value in effect.assignments
     }
 
 
-def _plain(value: int | str) -> int | str:
-    return str(value) if isinstance(value, str) else value
-
-
 def _word(name: str) -> str:
     """Return a name as part of a display filter: RotateRight is rotate_right."""
-    word = re.sub(r"[^a-z0-9]+", "_", snake_case(name, "x_"))
-    return word.strip("_") or "x"
+    return re.sub(r"[^a-z0-9]+", "_", snake_case(name, "x_")).strip("_") or "x"
 
 
-def _distinct(named: Iterable[tuple[Any, str]], taken: Iterable[str] = ()) -> dict[str, Any]:
-    """Return values by the words of their names; a word that is taken gets an underscore."""
-    words: dict[str, Any] = {}
-    used = set(taken)
-    for value, name in named:
-        word = _word(name)
-        while word in used:
-            word += "_"
-        used.add(word)
-        words[word] = value
-    return words
+def _by_word(named: Iterable[tuple[str, T]], reserved: Collection[str] = ()) -> Mapping[str, T]:
+    return each_once(((_word(name), value) for name, value in named), reserved)
 
 
-def _line(text: str) -> str:
-    """Return text as one line, which no comment in Lua can be left by."""
-    return " ".join(text.split())
-
-
-def _lua(value: Any, indent: str = "") -> str:
+def _lua(value: Any, indent: str = "\n") -> str:
     """Return a value as Lua source: dicts and lists are tables, on one line where it holds them."""
-    if isinstance(value, dict | list):
-        deeper = indent + "    "
-        entries = (
-            [f"{_key(key)} = {_lua(inner, deeper)}" for key, inner in value.items()]
-            if isinstance(value, dict)
-            else [_lua(inner, deeper) for inner in value]
-        )
-        line = "{ " + ", ".join(entries) + " }" if entries else "{}"
-        if "\n" not in line and len(indent) + len(line) <= _WIDTH:
-            return line
-        return "{\n" + "".join(f"{deeper}{entry},\n" for entry in entries) + indent + "}"
     if isinstance(value, str):
-        text = value.replace("\\", "\\\\").replace('"', '\\"')
-        unseen = re.sub(r"[\x00-\x1f\x7f]", lambda found: f"\\{ord(found[0]):03d}", text)
-        return f'"{unseen}"'
-    return json.dumps(value)
-
-
-def _key(key: int | str) -> str:
-    return key if isinstance(key, str) else f"[{key}]"
+        return '"' + _UNSAFE.sub(lambda found: f"\\{ord(found[0]):03d}", value) + '"'
+    if not isinstance(value, dict | list):
+        return json.dumps(value)
+    deeper = indent + "    "
+    if isinstance(value, dict):
+        keys = (f"{key} = " if isinstance(key, str) else f"[{key}] = " for key in value)
+        entries = [
+            key + _lua(inner, deeper) for key, inner in zip(keys, value.values(), strict=True)
+        ]
+    else:
+        entries = [_lua(inner, deeper) for inner in value]
+    line = f"{{ {', '.join(entries)} }}"
+    if "\n" not in line and len(indent + line) <= _WIDTH:
+        return line
+    return "{" + "".join(f"{deeper}{entry}," for entry in entries) + indent + "}"

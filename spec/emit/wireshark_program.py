@@ -6,9 +6,8 @@ shows 3.0 where the older ones show 3.
 """
 
 PROGRAM = r"""
-local robot = Proto(GRAMMAR.word, GRAMMAR.title)
+local robot, format = Proto(GRAMMAR.word, GRAMMAR.title), string.format
 local US, MS = 1000, 1000000 -- ns
-
 robot.prefs.take = Pref.bool("Take every RTAC serial packet", true,
     "Off: they are shown as without this script")
 robot.prefs.truncation_timeout = Pref.uint("Truncation time-out in us",
@@ -16,104 +15,67 @@ robot.prefs.truncation_timeout = Pref.uint("Truncation time-out in us",
 robot.prefs.skew = Pref.uint("Skew of the taps in us", GRAMMAR.skew,
     "So long before its instruction a response may be stamped")
 
--- The names of all fields, as display filters have them, begin with GRAMMAR.word.
-local fields = {}
+-- What an item may have besides its bytes, in the order in which it is shown.
+local GENERATED = {
+    { word = "name", kind = "STRING", name = "Name" },
+    { word = "kind", kind = "STRING", name = "Kind" },
+    { word = "outcome", kind = "STRING", name = "Outcome" },
+    { word = "response_to", kind = "FRAMENUM", name = "Response to", names = frametype.REQUEST },
+    { word = "latency", kind = "RELATIVE_TIME", name = "Latency",
+        prose = "Time from the instruction's last byte to its response" },
+    { word = "agrees", kind = "BOOLEAN", name = "Is the expected response" },
+    { word = "judgement", kind = "UINT8", name = "A conforming device says",
+        names = GRAMMAR.codes },
+    { word = "reason", kind = "STRING", name = "Reason" },
+    { word = "sequence", kind = "UINT32", name = "Number of the instruction" },
+    { word = "begins_in", kind = "FRAMENUM", name = "Begins in" },
+    { word = "goes_on_in", kind = "FRAMENUM", name = "Goes on in" },
+    { word = "cut_short", kind = "FRAMENUM", name = "Cut short is the frame in" },
+    { word = "response_in", kind = "FRAMENUM", name = "Response in", names = frametype.RESPONSE },
+}
+local OTHERS = {
+    { word = "data", kind = "BYTES", name = "Data" },
+    { word = "response", kind = "UINT8", name = "Response", names = GRAMMAR.codes },
+    { word = "state.moving", kind = "BOOLEAN", name = "moving" },
+}
 
-local function declared(kind, word, ...)
-    local made = ProtoField[kind](GRAMMAR.word .. "." .. word, ...)
-    fields[#fields + 1] = made
-    return made
-end
-
-local header_fields = {}
-for _, part in ipairs(GRAMMAR.header) do
-    header_fields[#header_fields + 1] = declared("uint8", part.word, part.word, base.DEC,
-        part.names, part.mask, part.prose)
-end
-
-local function wireshark_type(part)
-    local bits = part.size <= 4 and 8 * part.size or 64
-    return string.format("%s%d", part.signed and "int" or "uint", bits)
-end
-
-for _, spec in pairs(GRAMMAR.instructions) do
-    for _, part in ipairs(spec.fields) do
-        part.field = declared(wireshark_type(part), part.word, part.name, base.DEC, nil, nil,
-            part.prose)
-        for _, bit in ipairs(part.bits) do
-            bit.field = declared("bool", part.word .. "." .. bit.word, bit.name, 8 * part.size,
-                { "on", "off" }, bit.mask)
-        end
+local F, X, fields = {}, {}, {} -- fields and expert infos by their words, and all fields
+local function declare(rows)
+    for _, row in ipairs(rows) do
+        local shape = row.width or row.kind:find("INT") and base.DEC or base.NONE
+        row.field = ProtoField.new(row.name, GRAMMAR.word .. "." .. row.word, ftypes[row.kind],
+            row.names, shape, row.mask, row.prose)
+        F[row.word], fields[#fields + 1] = row, row.field
+        declare(row.bits or {})
     end
 end
-
-local F = {
-    data = declared("bytes", "data", "Data"),
-    name = declared("string", "name", "Name"),
-    kind = declared("string", "kind", "Kind"),
-    outcome = declared("string", "outcome", "Outcome"),
-    judgement = declared("uint8", "judgement", "A conforming device says", base.DEC,
-        GRAMMAR.codes),
-    reason = declared("string", "reason", "Reason"),
-    sequence = declared("uint32", "sequence", "Number of the instruction"),
-    response = declared("uint8", "response", "Response", base.DEC, GRAMMAR.codes),
-    agrees = declared("bool", "agrees", "Is the expected response"),
-    response_in = declared("framenum", "response_in", "Response in", base.NONE,
-        frametype.RESPONSE),
-    response_to = declared("framenum", "response_to", "Response to", base.NONE, frametype.REQUEST),
-    latency = declared("relative_time", "latency", "Latency",
-        "Time from the instruction's last byte to its response"),
-    goes_on_in = declared("framenum", "goes_on_in", "Goes on in"),
-    begins_in = declared("framenum", "begins_in", "Begins in"),
-    cut_short = declared("framenum", "cut_short", "Cut short is the frame in"),
-}
-local state_fields = {}
-for _, variable in ipairs(GRAMMAR.variables) do
-    local kind = type(GRAMMAR.power_on[variable]) == "string" and "string" or "int64"
-    state_fields[variable] = declared(kind, "state." .. variable, variable)
-end
-local moving_field = declared("bool", "state.moving", "moving")
+for _, rows in ipairs({ GRAMMAR.header, GRAMMAR.state, GENERATED, OTHERS }) do declare(rows) end
+for _, spec in pairs(GRAMMAR.instructions) do declare(spec.fields) end
 robot.fields = fields
 
-local X = {
-    faulty = ProtoExpert.new(GRAMMAR.word .. ".expert.faulty", "Faulty instruction",
-        expert.group.PROTOCOL, expert.severity.WARN),
-    truncated = ProtoExpert.new(GRAMMAR.word .. ".expert.truncated", "Truncated instruction",
-        expert.group.MALFORMED, expert.severity.WARN),
-    garbage = ProtoExpert.new(GRAMMAR.word .. ".expert.garbage", "Bytes that belong to no frame",
-        expert.group.UNDECODED, expert.severity.WARN),
-    disagreeing = ProtoExpert.new(GRAMMAR.word .. ".expert.disagreeing",
-        "Not the expected response", expert.group.RESPONSE_CODE, expert.severity.WARN),
-    unused = ProtoExpert.new(GRAMMAR.word .. ".expert.unused", "Unused response",
-        expert.group.RESPONSE_CODE, expert.severity.ERROR),
-    late = ProtoExpert.new(GRAMMAR.word .. ".expert.late", "Late response",
-        expert.group.SEQUENCE, expert.severity.WARN),
-    unanswered = ProtoExpert.new(GRAMMAR.word .. ".expert.unanswered", "No response",
-        expert.group.SEQUENCE, expert.severity.WARN),
-    unsolicited = ProtoExpert.new(GRAMMAR.word .. ".expert.unsolicited",
-        "Responds to no instruction", expert.group.SEQUENCE, expert.severity.WARN),
-}
-local experts = {}
-for _, one in pairs(X) do
-    experts[#experts + 1] = one
+for word, row in pairs({
+    faulty = { "Faulty instruction", "PROTOCOL", "WARN" },
+    truncated = { "Truncated instruction", "MALFORMED", "WARN" },
+    garbage = { "Bytes that belong to no frame", "UNDECODED", "WARN" },
+    disagreeing = { "Not the expected response", "RESPONSE_CODE", "WARN" },
+    unused = { "Unused response", "RESPONSE_CODE", "ERROR" },
+    late = { "Late response", "SEQUENCE", "WARN" },
+    unanswered = { "No response", "SEQUENCE", "WARN" },
+    unsolicited = { "Responds to no instruction", "SEQUENCE", "WARN" },
+}) do
+    X[word] = ProtoExpert.new(GRAMMAR.word .. ".expert." .. word, row[1], expert.group[row[2]],
+        expert.severity[row[3]])
 end
-robot.experts = experts
+robot.experts = X
 
 -- Judging one frame: its header with as many data bytes as it announces, or fewer.
 
-local function part_of(header, name)
-    local part = GRAMMAR.header[name]
-    return math.floor(header / part.unit) % part.size
-end
-
-local function hex(data)
-    return (data:gsub(".", function(byte)
-        return string.format("%02x ", byte:byte())
-    end):gsub(" $", ""))
+local function part_of(header, word)
+    return math.floor(header / F[word].unit) % F[word].size
 end
 
 local function counted(count)
-    return count == 1 and "1 data byte" or string.format("%d data bytes", count)
+    return format(count == 1 and "%d data byte" or "%d data bytes", count)
 end
 
 local function value_of(part, data)
@@ -122,412 +84,250 @@ local function value_of(part, data)
         local place = part.little and part.size + 1 - i or i
         value = value * 256 + data:byte(1 + part.offset + place)
     end
-    if part.signed and value >= part.modulus / 2 then
-        value = value - part.modulus
-    end
-    return value
-end
-
-local function judged(data)
-    local header = data:byte(1)
-    local id, length, came = part_of(header, "id"), part_of(header, "length"), #data - 1
-    local spec = GRAMMAR.instructions[id]
-    local verdict = { id = id, length = length, came = came, spec = spec, reason = "" }
-    local outcome = "VALID"
-    if not spec then
-        outcome = "UNKNOWN_ID"
-        verdict.reason = string.format("no instruction has ID %d, used are %s", id, GRAMMAR.used)
-    elseif came < length then
-        outcome = "TOO_FEW"
-        verdict.reason = string.format("%s: %s announced, %d came", spec.name, counted(length),
-            came)
-    elseif length ~= spec.length then
-        outcome = length > spec.length and "TOO_MANY" or "TOO_FEW"
-        verdict.reason = string.format("%s takes %s, the header says %d", spec.name,
-            counted(spec.length), length)
-    else
-        verdict.values = {}
-        for i, part in ipairs(spec.fields) do
-            local value = value_of(part, data)
-            verdict.values[i] = value
-            if outcome == "VALID" and (value < part.low or value > part.high) then
-                outcome = "BAD_DATA"
-                verdict.reason = string.format(
-                    "%s.%s is %.0f, allowed are %.0f to %.0f (frame %s, byte %d)", spec.name,
-                    part.name, value, part.low, part.high, hex(data), 1 + part.offset)
-            end
-        end
-    end
-    verdict.valid = outcome == "VALID"
-    verdict.outcome = GRAMMAR.outcomes[outcome].words
-    verdict.code = GRAMMAR.outcomes[outcome].code
-    return verdict
+    return part.signed and value >= 256 ^ part.size / 2 and value - 256 ^ part.size or value
 end
 
 local function bits_of(part, value)
     local set = {}
+    if #part.bits == 0 or value > part.high then return "" end
     for _, bit in ipairs(part.bits) do
-        if math.floor(value / bit.mask) % 2 == 1 then
-            set[#set + 1] = bit.name
-        end
+        if math.floor(value / bit.mask) % 2 == 1 then table.insert(set, bit.name) end
     end
-    return #set > 0 and table.concat(set, " ") or "off"
+    return format(" (%s)", #set > 0 and table.concat(set, " ") or "off")
 end
 
-local function name_of(verdict)
-    return verdict.spec and verdict.spec.name or string.format("unused %d", verdict.id)
-end
-
-local function described(verdict)
-    local words = { name_of(verdict) }
-    if verdict.values then
-        for i, part in ipairs(verdict.spec.fields) do
-            local value = verdict.values[i]
-            words[#words + 1] = string.format("%s=%.0f", part.name, value)
-            if #part.bits > 0 and value <= part.high then
-                words[#words + 1] = "(" .. bits_of(part, value) .. ")"
+local function judge(item, data)
+    local id, length = part_of(data:byte(1), "id"), part_of(data:byte(1), "length")
+    local came, size, spec = #data - 1, counted(length), GRAMMAR.instructions[id]
+    local outcome, reason = "VALID"
+    item.spec, item.cut, item.name = spec, came < length, spec and spec.name or "unused " .. id
+    item.words = item.name .. ", " .. (item.cut and format("%d of %s", came, size) or size)
+    if not spec then
+        outcome = "UNKNOWN_ID"
+        reason = format("no instruction has ID %d, used are %s", id, GRAMMAR.used)
+    elseif item.cut then
+        outcome, reason = "TOO_FEW", format("%s: %s announced, %d came", spec.name, size, came)
+    elseif length ~= spec.length then
+        outcome = length > spec.length and "TOO_MANY" or "TOO_FEW"
+        reason = format("%s takes %s, the header says %d", spec.name, counted(spec.length), length)
+    else
+        item.words, item.values = spec.name, {}
+        for i, part in ipairs(spec.fields) do
+            local value = value_of(part, data)
+            item.values[i] = value
+            item.words = format("%s %s=%.0f%s", item.words, part.name, value, bits_of(part, value))
+            if not reason and (value < part.low or value > part.high) then
+                outcome, reason = "BAD_DATA", format(
+                    "%s.%s is %.0f, allowed are %.0f to %.0f (frame %s, byte %d)", spec.name,
+                    part.name, value, part.low, part.high,
+                    ByteArray.new(data, true):tohex(true, " "), 1 + part.offset)
             end
         end
-        return table.concat(words, " ")
     end
-    local size = counted(verdict.length)
-    if verdict.came < verdict.length then
-        size = string.format("%d of %s", verdict.came, size)
-    end
-    return words[1] .. ", " .. size
+    item.outcome, item.judgement = GRAMMAR.outcomes[outcome][1], GRAMMAR.outcomes[outcome][2]
+    item.reason = reason
 end
 
 -- The first pass. Packets come in order: frames are put together, over packets too, and responses
 -- are paired with them. What it finds stays in `shown`, by packet, for every later look.
 
-local now -- everything that depends on the packets before
-local shown -- packet number -> list of items, each with `draw`, a function
+local now -- what depends on the packets before; `first` to `last` wait for a response, in a chain
+local shown -- packet number -> list of items; an item's own list are its expert infos
 
-local function note(number, item)
-    shown[number] = shown[number] or {}
-    table.insert(shown[number], item)
+local function note(item)
+    item.number, item.t = now.number, now.t
+    table.insert(shown[now.number], item)
+    return item
 end
 
-local function after(verdict, state)
-    local new = {}
-    for variable, value in pairs(state) do
-        new[variable] = value
-    end
-    local sets = verdict.valid and verdict.spec.sets or GRAMMAR.on_fault
-    for variable, set in pairs(sets) do
-        if type(set) == "table" then
-            new[variable] = verdict.values[set.field] * set.factor
-        else
-            new[variable] = set
-        end
-    end
-    return new
+local function warn(item, word, words)
+    table.insert(item, { X[word], words })
 end
 
--- The response that came before the frame's end: one tap may be late, or the device's time-out is
--- the shorter one. A packet tells only when the last of its bytes came.
-local function early_answer(frame)
-    local begun = frame.begun
-    if frame.parts == 1 then
-        begun = begun - (#frame.data - 1) * robot.prefs.truncation_timeout * US
+local function garbage(item, reason)
+    item.kind, item.words = "garbage", "garbage"
+    item.reason, item.info = reason, "garbage: " .. reason
+    warn(item, "garbage", "Garbage: " .. reason)
+end
+
+local function unanswered()
+    warn(now.first, "unanswered", "No response")
+    now.first = now.first.next
+end
+
+local function pair(frame, answer)
+    local latency, expected = answer.t - frame.t, GRAMMAR.codes[frame.judgement]
+    local rest = math.fmod(latency, 1e9)
+    frame.response_in, answer.response_to = answer.number, frame.number
+    answer.latency = NSTime.new((latency - rest) / 1e9, rest)
+    answer.agrees = answer.byte == frame.judgement
+    answer.info = answer.words .. " to " .. frame.words
+    if not answer.agrees then
+        answer.judgement, answer.info = frame.judgement, answer.info .. ", expected is " .. expected
+        warn(answer, "disagreeing", "The device says " .. answer.info)
     end
+    if latency > GRAMMAR.answer_deadline * MS then
+        warn(answer, "late", format("After %.1f ms, allowed are %g", latency / MS,
+            GRAMMAR.answer_deadline))
+    end
+end
+
+-- Pair the frame with a response that came before its end, or let it wait for one: a tap may be
+-- late, or the device's time-out the shorter one. A packet tells only when its last byte came.
+local function await(frame, begun)
     local early
     repeat
         early = table.remove(now.early, 1)
     until not early or early.t + robot.prefs.skew * US > begun
-    return early
+    if early then return pair(frame, early) end
+    local longest = GRAMMAR.answer_longest + (frame.cut and GRAMMAR.truncation_longest or 0)
+    frame.expires = frame.t + longest * MS
+    if now.first then -- responses come in order: none is given up before
+        frame.expires = math.max(frame.expires, now.last.expires)
+        now.last.next = frame
+    end
+    now.first, now.last = now.first or frame, frame
 end
 
-local function ended(frame, kind)
-    frame.kind, now.open = kind, nil
-    if kind == "garbage" then
-        return
+local function change_state(frame)
+    frame.state = {}
+    for variable, value in pairs(now.state) do frame.state[variable] = value end
+    for variable, set in pairs(frame.reason and GRAMMAR.on_fault or frame.spec.sets) do
+        frame.state[variable] = type(set) == "table" and frame.values[set[1]] * set[2] or set
     end
-    local verdict = judged(frame.data)
-    frame.verdict, frame.sequence = verdict, now.sequence
-    now.sequence = now.sequence + 1
-    now.state = after(verdict, now.state)
-    frame.state = now.state
-    frame.expires = frame.t + GRAMMAR.answer_longest * MS
-    if verdict.came < verdict.length then
-        frame.expires = frame.expires + GRAMMAR.truncation_longest * MS
-    end
-    if now.first < now.last then -- responses come in order: none is given up before
-        frame.expires = math.max(frame.expires, now.waiting[now.last - 1].expires)
-    end
-    local early = early_answer(frame)
-    if early then
-        early.frame, frame.answer = frame, early
-    else
-        now.waiting[now.last] = frame
-        now.last = now.last + 1
-    end
+    now.state = frame.state
 end
 
-local function next_waiting()
-    local frame = now.waiting[now.first]
-    now.waiting[now.first] = nil
-    now.first = now.first + 1
+-- End the open frame, a list of its pieces; the last of them becomes the item for the whole.
+local function ended(lost)
+    local open = now.open
+    local frame, single = open[#open], #open == 1
+    now.open = nil
+    for i = 1, #open - 1 do open[i].goes_on_in = frame.number end
+    if lost then return garbage(frame, lost) end
+    judge(frame, open.data)
+    frame.kind = frame.cut and "truncated" or "instruction"
+    frame.sequence, now.sequence = now.sequence, now.sequence + 1
+    if frame.reason then
+        local code = GRAMMAR.codes[frame.judgement]
+        frame.info = format("%s: %s, %s", frame.words, code, frame.reason)
+        warn(frame, frame.cut and "truncated" or "faulty", frame.reason)
+    end
+    if not single then frame.whole, frame.begins_in = open.data, open[1].number end
+    change_state(frame)
+    await(frame, open[1].t - (single and #open.data - 1 or 0) * robot.prefs.truncation_timeout * US)
     return frame
 end
 
-local function cut_short(number)
-    local frame = now.open
-    ended(frame, "truncated")
-    note(number, { kind = "cut short", frame = frame })
-end
-
--- Let time pass until `t` (ns), which packet `number` tells.
-local function pass(t, number)
-    if now.open and t >= now.open.t + robot.prefs.truncation_timeout * US then
-        cut_short(number)
-    end
-    while now.first < now.last and now.waiting[now.first].expires <= t do
-        next_waiting().unanswered = true
-    end
-end
-
-local function host(bytes, t, number)
+local function host(bytes)
     local at = 1
-    now.host = true
+    now.heard = true
     while at <= #bytes do
-        local frame = now.open
-        if not frame then
-            frame = { data = "", first = number, begun = t, parts = 0,
-                size = 1 + part_of(bytes:byte(at), "length") }
-            now.open = frame
-        end
-        local stop = math.min(#bytes, at + frame.size - #frame.data - 1)
-        note(number, { kind = "host", frame = frame, at = at - 1, size = stop - at + 1 })
-        frame.data = frame.data .. bytes:sub(at, stop)
-        frame.t, frame.last = t, number
-        frame.parts = frame.parts + 1
-        if #frame.data == frame.size then
-            ended(frame, "instruction")
-        end
+        local open = now.open or { data = "", size = 1 + part_of(bytes:byte(at), "length") }
+        local stop = math.min(#bytes, at + open.size - #open.data - 1)
+        local place = #open == 0 and "beginning" or "part"
+        table.insert(open, note({ at = at - 1, size = stop - at + 1,
+            words = format("%s of a frame of %d bytes", place, open.size) }))
+        open.data, now.open = open.data .. bytes:sub(at, stop), open
+        if #open.data == open.size then ended() end
         at = stop + 1
     end
 end
 
-local function device(bytes, t, number)
+local function device(bytes, stray)
     for at = 1, #bytes do
-        local answer = { byte = bytes:byte(at), t = t, number = number, known = now.host }
-        note(number, { kind = "device", answer = answer, at = at - 1, size = 1 })
-        local first, second = now.waiting[now.first], now.waiting[now.first + 1]
-        if second and answer.byte ~= first.verdict.code and answer.byte == second.verdict.code
-            and (first.verdict.came < first.verdict.length
-                or t - first.t > GRAMMAR.answer_deadline * MS) then
-            next_waiting().unanswered = true -- the first may have gone unanswered
+        local byte, frame = bytes:byte(at), not stray and now.first
+        local name, after = GRAMMAR.codes[byte], frame and frame.next
+        local answer = note({ at = at - 1, size = 1, byte = byte, kind = "response",
+            words = name or "unused " .. byte, known = stray or now.heard })
+        if not name then warn(answer, "unused", "Unused response") end
+        if after and byte ~= frame.judgement and byte == after.judgement
+            and (frame.cut or now.t - frame.t > GRAMMAR.answer_deadline * MS) then
+            unanswered() -- the first may have gone unanswered
         end
-        if first then
-            answer.frame = next_waiting()
-            answer.frame.answer = answer
-        else
-            now.early[#now.early + 1] = answer
+        if frame then
+            pair(now.first, answer)
+            now.first = now.first.next
+        elseif not stray then
+            table.insert(now.early, answer)
         end
     end
 end
 
-local function lost()
-    if now.open then
-        now.open.reason = "bytes were lost in mid-frame"
-        ended(now.open, "garbage")
+local function learn(event, bytes)
+    local open, timeout = now.open, robot.prefs.truncation_timeout * US
+    if open and (event == 3 or now.t >= open[#open].t + timeout) then
+        local frame = ended()
+        note({ words = "cut short: " .. frame.words, cut_short = frame.number })
     end
-    now.waiting, now.first, now.last, now.early = {}, 1, 1, {}
-end
-
--- The serial event types of the link type.
-local HOST, DEVICE, HOST_END, DEVICE_END, LOST, OVERFLOW = 1, 2, 3, 4, 5, 10
-
-local function learn(event, bytes, t, number)
-    pass(t, number)
-    if event == HOST then
-        host(bytes, t, number)
-    elseif event == DEVICE then
-        device(bytes, t, number)
-    elseif event == HOST_END then
-        if now.open then
-            cut_short(number)
-        end
-        if #bytes > 0 then
-            local garbage = { kind = "garbage", data = bytes, first = number, last = number,
-                reason = "they belong to no frame", parts = 1 }
-            note(number, { kind = "host", frame = garbage, at = 0, size = #bytes })
-        end
-    elseif event == DEVICE_END then
-        for at = 1, #bytes do
-            local answer = { byte = bytes:byte(at), t = t, number = number, known = true }
-            note(number, { kind = "device", answer = answer, at = at - 1, size = 1 })
-        end
-    elseif event == LOST or event == OVERFLOW then
-        lost()
+    while now.first and now.first.expires <= now.t do unanswered() end
+    if event == 1 then
+        host(bytes)
+    elseif event == 2 or event == 4 then -- what stands at the end of data answers nothing
+        device(bytes, event == 4)
+    elseif event == 3 and #bytes > 0 then
+        garbage(note({ at = 0, size = #bytes }), "they belong to no frame")
+    elseif event == 5 or event == 10 then -- bytes were lost, by the capture or by the port
+        if now.open then ended("bytes were lost in mid-frame") end
+        now.first, now.early = nil, {}
     end
 end
 
 function robot.init()
-    local state = {}
-    for variable, value in pairs(GRAMMAR.power_on) do
-        state[variable] = value
-    end
-    shown = {}
-    now = { state = state, sequence = 0, waiting = {}, first = 1, last = 1, early = {},
-        host = false }
+    shown, now = {}, { state = GRAMMAR.power_on, sequence = 0, heard = false, early = {} }
 end
 
--- Showing what was found. Each function draws one item and returns its words for the info column.
+-- Showing what was found.
 
-local function generated(tree, field, ...)
-    return tree:add(field, ...):set_generated()
-end
-
-local function draw_state(tree, state)
-    local moving = state.speed > 0 and GRAMMAR.drives[state.motion] or false
-    local words = {}
-    local branch = tree:add("State after it"):set_generated()
-    for _, variable in ipairs(GRAMMAR.variables) do
-        local value = state[variable]
-        if type(value) == "string" then
-            words[#words + 1] = value
-            generated(branch, state_fields[variable], value)
-        else
-            words[#words + 1] = string.format("%s %.0f", variable, value)
-            generated(branch, state_fields[variable], Int64.new(value))
-        end
+local function show_state(tree, state)
+    local words, branch = {}, tree:add("State after it"):set_generated()
+    for _, row in ipairs(GRAMMAR.state) do
+        local value = state[row.name]
+        local number = type(value) == "number"
+        table.insert(words, number and format("%s %.0f", row.name, value) or value)
+        branch:add(row.field, number and Int64.new(value) or value):set_generated()
     end
-    generated(branch, moving_field, moving)
+    local moving = state.speed > 0 and state.motion ~= GRAMMAR.stopped
+    branch:add(F["state.moving"].field, moving):set_generated()
     branch:append_text(": " .. table.concat(words, ", ") .. (moving and ", moving" or ""))
 end
 
-local function draw_value(tree, part, range, value)
-    local add = part.little and tree.add_le or tree.add
-    local item = add(tree, part.field, range)
-    if #part.bits > 0 then
-        if value <= part.high then
-            item:append_text(" (" .. bits_of(part, value) .. ")")
-        end
-        for _, bit in ipairs(part.bits) do
-            add(item, bit.field, range)
-        end
+local function show_frame(tree, frame, range)
+    for _, row in ipairs(GRAMMAR.header) do tree:add(row.field, range(0, 1)) end
+    if not frame.values and range:len() > 1 then tree:add(F.data.field, range(1)) end
+    for i, value in ipairs(frame.values or {}) do
+        local part = frame.spec.fields[i]
+        local add = part.little and tree.add_le or tree.add
+        local bytes = range(1 + part.offset, part.size)
+        local item = add(tree, part.field, bytes):append_text(bits_of(part, value))
+        for _, bit in ipairs(part.bits) do add(item, bit.field, bytes) end
     end
 end
 
-local function draw_frame(tree, frame, range)
-    local verdict = frame.verdict
-    local words = described(verdict)
-    local item = tree:add(robot, range, GRAMMAR.title .. ": " .. words)
-    for _, field in ipairs(header_fields) do
-        item:add(field, range(0, 1))
+local function show(tree, item, payload)
+    local range = item.whole and ByteArray.new(item.whole, true):tvb("Frame")()
+        or item.size and payload(item.at, item.size)
+    tree = range and tree:add(robot, range, GRAMMAR.title .. ": " .. item.words)
+        or tree:add(robot, item.words)
+    if item.state then
+        show_frame(tree, item, range)
+    elseif range then
+        tree:add((item.byte and F.response or F.data).field, range)
     end
-    generated(item, F.name, name_of(verdict))
-    if verdict.values then
-        for i, part in ipairs(verdict.spec.fields) do
-            draw_value(item, part, range(1 + part.offset, part.size), verdict.values[i])
-        end
-    elseif verdict.came > 0 then
-        item:add(F.data, range(1, verdict.came))
+    for _, row in ipairs(GENERATED) do
+        local value = item[row.word]
+        if value ~= nil then tree:add(row.field, value):set_generated() end
     end
-    generated(item, F.kind, frame.kind)
-    generated(item, F.outcome, verdict.outcome)
-    generated(item, F.judgement, verdict.code)
-    if not verdict.valid then
-        generated(item, F.reason, verdict.reason)
-        item:add_proto_expert_info(frame.kind == "truncated" and X.truncated or X.faulty,
-            verdict.reason)
-        words = words .. ": " .. GRAMMAR.codes[verdict.code] .. ", " .. verdict.reason
+    for _, row in ipairs(item) do tree:add_proto_expert_info(row[1], row[2]) end
+    if item.known and not item.response_to then
+        tree:add_proto_expert_info(X.unsolicited, "It responds to no instruction")
     end
-    generated(item, F.sequence, frame.sequence)
-    if frame.first ~= frame.last then
-        generated(item, F.begins_in, frame.first)
-    end
-    if frame.answer then
-        generated(item, F.response_in, frame.answer.number)
-    elseif frame.unanswered then
-        item:add_proto_expert_info(X.unanswered, "No response")
-    end
-    draw_state(item, frame.state)
-    return words
+    if item.state then show_state(tree, item.state) end
 end
-
-local function draw_host(item, tree, range, number)
-    local frame = item.frame
-    if frame.kind == "garbage" and frame.last == number then
-        local branch = tree:add(robot, range, GRAMMAR.title .. ": garbage")
-        branch:add(F.data, range)
-        generated(branch, F.kind, "garbage")
-        generated(branch, F.reason, frame.reason)
-        branch:add_proto_expert_info(X.garbage, "Garbage: " .. frame.reason)
-        return "garbage: " .. frame.reason
-    elseif frame.kind and frame.last == number then
-        if frame.parts > 1 then
-            range = ByteArray.new(frame.data, true):tvb("Frame")()
-        end
-        return draw_frame(tree, frame, range)
-    end
-    local words = string.format("%s of a frame of %d bytes",
-        frame.first == number and "beginning" or "part", frame.size)
-    local branch = tree:add(robot, range, GRAMMAR.title .. ": " .. words)
-    branch:add(F.data, range)
-    if frame.last ~= number then
-        generated(branch, F.goes_on_in, frame.last)
-    end
-    return words
-end
-
-local function draw_cut_short(item, tree)
-    local words = "cut short: " .. described(item.frame.verdict)
-    local branch = tree:add(robot, words)
-    generated(branch, F.cut_short, item.frame.last)
-    return words
-end
-
-local function time_of(ns)
-    local sign = ns < 0 and -1 or 1
-    local seconds = math.floor(sign * ns / 1e9)
-    return NSTime.new(sign * seconds, sign * math.floor(sign * ns - seconds * 1e9))
-end
-
-local function draw_device(item, tree, range)
-    local answer = item.answer
-    local frame, name = answer.frame, GRAMMAR.codes[answer.byte]
-    local words = name or string.format("unused %d", answer.byte)
-    local branch = tree:add(robot, range, GRAMMAR.title .. ": " .. words)
-    branch:add(F.response, range)
-    generated(branch, F.kind, "response")
-    local said = words
-    if not name then
-        branch:add_proto_expert_info(X.unused, "Unused response")
-    end
-    if not frame then
-        if answer.known then
-            branch:add_proto_expert_info(X.unsolicited, "It responds to no instruction")
-        end
-        return words
-    end
-    local agrees, latency = answer.byte == frame.verdict.code, answer.t - frame.t
-    words = words .. " to " .. described(frame.verdict)
-    generated(branch, F.response_to, frame.last)
-    generated(branch, F.latency, time_of(latency))
-    generated(branch, F.agrees, agrees)
-    if not agrees then
-        local expected = GRAMMAR.codes[frame.verdict.code]
-        words = words .. ", expected is " .. expected
-        generated(branch, F.judgement, frame.verdict.code)
-        branch:add_proto_expert_info(X.disagreeing, string.format(
-            "The device says %s to %s, expected is %s", said, described(frame.verdict), expected))
-    end
-    if latency > GRAMMAR.answer_deadline * MS then
-        branch:add_proto_expert_info(X.late, string.format("After %.1f ms, allowed are %g",
-            latency / MS, GRAMMAR.answer_deadline))
-    end
-    return words
-end
-
-local draw = { host = draw_host, device = draw_device, ["cut short"] = draw_cut_short }
-local MOST_WORDS = 8 -- items that the info column names
 
 -- The packet: 12 bytes of the link type (time, event, modem lines), then the bytes of the line.
 
-local HEADER = 12
+local HEADER, MOST_WORDS = 12, 8 -- of the items the info column names at most so many
 local link_types = DissectorTable.get("wtap_encap")
 local RTAC_SERIAL = (wtap_encaps or wtap).RTAC_SERIAL
 local rtac_serial = link_types:get_dissector(RTAC_SERIAL)
@@ -537,33 +337,26 @@ function robot.dissector(buffer, pinfo, tree)
         return rtac_serial:call(buffer, pinfo, tree)
     end
     rtac_serial:call(buffer(0, HEADER):tvb(), pinfo, tree)
-    local payload = buffer:len() > HEADER and buffer(HEADER) or nil
+    local payload = buffer:len() > HEADER and buffer(HEADER)
     if not pinfo.visited then
-        local t = math.floor(pinfo.rel_ts * 1e9 + 0.5) -- exact to the ns for weeks; abs_ts is not
-        learn(buffer(8, 1):uint(), payload and payload:raw() or "", t, pinfo.number)
+        now.t = math.floor(pinfo.rel_ts * 1e9 + 0.5) -- exact to the ns for weeks; abs_ts is not
+        now.number, shown[pinfo.number] = pinfo.number, {}
+        learn(buffer(8, 1):uint(), payload and payload:raw() or "")
     elseif now.open then
-        ended(now.open, "truncated") -- the file is over
+        ended() -- the file is over
     end
-    local items = shown[pinfo.number]
-    if not items then
-        return buffer:len()
-    end
-    local words = {}
+    local items, words = shown[pinfo.number] or {}, {}
     for i, item in ipairs(items) do
-        local range = item.size and payload(item.at, item.size) or nil
-        local said = draw[item.kind](item, tree, range, pinfo.number)
-        if i <= MOST_WORDS then
-            words[i] = said
-        end
+        show(tree, item, payload)
+        words[i] = i <= MOST_WORDS and (item.info or item.words) or nil
     end
-    if #items > MOST_WORDS then
-        words[#words + 1] = string.format("and %d more", #items - MOST_WORDS)
+    if #items > MOST_WORDS then table.insert(words, format("and %d more", #items - MOST_WORDS)) end
+    if #items > 0 then
+        local from, to = "host", "device"
+        if items[1].byte then from, to = to, from end
+        pinfo.cols.src, pinfo.cols.dst, pinfo.cols.protocol = from, to, GRAMMAR.title
+        pinfo.cols.info = table.concat(words, "; ")
     end
-    pinfo.cols.protocol = GRAMMAR.title
-    pinfo.cols.info = table.concat(words, "; ")
-    local from_host = items[1].kind ~= "device"
-    pinfo.cols.src = from_host and "host" or "device"
-    pinfo.cols.dst = from_host and "device" or "host"
     return buffer:len()
 end
 

@@ -27,9 +27,8 @@ from bilprov.spec.codec import judge
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
-from tests.support.commands import command
 from tests.support.recordings import recorded
-from tests.support.robots import MS, sentence
+from tests.support.robots import MS
 from tests.support.wires import PtyRobot, running, served
 
 Event = Chunk | Line | Look
@@ -472,60 +471,6 @@ def test_attached_anywhere_a_conforming_device_is_never_accused(
 # -- the commands ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def faulty(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> Path:
-    path = tmp_path_factory.mktemp("faulty") / "run.mcap"
-    recorded(path, protocol, *SOME, device=Simulator(protocol, BANK["no-stop-on-bad-data"]))
-    return path
-
-
-def test_replay_judges_and_its_exit_code_says_so(faulty: Path, tmp_path: Path) -> None:
-    words = ("replay", str(faulty), "--rate", "0", "--format", "lines")
-    plain, told = command(*words), command(*words, "--judge")
-
-    assert (plain.returncode, told.returncode) == (0, 1)
-    assert plain.stdout == told.stdout
-    lines = told.stderr.decode().splitlines()
-    assert any("data out of range" in line and line.split()[-1] == "248" for line in lines)
-    assert any(line.startswith("violation at ") and MOVING in line for line in lines)
-    assert lines[-1].endswith(f" {MOVING}")
-    assert "\x1b" not in told.stderr.decode()
-
-
-def test_replay_judges_for_machines_in_a_last_object(faulty: Path) -> None:
-    result = command("replay", str(faulty), "--rate", "0", "--format", "jsonl", "--judge")
-    *_, frame, last = result.stdout.decode().splitlines()
-    findings = json.loads(last)
-
-    assert result.returncode == findings["exit"] == 1
-    assert result.stderr == b""
-    assert findings["kind"] == "judgement"
-    assert json.loads(frame)["kind"] != "judgement"
-    assert (
-        findings["violations"] == {MOVING: len(findings["listed"])}
-        or len(findings["listed"]) == KEPT
-    )
-    assert findings["listed"][0]["clause"] == "section 2"
-    assert {"clause", "what", "done", "of"} == set(findings["coverage"][0])
-
-
-def test_a_window_is_judged_alone(faulty: Path) -> None:
-    words = ("replay", str(faulty), "--rate", "0", "--format", "jsonl", "--judge")
-    whole = json.loads(command(*words).stdout.splitlines()[-1])
-    part = json.loads(command(*words, "--end", "0.1").stdout.splitlines()[-1])
-
-    assert 0 < part["instructions"] < whole["instructions"]
-    assert part["exit"] == 0
-
-
-def test_a_filter_hides_frames_and_no_violation(faulty: Path) -> None:
-    words = ("--format", "jsonl", "--judge", "--filter", "latency > 59s")
-    result = command("replay", str(faulty), "--rate", "0", *words)
-
-    assert len(result.stdout.splitlines()) == 1
-    assert result.returncode == 1
-
-
 @pytest.mark.waits
 @pytest.mark.parametrize("style", ["jsonl", "lines"])
 @pytest.mark.parametrize("wrong", [{}, {b"\x81\x09": 0}])
@@ -559,10 +504,3 @@ def test_sniff_judges_what_passes_a_bridge(
     else:
         last = err.decode().splitlines()[-1]
         assert last == ("1 violation: 1 disagreeing" if wrong else "no violation was seen")
-
-
-def test_judging_and_driving_at_once_is_refused(faulty: Path) -> None:
-    result = command("replay", str(faulty), "--judge", "--to", "/dev/null", "--yes")
-
-    assert result.returncode == 2
-    assert "--judge judges the recorded device" in sentence(result)

@@ -1,4 +1,4 @@
-"""Captures as arrays: the same events in the same order as one by one, whatever the file is like."""
+"""Captures as arrays: the same events in the same order as one by one, whatever the file."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.indexed import open_indexed
 from bilprov.captures.parts import part_path
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, State
 from bilprov.captures.topics import TOPICS, Written, encoded
 from bilprov.captures.writer import CaptureWriter

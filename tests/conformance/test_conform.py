@@ -9,11 +9,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal
 
@@ -195,29 +193,6 @@ def test_the_report_is_pure_json_on_standard_output_with_the_contracts_keys() ->
         assert {entry.kind for entry in case.log} >= ({"sent", "received"} if case.sent else set())
 
 
-def test_the_report_says_what_was_expected_and_what_came(tmp_path: Path) -> None:
-    file = tmp_path / "report.json"
-
-    result = command(
-        *("conform", "sim", "--fault", "ok-to-bad-data", "--only", "bad-data/LED/9"),
-        *("--json", str(file)),
-    )
-
-    assert result.returncode == 1
-    report = report_of(file.read_bytes())
-    (case,) = [case for case in report.cases if case.verdict == "fail"]
-    assert (case.id, case.sent) == ("bad-data/LED/9", ["81 09"])
-    assert case.axes["answer"].expected == "02 BAD_DATA"
-    assert case.axes["answer"].actual == "00 OK"
-    assert case.axes["answer"].reason
-    assert [byte.hex for byte in case.received] == ["00"]
-    said = result.stdout.decode()
-    assert "bad-data/LED/9" in said
-    assert "02 BAD_DATA" in said
-    assert "00 OK" in said
-    assert "does not conform" in said
-
-
 def test_the_command_that_reproduces_a_case_does_so(tmp_path: Path) -> None:
     file = tmp_path / "report.json"
     arguments = ["conform", "sim", "--fault", "accepts-led-bit-3", "--only", "bad-data/LED/1?"]
@@ -247,18 +222,6 @@ def test_the_command_and_the_import_say_the_same(protocol: Protocol) -> None:
     assert [(c.id, c.verdict) for c in theirs.cases] == [
         (r.id, r.verdict.label) for r in mine.results
     ]
-
-
-def test_without_a_file_a_table_tells_how_it_went_without_colours_in_a_pipe() -> None:
-    result = command("conform", "sim", *FEW)
-
-    assert result.returncode == 0
-    assert result.stderr == b""
-    assert b"\x1b" not in result.stdout
-    said = result.stdout.decode()
-    assert "unused-id" in said
-    assert "sim conforms" in said
-    assert "seed 1" in said
 
 
 # -- choosing cases -------------------------------------------------------------------------------
@@ -292,85 +255,7 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
     assert len(ids) == len(set(ids)) == len(OPENING) + READING_CASES + singles + len(sequences)
 
 
-@pytest.mark.parametrize(
-    ("globs", "count"),
-    [
-        (["unused-id/*"], 112),
-        (["*/Speed/3"], 1 + 1),  # wrong-length/Speed/3 and valid/Speed/3
-        (["valid/LED/?", "bad-data/LED/8"], 9),
-        (["truncated/*"], 20),
-        (["valid/Stop", "valid/S*p"], 1),
-        (["recovery/*Right"], 5),
-        (["[!rs]*[!0-9]"], len(OPENING) + 5 + 1 + 3),  # but readings, recoveries, sequences; dense
-        (["link/*"], 2),
-        (["reading/*"], READING_CASES),
-        (["reading/watchdog", "power-on/Speed"], 2),
-    ],
-)
-def test_a_glob_crosses_slashes_and_several_add_up(globs: list[str], count: int) -> None:
-    only = [word for glob in globs for word in ("--only", glob)]
-
-    ids = listed("sim", *only)
-
-    assert len(ids) == len(set(ids)) == count
-    assert all(any(fnmatchcase(ident, glob) for glob in globs) for ident in ids)
-
-
-def test_level_deep_lists_every_cut() -> None:
-    assert len(listed("sim", "--level", "deep", "--only", "truncated/*")) == 1920
-
-
 # -- wrong use ------------------------------------------------------------------------------------
-
-
-def test_an_unknown_fault_is_told_with_one_place_to_look() -> None:
-    told = sentence(command("conform", "sim", "--fault", "no-such"))
-
-    assert "simulate --list-faults" in told
-    assert told.count("see ") == 1
-
-
-def test_the_help_names_every_probe() -> None:
-    told = command("conform", "--help").stdout.decode()
-
-    words = " ".join(told.replace("│", " ").split())
-    for probe in ("tcp:HOST:PORT", "exec:COMMAND", "modem:LINE", "ask", "none (", "sim ("):
-        assert probe in words
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["conform"], "missing argument"),
-        (["conform", "sim", "--only", "nothing/*"], "no case matches nothing/*"),
-        (["conform", "sim", "--only", "*", "--only", "\udcff"], "is not a glob of case ids"),
-        (["conform", "sim", "--fault", "no-such"], "there is no fault 'no-such'"),
-        (["conform", "sim", "--fault", "stops"], "stops-late"),
-        (["conform", "sim", "--probe", "ask"], "brings its own probe"),
-        (["conform", "/dev/ttyS9", "--fault", "dead", "--yes"], "--fault is for the target sim"),
-        (["conform", "sim", "--seed", "x"], "seed"),
-        (["conform", "sim", "--deadline", "0"], "deadline"),
-        (["conform", "sim", "--silence", "-1"], "silence"),
-        (["conform", "sim", "--truncation-timeout", "99999"], "truncation-timeout"),
-        (["conform", "sim", "--json", "/nowhere/r.json"], "folder that exists"),
-        (["conform", "sim", "--json", "/tmp"], "folder that exists"),
-        (["conform", "sim", "--record", "/nowhere/r.mcap"], "/nowhere"),
-        (["conform", "/nowhere/tty", "--yes"], "/nowhere/tty"),
-        (["conform", "socket://127.0.0.1:1", "--yes"], "socket://127.0.0.1:1"),
-        (["conform", "socket://127.0.0.1", "--yes"], "not a usable address"),
-        (["simulate", "--fault", "no-such"], "there is no fault"),
-        (["simulate", "--listen", "nowhere"], "nowhere"),
-        (["simulate", "--listen", "127.0.0.1:99999"], "99999"),
-        (["--grammar", "/nowhere/g.py", "conform", "sim"], "/nowhere/g.py"),
-    ],
-)
-def test_wrong_use_is_one_sentence_and_exit_2(arguments: list[str], words: str) -> None:
-    result = command(*arguments)
-
-    assert result.returncode == 2
-    assert result.stdout == b""
-    assert len(result.stderr.splitlines()) == 1, result.stderr
-    assert words in sentence(result)
 
 
 def test_a_busy_address_is_one_sentence() -> None:
@@ -443,17 +328,6 @@ def test_on_a_terminal_it_asks_once(
 # -- options --------------------------------------------------------------------------------------
 
 
-def test_fail_fast_skips_the_rest() -> None:
-    result = command(
-        *("conform", "sim", "--fault", "ok-to-unknown-id", *FEW, "--fail-fast", "--json", "-")
-    )
-
-    report = report_of(result.stdout)
-    assert result.returncode == 1
-    assert report.counts["skipped"] > 5
-    assert report.counts["fail"] <= 2  # the link check sees it too
-
-
 def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
     slow = ["--level", "deep", "--deadline", "100", "--only", "truncated/9/3/*"]
     # runs-data-of-too-long is non-strict in what it answers to long frames that are cut short
@@ -466,31 +340,6 @@ def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
     assert strict.options["strict"] is True
     if not plain.counts["fail"]:
         assert (plain.exit, strict.exit) == (0, 1)
-
-
-@pytest.mark.parametrize(
-    ("deadline", "variant", "label"),
-    [
-        ("50", "R-answer-deadline=60-ms", "non-strict"),
-        ("100", "R-answer-deadline=60-ms", "pass"),
-        ("100", "R-answer-deadline=150-ms", "non-strict"),
-        ("200", "R-answer-deadline=150-ms", "pass"),
-    ],
-)
-def test_the_deadline_decides_what_is_slow_and_the_command_that_tries_again_gives_it(
-    deadline: str, variant: str, label: str
-) -> None:
-    device = ("--variant", variant, "--deadline", deadline)
-    # Single frames, sequences, and what opens every run.
-    few = ("--only", "valid/*/0", "--only", "sequence/tour/001", "--only", "bad-data/LED/8")
-
-    report = report_of(command("conform", "sim", *device, *few, "--json", "-").stdout)
-
-    timed = ("valid/", "bad-data/", "sequence/", "link/", "power-on/Speed")
-    verdicts = {case.id: case.verdict for case in report.cases if case.id.startswith(timed)}
-    assert {"valid/Left/0", "sequence/tour/001", "link/too-few"} <= verdicts.keys()
-    assert set(verdicts.values()) == {label}
-    assert all(f"--deadline {deadline} " in f"{case.reproduce} " for case in report.cases)
 
 
 @pytest.mark.parametrize("timeout", [None, 50.0])
@@ -513,17 +362,6 @@ def test_the_seed_is_reported_and_makes_the_run_the_same_again() -> None:
     assert report_of(runs[0]).seed == 9
     assert timeless(runs[0]) == timeless(runs[1])
     assert timeless(runs[0]) != timeless(runs[2])
-
-
-def test_a_given_time_out_is_not_measured() -> None:
-    arguments = ("conform", "sim", "--only", "truncated/LED/0", "--json", "-")
-
-    given = report_of(command(*arguments, "--truncation-timeout", "60").stdout)
-    measured = report_of(command(*arguments).stdout)
-
-    assert "timing/truncation-timeout" not in {case.id for case in given.cases}
-    assert given.profile.truncation_timeout_ms == 60
-    assert measured.profile.truncation_timeout_ms == pytest.approx(50)
 
 
 # -- recordings -----------------------------------------------------------------------------------
@@ -707,19 +545,6 @@ def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -
 
 
 # -- simulate -------------------------------------------------------------------------------------
-
-
-def test_the_faults_are_listed_with_family_and_sentence(protocol: Protocol) -> None:
-    result = command("simulate", "--list-faults")
-
-    lines = result.stdout.decode().splitlines()
-    bank = fault_bank(protocol)
-    assert result.returncode == 0
-    named = [line for line in lines if line.startswith("  ") and line.split()[0] in bank]
-    assert sorted(line.split()[0] for line in named) == sorted(bank)
-    assert all(bank[line.split()[0]].doc in line for line in named)
-    families = Counter(fault.family for fault in bank.values())
-    assert {f"{family} ({count})" for family, count in families.items()} <= set(lines)
 
 
 @pytest.mark.parametrize("pty", [True, False])

@@ -181,19 +181,6 @@ def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> Non
     assert judged == made | {"begun": None, "took_s": None, "host": None, "versions": {}}
 
 
-def test_a_report_does_not_replace_its_recording(tmp_path: Path, protocol: Protocol) -> None:
-    run = tmp_path / "run.mcap"
-    recorded(run, protocol, "valid/LED/1")
-    before = run.read_bytes()
-
-    same, folder = (command("recheck", str(run), "--json", str(out)) for out in (run, tmp_path))
-
-    assert (same.returncode, folder.returncode) == (2, 2)
-    assert "would overwrite the input" in sentence(same)
-    assert "cannot be written" in sentence(folder)
-    assert run.read_bytes() == before
-
-
 @pytest.mark.slow
 def test_the_whole_suite_in_virtual_time_by_the_command(tmp_path: Path) -> None:
     run = tmp_path / "run.mcap"
@@ -556,14 +543,3 @@ def test_steps_may_be_anything(
     assert result.returncode in (0, 1)
     assert b"Traceback" not in result.stderr
     assert b"\x1b" not in result.stdout + result.stderr
-
-
-def test_a_capture_of_a_drive_is_no_recording_of_a_run(tmp_path: Path, protocol: Protocol) -> None:
-    run = tmp_path / "run.mcap"
-    recorded(run, protocol, "valid/Speed/1")
-    file = forged(run, tmp_path / "f.mcap", lambda m: m if m.topic == topics.HOST_RAW else None)
-
-    result = command("recheck", str(file))
-
-    assert result.returncode == 2
-    assert "conform PORT --record" in sentence(result)

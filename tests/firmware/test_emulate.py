@@ -515,15 +515,6 @@ def test_what_is_no_firmware_for_it_is_one_sentence(
     assert b"\x1b" not in result.stderr
 
 
-def test_where_to_go_with_firmware_for_an_arm_is_said(tmp_path: Path) -> None:
-    file = tmp_path / "arm.elf"
-    file.write_bytes(elf(40))
-
-    assert f"bilprov conform emulator:qemu:{file}" in sentence(
-        command("simulate", "--firmware", str(file))
-    )
-
-
 @AVR
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -552,16 +543,3 @@ def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: P
     assert (result.returncode, result.stdout) == (2, b"")
     assert len(result.stderr.splitlines()) == 1
     assert words in sentence(result)
-
-
-def test_the_help_is_enough_to_use_it() -> None:
-    told = " ".join(command("simulate", "--help").stdout.decode().split())
-    for part in (
-        "--firmware FILE.elf",
-        "--pty",
-        "probe tcp:HOST:PORT",
-        "Ctrl-C",
-        "emulator:simavr:",
-    ):
-        assert part in told
-    assert "firmware" in command("--help").stdout.decode()

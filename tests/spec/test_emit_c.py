@@ -10,7 +10,6 @@ import pytest
 
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.protocol import Protocol, load
-from tests.support.commands import command
 from tests.support.firmware import needs
 from tests.vectors import HEADERS, LINE, LONGEST_FRAME, RESPONSES, TIMING
 
@@ -87,17 +86,3 @@ def test_it_compiles_without_a_warning(protocol: Protocol, tmp_path: Path, langu
     )
 
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_command_writes_it_whole_or_not_at_all(protocol: Protocol, tmp_path: Path) -> None:
-    file = tmp_path / "protocol.h"
-
-    shown = command("spec", "emit", "c")
-    written = command("spec", "emit", "c", "-o", str(file))
-    refused = command("spec", "emit", "c", "-o", str(tmp_path / "no" / "protocol.h"))
-
-    assert shown.stdout.decode() == file.read_text(encoding="utf-8") == c_header(protocol)
-    assert (written.returncode, written.stdout) == (0, b"")
-    assert refused.returncode == 2
-    assert b"cannot be written" in refused.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["protocol.h"]

@@ -16,7 +16,6 @@ from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
-from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import snake_case
 from tests.support.commands import command
@@ -331,13 +330,3 @@ def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.decode().count("\n") == 1
     assert "Speed.speed is not a plain integer of 1 to 6 bytes" in done.stderr.decode()
-
-
-def test_the_command_writes_the_script_whole(protocol: Protocol, tmp_path: Path) -> None:
-    file = tmp_path / "robot.lua"
-
-    shown = command("spec", "emit", "wireshark")
-    written = command("spec", "emit", "wireshark", "-o", str(file))
-
-    assert (written.returncode, written.stdout, written.stderr) == (0, b"", b"")
-    assert shown.stdout.decode() == file.read_text(encoding="utf-8") == lua_dissector(protocol, 20)

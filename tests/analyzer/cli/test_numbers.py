@@ -36,10 +36,3 @@ def test_what_is_no_number_is_refused(name: str, option: str, finite: bool) -> N
         assert done.returncode == 2
         (told,) = done.stderr.decode().splitlines()
         assert option in told
-
-
-@pytest.mark.parametrize("option", ["--silence", "--deadline", "--truncation-timeout"])
-def test_a_time_of_no_nanosecond_is_refused(option: str) -> None:
-    done = command("conform", "sim", f"{option}=1e-9")
-    assert done.returncode == 2
-    assert b"0.001" in done.stderr

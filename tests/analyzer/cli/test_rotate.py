@@ -42,30 +42,6 @@ def refused(*arguments: str, cwd: Path) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("-w", NAME, "--rotate", "5"), "5 is neither a size of 100 kB or more"),
-        (("-w", NAME, "--rotate", "1 day"), "1 day is neither a size of 100 kB or more"),
-        (("-w", NAME, "--rotate", "1h", "--keep", "0"), "0 is not in the range"),
-        (("-w", NAME, "--keep", "3"), "give --rotate too, when a part is full"),
-        (("--rotate", "1h"), "--rotate is for a recording: name its file with -w"),
-    ],
-)
-def test_wrong_values_are_told_and_nothing_is_made(
-    tmp_path: Path, options: tuple[str, ...], words: str
-) -> None:
-    assert words in refused("sniff", "no-such-port", *options, cwd=tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_settings_without_a_use_here_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "bilprov.toml").write_text('[sniff]\nrotate = "1h"\nkeep = 3\n')
-    assert "no-such-port" in refused("sniff", "no-such-port", cwd=tmp_path)
-    (tmp_path / "bilprov.toml").write_text('[sniff]\nrotate = "1 day"\n')
-    assert "neither a size" in refused("sniff", "no-such-port", cwd=tmp_path)
-
-
 @pytest.mark.parametrize("more", [(), ("--rotate", "1h")])
 @pytest.mark.parametrize("taken", [NAME, "drive.00001.mcap", "drive.00042.mcap"])
 def test_a_name_that_is_taken_is_told_and_kept(
@@ -77,14 +53,6 @@ def test_a_name_that_is_taken_is_told_and_kept(
     assert words.startswith(f"bilprov: {taken} exists and captures are never overwritten")
     assert (tmp_path / taken).read_bytes() == b"precious"
     assert len(list(tmp_path.iterdir())) == 1
-
-
-@pytest.mark.parametrize("more", [(), ("--rotate", "1h")])
-def test_no_recording_goes_to_standard_output(tmp_path: Path, more: tuple[str, ...]) -> None:
-    with open_pty() as host:
-        words = refused("sniff", host.name, "-w", "-", *more, cwd=tmp_path)
-    assert "a capture cannot be written to standard output: name a file" in words
-    assert list(tmp_path.iterdir()) == []
 
 
 def talk(pair: PtyPair, command: Running, data: bytes) -> None:

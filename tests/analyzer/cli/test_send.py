@@ -21,39 +21,14 @@ from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import Done, command, process
-from tests.support.robots import PATIENCE, sentence, served_here, simulate
+from tests.support.commands import command, process
+from tests.support.robots import PATIENCE, served_here, simulate
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 
 BACK = "was lost and is there again, and the robot was stopped there first"
-
-
-def test_instructions_and_bytes_are_sent_and_their_answers_shown() -> None:
-    with simulate() as served:
-        result = process(
-            *("send", served.port, "speed 80", "LED rgb=5", "Forward", "93 00 00 00", "pause=1"),
-            *("--yes", "--format", "jsonl"),
-        )
-        state = served.state()
-
-    assert result.returncode == 0, result.stderr
-    lines = [json.loads(line) for line in result.stdout.splitlines()]
-    said = [(line["direction"], line["hex"], line["name"]) for line in lines]
-    assert said == [
-        ("host", "11 50", "Speed"),
-        ("device", "00", "OK"),
-        ("host", "81 05", "LED"),
-        ("device", "00", "OK"),
-        ("host", "20", "Forward"),
-        ("device", "00", "OK"),
-        ("host", "93 00 00 00", None),
-        ("device", "01", "BAD_HEADER"),
-    ]
-    assert (state["moving"], state["speed"], state["led"]) == (False, 80, 5)
 
 
 def test_the_robot_is_left_at_rest_although_it_was_sent_forward() -> None:
@@ -64,51 +39,6 @@ def test_the_robot_is_left_at_rest_although_it_was_sent_forward() -> None:
     assert result.returncode == 0
     assert state["moving"] is False
     assert "Forward" in result.stdout.decode()
-
-
-def test_a_frame_that_is_cut_short_is_answered_after_its_time_out() -> None:
-    with simulate() as served:
-        result = process("send", served.port, "41", "Stop", "--yes")
-
-    assert result.returncode == 0
-    assert "TOO_FEW_DATA" in result.stdout.decode()
-
-
-def test_what_is_not_answered_ends_with_1() -> None:
-    with simulate("--fault", "silent-on-faults") as served:
-        result = process("send", served.port, "90", "--yes")
-
-    assert result.returncode == 1
-    assert "no answer came to 1 of 1 instruction" in result.stderr.decode()
-
-
-@pytest.mark.parametrize(
-    ("items", "words"),
-    [
-        (["Hoot"], "is not hex"),
-        (["LED rgb=9"], "allowed are 0 to 7"),
-        (["pause=-1"], "is not a pause"),
-        (["Forward"], "give --yes"),
-        ([], "no terminal to ask on"),
-    ],
-)
-def test_what_cannot_be_sent_is_said_in_one_sentence_and_nothing_is_sent(
-    items: list[str], words: str
-) -> None:
-    with simulate() as served:
-        result = process("send", served.port, *items)
-        state = served.state()
-
-    assert result.returncode == 2
-    assert words in sentence(result)
-    assert state["speed"] == 0
-
-
-@pytest.mark.parametrize("item", ["Forward;Stop", "Speed 80;", "?;", ";", "pause=1;"])
-def test_a_separator_of_the_shell_is_told_as_such(item: str) -> None:
-    told = sentence(command("send", "/dev/nothing", item, "--yes"))
-
-    assert told.startswith(f"bilprov: '{item}' holds a ;, which stands between typed instructions")
 
 
 def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
@@ -145,44 +75,6 @@ def test_a_last_pause_that_is_cut_short_is_told_too(
 # -- what the answers are worth -------------------------------------------------------------------
 
 
-def sent(protocol: Protocol, *words: str, fault: str = "") -> tuple[Done, Simulator]:
-    """Send to a simulated device; gives how it ended, and the device."""
-    device = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
-    with served_here(device) as (port, _):
-        return command("send", port, *words, "--yes"), device
-
-
-@pytest.mark.parametrize(
-    ("fault", "items", "words"),
-    [
-        ("wrong-code-for-bad-data", ["81 09"], "an answer is not allowed: the device says BAD_HE"),
-        (
-            "wrong-code-for-bad-data",
-            ["81 09", "81 0a"],
-            "2 answers are not allowed, first: ",
-        ),
-        ("unused-code-for-faults", ["90"], "an answer is not allowed: 5 is an unused response"),
-        ("double-answer", [], "1 byte came without an instruction"),
-    ],
-)
-def test_an_answer_that_no_reading_allows_ends_with_1(
-    protocol: Protocol, fault: str, items: list[str], words: str
-) -> None:
-    result, device = sent(protocol, "Forward", *items, fault=fault)
-
-    assert result.returncode == 1
-    assert words in sentence(result)
-    assert not device.state.moving
-
-
-def test_an_answer_that_a_reading_allows_ends_with_0(protocol: Protocol) -> None:
-    with simulate("--variant", "R-unused-length=too-many") as served:
-        result = command("send", served.port, "91 00", "--yes")
-
-    assert b"TOO_MANY_DATA" in result.stdout
-    assert (result.returncode, result.stderr) == (0, b"")
-
-
 class Flood(Simulator):
     """A robot that, once it has heard LED 7, sends bytes without end."""
 
@@ -214,86 +106,7 @@ def test_a_device_that_floods_the_line_ends_it_at_once(protocol: Protocol, more:
     assert (device.state.moving, device.state.speed) == (False, 0)
 
 
-@pytest.mark.parametrize(
-    ("items", "expected"),
-    [
-        (["Speed 1", "81 09", "Stop"], ["OK,BAD_DATA,OK"]),
-        (["Speed 1", "81 09", "Stop"], ["ok", "2", "0x0"]),
-        (["90 20 81", "05"], ["bad_header, OK ,too_few_data,too_few_data"]),
-        (["81", "05", "--together"], ["OK"]),
-        (["41", "pause=200", "00", "--together"], ["TOO_FEW_DATA,OK"]),
-    ],
-)
-def test_expected_answers_end_with_0(
-    protocol: Protocol, items: list[str], expected: list[str]
-) -> None:
-    options = [word for text in expected for word in ("--expect", text)]
-    result, _ = sent(protocol, *items, *options)
-
-    assert (result.returncode, result.stderr) == (0, b"")
-
-
-@pytest.mark.parametrize(
-    ("fault", "expected", "words"),
-    [
-        (
-            "",
-            "OK,OK",
-            "instruction 2 of 2, LED rgb=9 (81 09): expected OK (00), got BAD_DATA (02)",
-        ),
-        ("", "OK,7", "expected unused (07), got BAD_DATA (02)"),
-        ("silent-on-faults", "OK,BAD_DATA", "expected BAD_DATA (02), got no answer"),
-        ("", "none,OK", "instruction 1 of 2, Speed speed=1 (11 01): expected no answer, got OK"),
-    ],
-)
-def test_the_first_unexpected_answer_is_told(
-    protocol: Protocol, fault: str, expected: str, words: str
-) -> None:
-    result, _ = sent(protocol, "Speed 1", "81 09", "--expect", expected, fault=fault)
-
-    assert result.returncode == 1
-    assert words in sentence(result)
-
-
-def test_what_is_not_allowed_may_be_expected(protocol: Protocol) -> None:
-    for fault, answer in (("silent-on-faults", "none"), ("unused-code-for-faults", "5")):
-        result, _ = sent(protocol, "90", "--expect", answer, fault=fault)
-
-        assert (result.returncode, result.stderr) == (0, b"")
-
-
-@pytest.mark.parametrize(
-    ("expected", "words"),
-    [
-        ("BADDATA", "--expect 'BADDATA' is not an answer, did you mean BAD_DATA?; there are OK, "),
-        ("256", "--expect '256' is not an answer"),
-        ("", "--expect '' is not an answer"),
-        ("OK", "--expect names 1 and 2 should be answered: name one for each instruction"),
-        ("OK,OK,OK", "--expect names 3 and 2 should be answered"),
-    ],
-)
-def test_expectations_that_cannot_be_are_wrong_use_and_nothing_is_sent(
-    protocol: Protocol, expected: str, words: str
-) -> None:
-    result, device = sent(protocol, "Speed 9", "Forward", "--expect", expected)
-
-    assert result.returncode == 2
-    assert words in sentence(result)
-    assert device.state.speed == 0
-
-
 # -- what is said, and how long it drives ---------------------------------------------------------
-
-
-def test_the_question_names_what_moves_and_how_fast_at_most() -> None:
-    with simulate() as served:
-        result = process("send", served.port, "Speed 80", "Forward", "Speed 7", "RotateLeft")
-
-    assert result.returncode == 2
-    assert sentence(result).startswith(
-        f"bilprov: the robot at {served.port} will do what is sent: it drives and turns, at speeds "
-        "up to 80 of 255; its wheels should be off the ground: there is no terminal"
-    )
 
 
 def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped() -> None:

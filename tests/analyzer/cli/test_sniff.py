@@ -504,30 +504,6 @@ def test_a_bridge_passes_every_byte_and_names_its_pty(tmp_path: Path, protocol: 
     assert open_capture(path).metadata["attached"] == "no"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], ["HOST", "--bridge"]),
-        (["a", "--bridge", "b"], ["not both"]),
-        (["/no/such/port"], ["/no/such/port"]),
-        (["/dev/null"], ["/dev/null"]),
-        (["--bridge", "/no/such/port"], ["/no/such/port"]),
-        (["x", "x"], ["both tapped"]),
-        (["x", "--filter", "1 +"], ["column"]),
-        (["x", "--baud", "0"], ["--baud"]),
-        (["x", "--truncation-timeout", "0"], ["--truncation-timeout"]),
-        (["x", "--format", "live"], ["--format live", "terminal"]),
-        (["x", "--plain", "--format", "jsonl"], ["--plain", "jsonl"]),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: list[str], words: list[str]) -> None:
-    run = commands.command("sniff", *arguments)
-
-    assert run.returncode == 2
-    assert len(run.stderr.splitlines()) == 1
-    assert all(word in run.stderr.decode() for word in words), run.stderr
-
-
 def test_a_capture_is_never_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"precious")

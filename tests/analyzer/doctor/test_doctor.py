@@ -473,44 +473,6 @@ def test_a_held_port_is_not_opened_and_its_holder_named() -> None:
     assert not [one for one in report["findings"] if one["check"] == "opening"]
 
 
-def test_a_file_is_no_port(tmp_path: Path) -> None:
-    file = tmp_path / "drive.mcap"
-    file.touch()
-    for names in ([file], ["/dev/ttyUSB0", file], [tmp_path / "nowhere.mcap"]):
-        result = command("ports", *map(str, names))
-        assert (result.returncode, result.stdout) == (2, b"")
-        assert (
-            f"{names[-1]} is not a port; for a capture, bilprov capture check".encode()
-            in result.stderr
-        )
-
-
-@pytest.mark.parametrize("arguments", [["ports"], ["ports", "/dev/ptmx"], ["sniff", "--bridge"]])
-def test_the_simulator_is_no_port(arguments: list[str], tmp_path: Path) -> None:
-    result = command(*arguments, "sim", cwd=tmp_path)
-    assert (result.returncode, result.stdout) == (2, b"")
-    (line,) = result.stderr.splitlines()
-    assert line.startswith(b"bilprov: sim is not a port")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        (["/dev/ptmx", "/dev/ptmx"], "both tapped"),
-        (["/dev/a", "/dev/b", "/dev/c"], "give one PORT, or two"),
-        (["--ask"], "--ask asks one device: name its PORT"),
-        (["/dev/a", "/dev/b", "--ask"], "--ask asks one device"),
-        (["/dev/a", "--seconds", "-1"], "--seconds"),
-        (["/dev/a", "--baud", "0"], "--baud"),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: list[str], part: str) -> None:
-    result = command("ports", *arguments)
-    assert (result.returncode, result.stdout) == (2, b"")
-    (line,) = result.stderr.decode().splitlines()
-    assert part in line
-
-
 @pytest.mark.waits
 def test_without_a_yes_nothing_is_asked(protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
@@ -573,13 +535,6 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
 
 
 @pytest.mark.waits
-def test_an_echo_is_told() -> None:
-    result = command("ports", "loop://", "--ask", "--yes", "--seconds", "0")
-    assert result.returncode == 2
-    assert b"what is sent comes back" in result.stdout
-
-
-@pytest.mark.waits
 def test_two_taps_that_are_swapped_are_told_by_the_command(protocol: Protocol) -> None:
     with (
         open_pty() as host,
@@ -611,29 +566,3 @@ def test_sniff_send_and_conform_name_the_holder_of_a_port() -> None:
             assert result.returncode == 2
             assert f"or end it: kill {holder.process.pid}".encode() in result.stderr
         assert holder.end()[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "said"),
-    [
-        ("capture check", "nothing.mcap", "does not exist: name an MCAP file"),
-        ("capture check", "folder", "is a folder: name an MCAP file"),
-        ("capture check", "pipe", "is not a regular file: name an MCAP file"),
-        ("capture check", "text", "): name an MCAP file"),
-        ("ports", "ttyUSB9", "there is no"),
-        ("ports", "/dev/null", "is not a serial port"),
-        ("ports", "folder", "is not a port"),
-        ("ports", "pipe", "is not a port"),
-    ],
-)
-def test_what_is_no_capture_and_what_is_no_port_is_told(
-    kind: str, name: str, said: str, tmp_path: Path
-) -> None:
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "text").write_text("text")
-    os.mkfifo(tmp_path / "pipe")
-
-    result = command(*kind.split(), str(tmp_path / name))
-
-    assert result.returncode == 2
-    assert said in (result.stdout + result.stderr).decode()

@@ -18,7 +18,7 @@ from bilprov.analyzer.edit.exchanges import Exchange
 from bilprov.captures.schemas import MS, Chunk, State
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
-from tests.support.commands import Done, command, process
+from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation
 
 SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
@@ -103,24 +103,6 @@ def test_where_only_one_holds_answers_nothing_was_judged(tmp_path: Path) -> None
     assert compared(tmp_path, TALK, TALK[:-1], heard="host")[0] == 1
 
 
-def shown(*arguments: object) -> Done:
-    return command("capture", "diff", *map(str, arguments))
-
-
-def test_people_see_a_table_and_files_get_the_json(tmp_path: Path) -> None:
-    part, out = tmp_path / "part.mcap", tmp_path / "out.json"
-    command("capture", "cut", str(SAMPLE), str(part), "--start", "0.2")
-    same, other = shown(SAMPLE, SAMPLE), shown(SAMPLE, part, "--json", out)
-    assert (same.returncode, other.returncode) == (0, 1)
-    assert same.stdout.decode().startswith("nothing differs\n")
-    assert other.stdout.decode().startswith("4 differences\n")
-    assert "Speed speed=255 (11 ff)" in other.stdout.decode()
-    assert json.loads(out.read_text())["differences"] == {"only_a": 4}
-    again = shown(SAMPLE, part, "--json", part)
-    assert (again.returncode, again.stdout) == (2, b"")
-    assert b"would overwrite the input" in again.stderr
-
-
 @pytest.mark.waits
 def test_a_verdict_that_cannot_be_shown_is_2() -> None:
     with Path("/dev/full").open("wb") as full:
@@ -199,12 +181,3 @@ def test_latencies_are_those_that_the_statistics_show(tmp_path: Path) -> None:
         for name, both in told["latencies"].items():
             spread = shown["by_instruction"][name]["latency"]
             assert both["a"] == both["b"] == {key: spread[key] for key in both["a"]}
-
-
-def test_another_grammar_names_its_own_instructions(tmp_path: Path, horn_text: str) -> None:
-    grammar = tmp_path / "horn.py"
-    grammar.write_text(horn_text, encoding="utf-8")
-    talk = [(b"\x91\x02", b"\0")]
-    paths = [written(tmp_path / name, conversation(talk)) for name in ("a.mcap", "b.mcap")]
-    done = command("--grammar", str(grammar), "capture", "diff", *map(str, paths), "--json", "-")
-    assert list(json.loads(done.stdout)["latencies"]) == ["Horn"]

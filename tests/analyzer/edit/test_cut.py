@@ -409,42 +409,6 @@ def test_with_another_grammar_a_part_begins_in_running_traffic(
     assert other[0].sequence == 0 != own[0].sequence
 
 
-def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
-    copy, link, old = tmp_path / "in.mcap", tmp_path / "link.mcap", tmp_path / "old.mcap"
-    copy.write_bytes(SAMPLE.read_bytes())
-    link.symlink_to(copy)
-    old.write_text("precious")
-    for out in (copy, link):
-        said = done("capture", "cut", copy, out, "--end", "1", "--force", code=2)
-        assert "would overwrite the input" in said
-    assert "exists: name another file, or give --force" in done(
-        "capture", "cut", copy, old, "--end", "1", code=2
-    )
-    assert (old.read_text(), copy.read_bytes()) == ("precious", SAMPLE.read_bytes())
-    done("capture", "cut", copy, old, "--end", "1", "--force")
-    assert lines_of(old) == lines_of(SAMPLE, "--end", "1")
-    assert "is not a regular file" in done(
-        "capture", "cut", copy, "/dev/full", "--end", "1", "--force", code=2
-    )
-    assert "is standard output" in done(
-        "capture", "cut", copy, "-", "--end", "1", "--force", code=2
-    )
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "link.mcap", "old.mcap"]
-
-
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        ((), "name what OUT is to hold"),
-        (("--start", "2", "--end", "1"), "--end 1 is not after --start 2"),
-        (("--filter", "hello =="), "filter"),
-    ],
-)
-def test_wrong_use_writes_nothing(tmp_path: Path, options: tuple[str, ...], part: str) -> None:
-    assert part in done("capture", "cut", SAMPLE, tmp_path / "out.mcap", *options, code=2)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
     capture = open_capture(SAMPLE)
     metadata = edited_metadata(capture, protocol, "cut")

@@ -179,23 +179,6 @@ def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
     assert "both hold" in joined(one, one, code=2)
 
 
-def test_other_grammars_one_file_and_old_files_are_refused(
-    protocol: Protocol, horn: Protocol, tmp_path: Path
-) -> None:
-    event = Chunk(0, "host", b"\x20")
-    one = written(tmp_path / "a.mcap", protocol, [event])
-    other = written(tmp_path / "b.mcap", horn, [event])
-    assert "different grammars: join only captures of one" in joined(one, other, code=2)
-    assert "name two captures or more" in joined(one, code=2)
-    old = tmp_path / "old.mcap"
-    old.write_text("precious")
-    done = command("capture", "join", str(one), str(SAMPLE), "-o", str(old))
-    assert (done.returncode, old.read_text()) == (2, "precious")
-    done = command("capture", "join", str(one), str(SAMPLE), "-o", str(one), "--force")
-    assert b"would overwrite the input" in done.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap", "old.mcap"]
-
-
 def test_attachments_of_all_are_kept(tmp_path: Path) -> None:
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path in paths:

@@ -188,16 +188,6 @@ def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) ->
     assert (answer["latency"], answer["latency_ns"]) == (0.001, MS)
 
 
-def test_a_field_of_another_grammar_is_a_column(tmp_path: Path, horn_text: str) -> None:
-    path = written(tmp_path / "a.mcap", conversation([(b"\x91\x03", b"\0")]))
-    (tmp_path / "horn.py").write_text(horn_text)
-    more = ("export", str(path), "-o", "-", "--format")
-    for style, rows in (("csv", csv_rows), ("parquet", parquet_rows)):
-        done = command("--grammar", str(tmp_path / "horn.py"), *more, style)
-        assert done.returncode == 0
-        assert rows(done.stdout)[0]["fields.sound"] == 3
-
-
 def test_numbers_that_64_bits_cannot_hold_are_decimals(grammar_text: str) -> None:
     pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
     from bilprov.analyzer.export.parquet import write_parquet
@@ -261,21 +251,6 @@ def test_hostile_words_of_a_capture_stay_in_their_cell(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("style", FORMATS)
-def test_nothing_is_overwritten_unless_it_is_forced(tmp_path: Path, style: str) -> None:
-    out = tmp_path / "out"
-    out.write_bytes(b"mine")
-    words = ("export", str(SAMPLE), "--format", style, "-o", str(out))
-
-    refused = command(*words)
-    assert (refused.returncode, out.read_bytes()) == (2, b"mine")
-    assert b"exists: name another file, or give --force" in refused.stderr
-
-    assert command(*words, "--force").returncode == 0
-    assert out.read_bytes() == exported(SAMPLE, style)
-    assert list(tmp_path.iterdir()) == [out]
-
-
-@pytest.mark.parametrize("style", FORMATS)
 def test_the_format_follows_from_the_files_name_unless_it_is_named(
     style: str, tmp_path: Path
 ) -> None:
@@ -288,37 +263,6 @@ def test_the_format_follows_from_the_files_name_unless_it_is_named(
         out = tmp_path / name
         assert command("export", str(SAMPLE), "-o", str(out), *more).returncode == 0
         assert out.read_bytes() == exported(SAMPLE, style)
-
-
-WRONG = [
-    ([], "name what to write and where"),
-    ([str(SAMPLE), "--format", "csv"], "name what to write and where"),
-    (
-        [str(SAMPLE), "-o", "-"],
-        "-o - names no format: let it end in .csv, .jsonl, .parquet, .pcapng",
-    ),
-    ([str(SAMPLE), "-o", "drive.xlsx"], "-o drive.xlsx names no format"),
-    ([str(SAMPLE), "--format", "xlsx", "-o", "-"], "'xlsx' is not one of"),
-    (["nowhere.mcap", "--format", "csv", "-o", "-"], "does not exist"),
-    ([str(SAMPLE), "--format", "csv", "-o", str(SAMPLE / "x.csv")], "in a folder that exists"),
-    ([str(SAMPLE), "--format", "csv", "-o", str(SAMPLE), "--force"], "would overwrite the input"),
-    ([str(SAMPLE), "--format", "csv", "-o", "-", "--columns", "rbg"], "did you mean rgb?"),
-    ([str(SAMPLE), "--format", "csv", "-o", "-", "--columns", "t", "--time", "utc"], "name it in"),
-    ([str(SAMPLE), "--format", "jsonl", "-o", "-", "--columns", "t"], "is for csv and parquet"),
-    ([str(SAMPLE), "--format", "parquet", "-o", "-", "--time", "utc"], "--time is for csv, not"),
-    ([str(SAMPLE), "--format", "csv", "-o", "-", "--start", "2", "--end", "1"], "is not after"),
-    ([str(SAMPLE), "--format", "csv", "-o", "-", "--filter", "rbg > 1"], "rbg"),
-    (["--foxglove-layout", str(SAMPLE)], "it takes no capture"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "part"), WRONG, ids=lambda value: str(value)[-40:])
-def test_wrong_use_is_one_sentence(arguments: list[str], part: str) -> None:
-    done = command("export", *arguments)
-
-    assert (done.returncode, done.stdout) == (2, b"")
-    assert part in done.stderr.decode()
-    assert done.stderr.count(b"\n") == 1
 
 
 FULL = """

@@ -15,7 +15,7 @@ from bilprov.__main__ import COMMANDS
 from bilprov.analyzer.output.help import Group, Page, with_pages
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, command, command_named, process
+from tests.support.commands import PATIENCE, command, process
 
 ESCAPE = "\x1b"
 WIDTHS = (40, 60, 80, 120)
@@ -111,43 +111,6 @@ def test_no_line_is_broken_at_a_hyphen() -> None:
     for columns in range(60, 121, 5):
         lines = page("conform", columns=columns)
         assert [line for line in lines if re.search(r"\w-$", line)] == []
-
-
-def test_the_front_page_lists_every_command_by_panel_in_the_order_of_the_table() -> None:
-    lines = page()
-
-    listed = [line.split()[0] for line in lines if re.match(r"  [a-z]+  ", line)]
-    top = {name: row.panel for name, row in COMMANDS.items() if " " not in name}
-    assert listed == list(top)
-    assert len(top) <= 20
-    headings = [line[:-1] for line in lines if re.match(r"\w+:$", line)]
-    assert headings == [*dict.fromkeys(top.values()), "Options"]
-
-
-def test_the_options_of_conform_stand_in_panels_and_each_of_them_once() -> None:
-    lines = page("conform")
-
-    headings = [line[:-1] for line in lines if re.match(r"\S.*:$", line)]
-    assert headings == ["Device", "Cases", "Time", "Reports", "Known failures", "Options"]
-    shown = [
-        found[1] for line in lines if (found := re.match(r"\s{2,6}(?:-\w, )?(--[\w-]+)", line))
-    ]
-    options = [
-        param.opts[-1] for param in command_named("conform")[0].params if param.opts[0][0] == "-"
-    ]
-    assert sorted(shown) == sorted([*options, "--help"])
-
-
-def test_the_pages_of_commands_below_a_group_look_the_same() -> None:
-    assert "  -o, --output FILE      The file to write; standard output if left out." in page(
-        "spec", "emit", "c"
-    )
-    assert [line for line in page("spec", "emit") if line.endswith(":")] == [
-        "  Examples:",
-        "Commands:",
-        "Options:",
-    ]
-    assert max(map(len, page("spec", "show", columns=40))) <= 40
 
 
 @pytest.mark.waits

@@ -47,13 +47,6 @@ def counted(*arguments: str) -> Any:
     return json.loads(result.stdout)
 
 
-def wrong(*arguments: str) -> str:
-    result = command("stats", *arguments)
-    assert (result.returncode, result.stdout) == (2, b"")
-    (line,) = result.stderr.decode().splitlines()
-    return line
-
-
 def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
     shown = command("replay", EXAMPLES, "--rate", "0", "--format", "jsonl").stdout
     lines = [json.loads(line) for line in shown.splitlines()]
@@ -161,53 +154,6 @@ def test_several_captures_are_counted_one_by_one_and_together(tmp_path: Path) ->
     assert total["latency"]["max"] == max(counts["latency"]["max"] for counts in each)
 
 
-def test_people_get_tables(tmp_path: Path) -> None:
-    events = conversation([(b"\x11\x05", b"\0"), (b"\x90", b"\0"), (b"\x21", b"")])
-    shown = command("stats", written(tmp_path / "c.mcap", events)).stdout.decode()
-
-    for part in ("Speed", "unused 9", "3 frames", "disagreeing", "BAD_HEADER", "1 as expected"):
-        assert part in shown, shown
-    assert "truncated" in shown
-    assert all(line.isprintable() for line in shown.splitlines())
-
-
-def test_a_capture_without_traffic_has_no_counts_and_says_so(tmp_path: Path) -> None:
-    file = written(tmp_path / "c.mcap", [])
-
-    result = command("stats", file, "--json", "-")
-
-    counts = json.loads(result.stdout)["total"]
-    assert (counts["frames"], counts["latency"], counts["duration"]) == (0, None, 0)
-    assert b"holds no traffic" in result.stderr
-    assert command("stats", file).returncode == 0
-
-
-def test_an_unfinished_capture_says_so_and_is_counted(tmp_path: Path) -> None:
-    whole = Path(written(tmp_path / "c.mcap", conversation([(b"\x20", b"\0")] * 3)))
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole.read_bytes()[:-100])
-
-    result = command("stats", str(cut), "--json", "-")
-
-    assert b"never finished" in result.stderr
-    assert json.loads(result.stdout)["files"][0]["unfinished"] is True
-    assert json.loads(result.stdout)["total"]["frames"] == 3
-
-
-def test_a_damaged_capture_says_so_and_the_rest_is_counted(tmp_path: Path) -> None:
-    events = conversation([(b"\x11" + bytes([n % 256]), b"\0") for n in range(3000)])
-    path = Path(written(tmp_path / "c.mcap", events))
-    data = bytearray(path.read_bytes())
-    data[len(data) // 3 : len(data) // 3 + 64] = bytes(64)
-    path.write_bytes(data)
-
-    result = command("stats", str(path), "--json", "-")
-
-    assert b"is damaged" in result.stderr
-    (file,) = json.loads(result.stdout)["files"]
-    assert file["damage"]
-
-
 def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protocol) -> None:
     events: list[Event] = [Chunk(0, "host", b"\x11"), Chunk(30 * MS, "host", b"\x05")]
 
@@ -220,16 +166,6 @@ def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protoc
     ]
 
     assert kinds == [{"truncated": 2}, {"instruction": 1}]
-
-
-def test_another_grammar_counts_its_own_instructions(tmp_path: Path, horn_text: str) -> None:
-    grammar = tmp_path / "horn.py"
-    grammar.write_text(horn_text, encoding="utf-8")
-    file = written(tmp_path / "c.mcap", conversation([(b"\x91\x02", b"\0")]))
-
-    result = command("--grammar", str(grammar), "stats", file, "--json", "-")
-
-    assert json.loads(result.stdout)["total"]["instructions"]["Horn"] == 1
 
 
 def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protocol) -> None:
@@ -247,28 +183,6 @@ def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protoco
     assert sum(told) == 2 * totals.host_bytes == 400 * 4096
     assert max(told) <= 1 << 20  # so that memory stays flat
     assert len(told) > 1
-
-
-def test_the_files_are_written_and_the_tables_are_shown_too(tmp_path: Path) -> None:
-    file, table = tmp_path / "stats.json", tmp_path / "stats.csv"
-
-    result = command("stats", EXAMPLES, "--json", str(file), "--csv", str(table))
-
-    assert (result.returncode, result.stderr) == (0, b"")
-    assert b"instruction" in result.stdout
-    assert json.loads(file.read_text()) == counted(EXAMPLES)
-    assert table.read_bytes() == command("stats", EXAMPLES, "--csv", "-").stdout
-
-
-@pytest.mark.parametrize("option", ["--json", "--csv"])
-def test_an_older_file_is_replaced_only_if_the_user_says_so(tmp_path: Path, option: str) -> None:
-    file = tmp_path / "older"
-    file.write_text("older")
-
-    assert "give --force to overwrite it" in wrong(EXAMPLES, option, str(file))
-    assert file.read_text() == "older"
-    assert command("stats", EXAMPLES, option, str(file), "--force").returncode == 0
-    assert file.read_text() != "older"
 
 
 def rows_of(*arguments: str) -> list[dict[str, str]]:
@@ -351,7 +265,6 @@ def test_only_what_passes_the_filter_is_counted() -> None:
     assert found["total"]["anomalies"] == Counter(kind for x in lines for kind in x["faults"])
     shown = command("stats", EXAMPLES, "--filter", "faulty").stdout
     assert b"Only what passes faulty is counted." in shown
-    assert "filter" in wrong(EXAMPLES, "--filter", "nonsense ==")
 
 
 def busy(protocol: Protocol, seconds: int) -> list[Event]:
@@ -381,30 +294,6 @@ def test_the_tables_fit_80_columns_in_any_encoding(
     assert block * 10 in shown
     assert max(map(len, lines)) <= 80
     assert all(line.isprintable() for line in lines)
-
-
-def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
-    capture = written(tmp_path / "c.mcap", [])
-    before = Path(capture).read_bytes()
-
-    assert "missing argument" in wrong()
-    assert "does not exist" in wrong(str(tmp_path / "no.mcap"))
-    assert "is a folder" in wrong(str(tmp_path))
-    assert "is not MCAP" in wrong(__file__)
-    assert "cannot be written" in wrong(capture, "--json", str(tmp_path / "no" / "stats.json"))
-    assert "would overwrite the input" in wrong(capture, "--json", capture)
-    assert "both go to standard output" in wrong(capture, "--json", "-", "--csv", "-")
-    assert "would overwrite --json" in wrong(capture, "--json", "x", "--csv", "./x")
-    assert "no such option" in wrong(capture, "--yaml", "x")
-    assert Path(capture).read_bytes() == before
-
-
-def test_one_capture_that_cannot_be_read_leaves_no_json(tmp_path: Path) -> None:
-    file = tmp_path / "stats.json"
-
-    wrong(EXAMPLES, str(tmp_path / "no.mcap"), "--json", str(file))
-
-    assert not file.exists()
 
 
 @pytest.mark.waits

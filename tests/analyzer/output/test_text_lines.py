@@ -22,31 +22,6 @@ TALK = [
 ]
 
 
-def test_a_line_tells_time_direction_bytes_words_and_state(protocol: Protocol) -> None:
-    render = LineRenderer(colour=False)
-
-    said, answered = (
-        render.line(record) for record in decoded(Session(protocol), conversation(TALK[:1]))
-    )
-
-    assert said.split() == [
-        *("0.020000", "→", "11", "ff", "Speed", "speed=255"),
-        *("stopped", "speed", "255", "led", "0"),
-    ]
-    assert answered.split() == ["0.021000", "←", "00", "OK", "1.000", "ms"]
-
-
-def test_a_faulty_frame_says_why(protocol: Protocol) -> None:
-    render = LineRenderer(colour=False)
-
-    said, answered = (
-        render.line(record) for record in decoded(Session(protocol), conversation(TALK[4:5]))
-    )
-
-    assert "allowed are 0 to 7" in said
-    assert "expected is BAD_DATA" in answered
-
-
 def test_colour_codes_come_only_where_they_are_wanted(protocol: Protocol) -> None:
     records = decoded(Session(protocol), conversation(TALK))
 

@@ -227,28 +227,6 @@ def test_times_that_only_a_forged_file_has_make_a_page_too(tmp_path: Path) -> No
     assert len(data_of(page_of(str(path)))["latencies"]["t"]) == 3
 
 
-def test_wrong_use_is_one_sentence_and_overwrites_nothing(tmp_path: Path) -> None:
-    older = tmp_path / "older.html"
-    older.write_text("older")
-
-    def wrong(*arguments: str) -> str:
-        result = command("plot", *arguments)
-        assert (result.returncode, result.stdout) == (2, b"")
-        (line,) = result.stderr.decode().splitlines()
-        return line
-
-    assert "give --force to overwrite it" in wrong(EXAMPLES, "--html", str(older))
-    assert older.read_text() == "older"
-    assert "would overwrite the input" in wrong(EXAMPLES, "--html", EXAMPLES, "--force")
-    assert "cannot be written" in wrong(EXAMPLES, "--html", str(tmp_path / "no" / "x.html"))
-    assert "missing option '--html'" in wrong(EXAMPLES)
-    assert "does not exist" in wrong(str(tmp_path / "no.mcap"), "--html", str(tmp_path / "x.html"))
-    assert "No space left on device" in wrong(EXAMPLES, "--html", "/dev/full")
-    assert command("plot", EXAMPLES, "--html", str(older), "--force").returncode == 0
-    assert older.read_text().startswith("<!doctype html>")
-    assert list(tmp_path.iterdir()) == [older]
-
-
 # -- in the browser -------------------------------------------------------------------------------
 
 

@@ -202,63 +202,16 @@ def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> 
     assert [len(found[topic]) for topic in DECODED[:2]] == [1, 1]
 
 
-def test_another_grammar_decodes_and_is_named_in_the_new_capture(
-    grammar_text: str, tmp_path: Path
-) -> None:
-    grammar = tmp_path / "other.py"
-    grammar.write_text(grammar_text + "\n")
-    path = tmp_path / "old.mcap"
-    path.write_bytes((SAMPLES / "examples.mcap").read_bytes())
-    new, done = converted(path, "--grammar", str(grammar))
-    assert b"was recorded with another grammar" in done.stderr
-    shown = command("--grammar", str(grammar), "capture", "info", str(new), "--format", "json")
-    assert msgspec.json.decode(shown.stdout)["same_grammar"] is True
-
-
-def test_a_capture_is_never_overwritten(tmp_path: Path) -> None:
-    new = tmp_path / "new.mcap"
-    new.write_bytes(b"precious")
-    done = command("capture", "decode", str(SAMPLES / "examples.mcap"), str(new))
-    assert (done.returncode, done.stdout) == (2, b"")
-    assert b"exists and captures are never overwritten" in done.stderr
-    assert new.read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("{old}",), "missing argument"),
-        (("{none}", "{new}"), "does not exist"),
-        (("{text}", "{new}"), "is not MCAP"),
-        (("{old}", "{none}/new.mcap"), "cannot be made"),
-    ],
-)
-def test_wrong_use_is_one_sentence(
-    tmp_path: Path, arguments: tuple[str, ...], sentence: str
-) -> None:
-    names = {name: str(tmp_path / name) for name in ("new", "none", "text")}
-    Path(names["text"]).write_text("text without a magic")
-    names["old"] = str(SAMPLES / "examples.mcap")
-    done = command("capture", "decode", *(argument.format(**names) for argument in arguments))
-    assert (done.returncode, done.stdout) == (2, b"")
-    assert sentence in done.stderr.decode()
-    assert done.stderr.count(b"\n") == 1
-    assert not Path(names["new"]).exists()
-
-
-def test_a_start_outside_of_the_format_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "foreign.mcap"
+def test_a_start_that_no_clock_shows_is_not_believed(tmp_path: Path) -> None:
+    path, new = tmp_path / "foreign.mcap", tmp_path / "new.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(library="other")
         writer.add_metadata(topics.METADATA_NAME, {topics.START_KEY: "9" * 20})
         writer.add_message(writer.register_channel(topics.HOST_RAW, "x", 0), 5, b"\0", 0)
         writer.finish()
-    done = command("capture", "decode", str(path), str(tmp_path / "new.mcap"))
-    assert done.returncode == 2
-    assert b"cannot be decoded into a new file: log time is 99999999999999999999" in done.stderr
-    assert done.stderr.count(b"\n") == 1
-    assert not (tmp_path / "new.mcap").exists()
+    assert command("capture", "decode", str(path), str(new)).returncode == 0
+    assert [open_capture(file).start for file in (path, new)] == [5, 5]
 
 
 @pytest.mark.waits
@@ -342,7 +295,7 @@ def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
     def progress(size: int) -> None:
         nonlocal seen
         seen += 1
-        if seen == 50:
+        if seen == 1:
             os.truncate(live, live.stat().st_size // 4)
 
     with pytest.raises(CaptureError, match="changed while it was read"):

@@ -60,78 +60,6 @@ def _shown(path: Path, *more: str) -> list[dict[str, object]]:
     return json_lines(run.stdout)
 
 
-def test_raw_bytes_alone_are_a_complete_capture(capture: Write) -> None:
-    lines = _shown(capture(conversation(TALK)))
-
-    assert [line["hex"] for line in lines if line["direction"] == "host"] == [
-        "11 7f",
-        "20",
-        "81 05",
-        "90",
-        "00",
-    ]
-    assert [line["answers"] for line in lines if line["direction"] == "device"] == [0, 1, 2, 3, 4]
-
-
-@pytest.mark.parametrize(
-    ("metadata", "kinds"),
-    [
-        ({}, ["garbage", "instruction", "instruction", "instruction"]),
-        ({"attached": "yes"}, ["garbage", "instruction", "instruction", "instruction"]),
-        ({"attached": "no"}, ["instruction"]),
-    ],
-)
-def test_a_capture_that_may_begin_in_mid_frame_is_decoded_so(
-    capture: Write, metadata: dict[str, str], kinds: list[str]
-) -> None:
-    # The last byte of a Speed, and three frames; or one frame whose header lies.
-    path = capture([Chunk(0, "host", bytes.fromhex("76 81 05 11 07 41 ff"))], metadata)
-
-    assert [line["kind"] for line in _shown(path)] == kinds
-
-
-def test_a_window_shows_what_lies_inside_with_the_state_from_before(capture: Write) -> None:
-    path = capture(conversation(TALK))
-
-    lines = _shown(path, "--start", "0.03", "--end", "0.05")
-
-    assert [line["hex"] for line in lines] == ["20", "00"]
-    assert lines[0]["state"]["speed"] == 0x7F  # type: ignore[index]
-
-
-@pytest.mark.parametrize("start", ["0.081", "0.0811", "9"])
-def test_a_start_behind_the_end_is_refused_in_one_sentence(capture: Write, start: str) -> None:
-    path = capture(conversation(TALK[:4]))  # the last answer comes at 81 ms
-
-    run = commands.command(
-        "replay", str(path), "--rate", "0", "--format", "jsonl", "--start", start
-    )
-
-    said = [line for line in run.stderr.decode().splitlines() if "checkpoints" not in line]
-    if start == "0.081":
-        assert (len(json_lines(run.stdout)), said, run.returncode) == (1, [], 0)
-    else:
-        (sentence,) = said
-        assert f"{path} ends at 0.081 s, which is before --start {start}" in sentence
-        assert (run.stdout, run.returncode) == (b"", 2)
-
-
-def test_what_begins_in_a_window_is_decided_by_what_comes_after_it(capture: Write) -> None:
-    path = capture([Chunk(0, "host", b"\x11"), Chunk(20 * MS, "host", b"\x05")])
-
-    lines = _shown(path, "--end", "0.01")
-
-    assert [line["hex"] for line in lines] == ["11 05"]
-
-
-def test_the_recorded_time_out_is_used_unless_another_is_given(capture: Write) -> None:
-    events = [Chunk(0, "host", b"\x11"), Chunk(80 * MS, "host", b"\x05")]
-    path = capture(events, {"truncation_timeout_ms": "100"})
-
-    assert [line["kind"] for line in _shown(path)] == ["instruction"]
-    assert _shown(path, "--truncation-timeout", "60")[0]["kind"] == "truncated"
-
-
 @pytest.mark.parametrize("text", ["", "nan", "-5", "1e99", "\x1b[2J"])
 def test_a_file_that_tells_nonsense_is_decoded_with_the_usual_settings(
     capture: Write, text: str
@@ -153,14 +81,6 @@ def test_hostile_text_in_a_capture_reaches_no_terminal(capture: Write) -> None:
         for line in (run.stdout + run.stderr).decode().splitlines():
             assert line.isprintable()
             assert len(line) < 1200
-
-
-def test_another_grammar_than_the_recorded_one_is_said(capture: Write) -> None:
-    path = capture(conversation(TALK), {"grammar_sha256": "0" * 64, "grammar_name": "tractor"})
-
-    run = commands.command("replay", str(path), "--rate", "0")
-
-    assert b"another grammar (tractor" in run.stderr
 
 
 def test_ctrl_c_ends_a_slow_replay_with_0(capture: Write) -> None:
@@ -357,34 +277,6 @@ def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
 
     assert run.returncode == 2
     assert b"nobody answers" in run.stderr
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        ["--start", "2", "--end", "1"],
-        ["--start", "nan"],
-        ["--end", "inf"],
-        ["--rate", "nan"],
-        ["--rate", "-1"],
-        ["--filter", "x"],
-    ],
-)
-def test_wrong_use_is_one_sentence(capture: Write, more: list[str]) -> None:
-    run = commands.command("replay", str(capture(conversation(TALK))), *more)
-
-    assert run.returncode == 2
-    assert len(run.stderr.splitlines()) == 1
-
-
-def test_a_file_that_is_no_capture_is_one_sentence(tmp_path: Path) -> None:
-    for name, data in (("empty.mcap", b""), ("text.mcap", b"hello"), ("missing.mcap", None)):
-        if data is not None:
-            (tmp_path / name).write_bytes(data)
-        run = commands.command("replay", os.fspath(tmp_path / name))
-
-        assert run.returncode == 2
-        assert len(run.stderr.splitlines()) == 1
 
 
 def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffic(

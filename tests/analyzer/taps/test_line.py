@@ -25,8 +25,8 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import NO_DESCRIPTOR, parse_address
-from tests.support.commands import Done, command, process
-from tests.support.robots import sentence, simulate, unwell
+from tests.support.commands import Done, process
+from tests.support.robots import simulate, unwell
 from tests.support.scarcity import no_descriptor_left
 from tests.support.wires import PATIENCE, Running, running
 
@@ -467,50 +467,11 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
         end.close()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        ("--drop 2 pty pty", "'--drop': 2.0 is not in the range 0<=x<=1"),
-        ("--flip -1 pty pty", "'--flip': -1.0 is not in the range"),
-        ("--double often pty pty", "'--double': 'often' is not a number"),
-        ("--drop nan pty pty", "nan is not a number"),
-        ("--drop .6 --flip .6 pty pty", "all of them together at most 1"),
-        ("--late 1.01 pty pty", "'--late': 1.01 is not in the range"),
-        ("--delay 5parsecs pty pty", "'5parsecs' is not such a time; write 5ms, 0.2s or a number"),
-        ("--delay -5 pty pty", "'-5' is not such a time"),
-        ("--delay 61s pty pty", "from 0 to 60s"),
-        ("--jitter 9e99 pty pty", "'9e99' is not such a time"),
-        ("--jitter nan pty pty", "'nan' is not such a time"),
-        ("--delay 40s --jitter 40s pty pty", "together at most 60 s"),
-        ("pty", "missing argument 'B'"),
-        ("pty pty pty", "got unexpected extra argument (pty)"),
-        ("listen:nowhere pty", "the address is 'nowhere', allowed is HOST:PORT"),
-        ("pty listen:", "the address is '', allowed is HOST:PORT"),
-        ("/dev/null /dev/../dev/null", "both ends are /dev/../dev/null; a line joins two"),
-        ("socket://h:1 socket://h:1", "both ends are socket://h:1"),
-        ("/dev/no-such-port pty", "there is no /dev/no-such-port"),
-        ("pty socket://127.0.0.1", "is not a usable address"),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: str, part: str) -> None:
-    result = command("lab", "line", *arguments.split())
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert len(result.stderr.splitlines()) == 1
-    assert part in sentence(result)
-
-
 def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
     with pytest.raises(ValueError, match=r"'9+…' is not such a time") as raised:
         nanoseconds("9" * 400_000 + "x")
 
     assert len(str(raised.value)) < 400
-
-
-def test_the_help_is_enough_to_use_it() -> None:
-    told = " ".join(command("lab", "line", "--help").stdout.decode().split())
-    for part in ("pty", "listen:HOST:PORT", "5ms, 0.2s", "bilprov conform", "SIGTERM"):
-        assert part in told
-    assert "line" in command("--help").stdout.decode()
 
 
 # the suite over the line

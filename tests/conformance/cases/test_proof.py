@@ -178,22 +178,6 @@ def test_the_command_says_it_before_and_what_is_proven_after() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--extra", "1"), b"--extra 1 is for --level complete"),
-        (("--level", "complete", "--extra", "2"), b"--extra 2 takes 2,811,072 words or more"),
-    ],
-)
-def test_an_extra_that_cannot_be_is_refused(options: tuple[str, ...], said: bytes) -> None:
-    result = command("conform", "sim", *options)
-
-    assert result.returncode == 2
-    assert said in result.stderr
-    assert b"Traceback" not in result.stderr
-
-
-@pytest.mark.slow
 def test_a_device_that_reads_the_document_otherwise_passes_but_nothing_is_proven(
     protocol: Protocol,
 ) -> None:

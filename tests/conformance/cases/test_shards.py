@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import pytest
 
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
@@ -173,24 +172,6 @@ def test_what_names_no_shard_is_one_sentence(text: str) -> None:
     with pytest.raises(ValueError, match="write I/N"):
         shard_named(text)
     assert shard_named("3/4") == (3, 4)
-
-
-def test_the_command_says_its_shard_and_refuses_nonsense() -> None:
-    good = command("conform", "sim", "--only", "valid/LED/*", "--shard", "2/2", "--json", "-")
-    wrong = command("conform", "sim", "--shard", "3/2")
-    listed = [
-        command("conform", "sim", "--only", "valid/LED/*", "--shard", f"{n}/2", "--list").stdout
-        for n in (1, 2)
-    ]
-
-    report = msgspec.json.decode(good.stdout)
-    ran = {case["id"] for case in report["cases"] if case["id"].startswith("valid/LED")}
-    assert report["options"]["shard"] == [2, 2]
-    assert len(ran) == 4
-    assert b"(shard 2 of 2)" in good.stderr
-    assert all(case.encode() in listed[1] and case.encode() not in listed[0] for case in ran)
-    assert wrong.returncode == 2
-    assert "write I/N" in sentence(wrong)
 
 
 def test_globs_and_whole_ids_choose_alike() -> None:

@@ -32,7 +32,7 @@ from bilprov.conformance.dut.probes import (
 from bilprov.conformance.recheck import recheck
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.robots import PATIENCE, ProbeServer, sentence, simulate
+from tests.support.robots import PATIENCE, ProbeServer, simulate
 
 pytestmark = pytest.mark.waits
 
@@ -370,34 +370,6 @@ def test_a_command_that_is_given_up_is_ended() -> None:
 def test_none_is_no_probe(pty: str) -> None:
     with open_port(pty) as port:
         assert open_probe("none", port) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("", "it can be tcp:HOST:PORT"),
-        ("sim", "it can be tcp:HOST:PORT"),
-        ("tcp", "it can be tcp:HOST:PORT"),
-        ("tcp:", "it can be tcp:HOST:PORT"),
-        ("exec:", "it can be tcp:HOST:PORT"),
-        ("modem:dtr", "it can be tcp:HOST:PORT"),
-        ("telepathy:me", "it can be tcp:HOST:PORT"),
-        ("tcp:localhost", "tcp:localhost"),
-        ("tcp:127.0.0.1:x", "tcp:127.0.0.1:x"),
-        ("tcp:127.0.0.1:1", "cannot be reached"),
-        ("modem:cts", "no modem lines"),
-        ("ask", "terminal"),
-    ],
-)
-def test_a_probe_that_cannot_be_had_is_refused_before_anything_moves(
-    pty: str, name: str, words: str
-) -> None:
-    result = command("conform", pty, "--probe", name, "--yes")
-
-    assert result.returncode == 2
-    assert words in sentence(result)
-    assert sentence(result).startswith("bilprov: ")
-    assert result.stdout == b""
 
 
 # -- ask ------------------------------------------------------------------------------------------

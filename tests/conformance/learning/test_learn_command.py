@@ -107,33 +107,6 @@ def test_without_aalpy_one_sentence_says_how_it_comes() -> None:
     assert done.stderr.decode().splitlines() == [f"bilprov: {expected}"]
 
 
-@pytest.mark.parametrize("name", ["conform", "simulate", "lab learn"])
-def test_each_command_with_a_fault_names_both_kinds_of_random_ones(name: str) -> None:
-    told = " ".join(command(*name.split(), "--help").stdout.decode().split())
-
-    assert "random:SEED or random:SEED.NUMBER draws one" in told
-
-
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        (["sim", "--fault", "no-such"], "there is no fault 'no-such'"),
-        (["sim", "--fault", "dead"], "nobody answered"),
-        (["sim", "--fault", "echo"], "the line is an echo"),
-        (["sim", "--probe", "ask"], "brings its own probe"),
-        (["sim", "-o", "/nowhere/m.dot"], "--dot /nowhere/m.dot cannot be written"),
-        (["sim", "-o", "-", "--json", "-"], "both go to standard output"),
-        (["emulator:simavr:/nowhere.elf"], "there is no firmware /nowhere.elf"),
-        (["/nowhere/tty"], "/nowhere/tty"),
-    ],
-)
-def test_what_cannot_be_learned_is_one_sentence_and_exit_2(words: list[str], part: str) -> None:
-    done = command("lab", "learn", *words)
-
-    assert done.returncode == 2
-    assert part in sentence(done)
-
-
 @pytest.mark.waits
 def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: Protocol) -> None:
     robot = Simulator(protocol)

@@ -20,9 +20,7 @@ from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
 from bilprov.conformance.mutation.search_inputs import alphabet
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
-from tests.support.commands import command
 from tests.support.grammars import short_grammar, still_grammar
-from tests.support.robots import sentence
 
 # As drawn on CPython 3.11; `random.random()` is the same for a seed in every Python.
 DOCS = {
@@ -193,17 +191,3 @@ def test_a_rhythm_counts_what_its_words_say(protocol: Protocol) -> None:
 def test_a_seed_that_is_none_is_refused(protocol: Protocol, name: str) -> None:
     with pytest.raises(ValueError, match=r"whole number, for example random:7 or random:7\.1"):
         find_fault(protocol, name)
-
-
-@pytest.mark.parametrize(("name", "cases"), [("random:8", "LED"), ("random:1.52", "Left")])
-def test_the_command_takes_a_random_fault(name: str, cases: str) -> None:
-    result = command("conform", "sim", "--fault", name, "--only", f"valid/{cases}/1*")
-
-    assert result.returncode == 1, result.stderr
-
-
-def test_the_command_refuses_an_unknown_fault_in_one_sentence() -> None:
-    result = command("conform", "sim", "--fault", "random:x")
-
-    assert result.returncode == 2
-    assert "random:7" in sentence(result)

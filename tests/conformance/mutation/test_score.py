@@ -20,7 +20,6 @@ from bilprov.conformance.mutation.score import (
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
-from tests.support.robots import sentence
 
 pytestmark = pytest.mark.slow
 
@@ -187,21 +186,3 @@ def test_the_command_prints_the_rate_that_counts() -> None:
         "failed": 1, "told_apart": 1, "passed": 0, "inconclusive": 0,
     }  # fmt: skip
     assert b"smoke: failed 1 of 1 that can be told apart, 100.0 %" in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--random", "0", "--fault-seed", "1"), "no fault is left with --random 0"),
-        (("--fault-seed", "-1"), "fault-seed"),
-        (("--only", "nothing"), "no fault matches nothing"),
-        (("--level", "deepest"), "there is no level 'deepest'"),
-        (("--json", "/nowhere/x.json"), "a folder that exists"),
-        (("--jobs", "0"), "jobs"),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: tuple[str, ...], words: str) -> None:
-    result = command("lab", "score", *arguments)
-
-    assert result.returncode == 2
-    assert words in sentence(result)

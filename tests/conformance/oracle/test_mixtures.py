@@ -10,8 +10,6 @@ from bilprov.conformance.mutation.mixtures import mixtures
 from bilprov.conformance.mutation.variants import variants
 from bilprov.spec.codec import build, raw_frame
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command
-from tests.support.robots import sentence
 
 MS = 1_000_000
 
@@ -99,41 +97,3 @@ def test_a_mixture_has_a_name_wherever_a_fault_has(protocol: Protocol) -> None:
 def test_a_mixture_that_is_none_is_refused(protocol: Protocol, name: str) -> None:
     with pytest.raises(ValueError, match="there is no mixture"):
         find_fault(protocol, name)
-
-
-def test_the_command_lists_variants_and_mixtures(protocol: Protocol) -> None:
-    result = command("simulate", "--list-variants")
-
-    told = result.stdout.decode().split()
-    assert result.returncode == 0
-    assert set(variants(protocol)) <= set(told)
-    assert set(mixtures(protocol)) <= set(told)
-
-
-def test_the_command_takes_a_variant_and_its_reproduce_line_works() -> None:
-    result = command(
-        *("conform", "sim", "--variant", "R-stop-speed=zeroed", "--only", "valid/Stop"),
-        *("--json", "-"),
-    )
-
-    assert result.returncode == 0, result.stderr
-    assert b'"non-strict"' in result.stdout
-    assert b"--fault R-stop-speed=zeroed" in result.stdout
-    again = command("conform", "sim", "--fault", "R-stop-speed=zeroed", "--only", "valid/Stop")
-    assert again.returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("conform", "sim", "--variant", "R-stop"), "there is no variant 'R-stop'"),
-        (("conform", "sim", "--variant", "x", "--fault", "y"), "give one of them"),
-        (("conform", "/nowhere", "--variant", "R-version=1.0"), "for the target sim"),
-        (("simulate", "--variant", ""), "see simulate --list-variants"),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: tuple[str, ...], words: str) -> None:
-    result = command(*arguments)
-
-    assert result.returncode == 2
-    assert words in sentence(result)

@@ -226,64 +226,6 @@ def entries(tmp_path: Path) -> Path:
     return file
 
 
-def test_expected_failures_are_shown_as_such_and_do_not_count(entries: Path) -> None:
-    code, report, told = run(*LED, file=entries)
-
-    assert code == 0
-    assert report["verdict"] == "fail"
-    failing = [case for case in report["cases"] if case["verdict"] == "fail"]
-    assert [case["id"] for case in failing] == [f"valid/LED/{n}" for n in (1, 3, 4, 6)]
-    assert all(case["expected_failure"] == (case in failing) for case in report["cases"])
-    assert report["expected_failures"] == {
-        "file": str(entries),
-        "expected": 4,
-        "unexpected": 0,
-        "stale": [],
-    }
-    assert "4 fail as " in told
-    assert "fails only as expected" in told
-
-
-def test_one_failure_more_counts_and_is_the_one_that_is_shown(entries: Path) -> None:
-    text = entries.read_text()
-    entries.write_text(text.replace("valid/LED/4", "valid/LED/0"))
-
-    code, report, told = run(*LED, file=entries)
-
-    assert code == 1
-    assert report["expected_failures"]["unexpected"] == 1
-    assert "fail valid/LED/4" in told
-    assert "fail valid/LED/1" not in told
-
-
-def test_an_entry_that_no_longer_fails_is_a_failure_that_names_its_line(entries: Path) -> None:
-    code, report, told = run("conform", "sim", "--only", "valid/LED/*", file=entries)
-
-    assert code == 1
-    assert report["verdict"] == "pass"
-    (first, *_) = report["expected_failures"]["stale"]
-    assert first.startswith(f"{entries}, line 2: valid/LED/1 : state: ")
-    assert "no longer fits" in told
-
-
-def test_entries_whose_cases_were_not_run_are_neither(entries: Path) -> None:
-    code, report, _ = run("conform", "sim", "--only", "valid/Stop", file=entries)
-
-    assert (code, report["expected_failures"]["stale"]) == (0, [])
-    code, report, _ = run("conform", "sim", "--only", "valid/*", "--shard", "1/99", file=entries)
-    assert (code, report["expected_failures"]["stale"]) == (0, [])
-
-
-def test_a_run_that_fits_leaves_the_file_alone(entries: Path) -> None:
-    before = entries.stat()
-
-    code, _, told = run(*LED, "--update-expected", file=entries)
-
-    assert code == 0
-    assert "fits" in told
-    assert entries.stat().st_mtime_ns == before.st_mtime_ns
-
-
 def test_an_update_replaces_what_a_link_leads_to_and_keeps_its_mode(entries: Path) -> None:
     entries.chmod(0o640)
     link = entries.with_name("link")
@@ -387,14 +329,3 @@ def suite_ids_here() -> tuple[str, ...]:
     from bilprov.conformance.api import Options
 
     return suite_ids(load_protocol(), Options())
-
-
-def test_an_update_of_no_file_or_of_none_that_can_be_written_is_wrong_use(tmp_path: Path) -> None:
-    none = command("conform", "sim", "--update-expected")
-    nowhere = str(tmp_path / "no" / "f")
-    folder = command("conform", "sim", "--update-expected", "--expect-failures", nowhere)
-
-    assert (none.returncode, folder.returncode) == (2, 2)
-    assert "--expect-failures FILE" in sentence(none)
-    assert "cannot be written" in sentence(folder)
-    assert not Path(nowhere).exists()

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.markdown import as_markdown, code, prose
 from bilprov.spec.protocol import Protocol
-from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+from tests.support.reports import EVIL, a_case, every_verdict, hostile
 
 PARSER = MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"])
 
@@ -33,34 +33,6 @@ def table(text: str) -> list[list[str]]:
         elif token.type == "inline" and inside:
             found[-1].append("".join(child.content for child in token.children or ()))
     return found
-
-
-def test_it_says_the_verdict_the_groups_the_failures_and_the_coverage(protocol: Protocol) -> None:
-    report = a_run(protocol, "bad-data/LED/1?", "valid/LED/*", fault="restarts-by-itself")
-    text = as_markdown([report], protocol)
-    failed = [result for result in report.results if result.verdict is Verdict.FAIL]
-    rows = {row[0]: row[1:] for row in table(text)}
-
-    assert failed
-    assert text.startswith("## ❌ sim does not conform: ")
-    assert rows["valid"] == ["8", ""]
-    assert rows["bad-data"] == [str(10 - len(failed)), str(len(failed))]
-    assert rows["all"] == [str(report.counts["pass"]), str(len(failed))]
-    assert "moved again by itself" in text
-    assert f"--only {failed[0].id} --fault restarts-by-itself\n```" in text
-    # Out of all there are: 5 without data, 3 x 256 with a byte, 8 colours.
-    assert "- valid frames: 8 of 781" in text
-    assert "- bad data: 10 of 248" in text
-    assert "seed 1" in text
-
-
-def test_a_conforming_device_needs_no_more_than_its_table(protocol: Protocol) -> None:
-    report = a_run(protocol, "valid/LED/*")
-    text = as_markdown([report], protocol)
-
-    assert report.counts["pass"] > 8
-    assert text.startswith(f"## ✅ sim conforms: {report.counts['pass']} pass\n")
-    assert "```" not in text
 
 
 def test_what_was_not_judged_is_told_by_reason(protocol: Protocol) -> None:

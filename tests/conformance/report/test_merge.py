@@ -26,7 +26,7 @@ from bilprov.conformance.report.merge import (
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.robots import sentence, simulate, unwell
+from tests.support.robots import simulate, unwell
 
 ONLY = ("unused-id/9/?", "valid/LED/*", "bad-data/LED/1?", "truncated/LED/*")
 Change = Callable[[dict[str, Any]], object]
@@ -276,18 +276,6 @@ def files(protocol: Protocol, tmp_path: Path) -> list[str]:
     return names
 
 
-def test_the_command_merges_shows_and_exits_like_a_run(files: list[str], tmp_path: Path) -> None:
-    out = tmp_path / "all.json"
-
-    result = command("merge", *files, "--json", str(out))
-
-    report = msgspec.json.decode(out.read_bytes())
-    assert result.returncode == report["exit"] == 1, result.stderr
-    assert b"sim does not conform" in result.stdout
-    assert b"again: bilprov conform sim --seed 1 --only" in result.stdout
-    assert sum(report["counts"].values()) == len(report["cases"])
-
-
 @pytest.mark.slow
 def test_expected_failures_hold_for_the_whole(files: list[str], tmp_path: Path) -> None:
     expected = tmp_path / "expected.txt"
@@ -324,37 +312,6 @@ def test_what_each_shard_expected_is_still_expected(tmp_path: Path) -> None:
     report = msgspec.json.decode(result.stdout)
     assert (result.returncode, report["verdict"]) == (0, "fail")
     assert report["expected_failures"]["expected"] == report["counts"]["fail"] == 4
-
-
-def test_another_grammar_must_be_given(tmp_path: Path, horn: Protocol, horn_text: str) -> None:
-    grammar, file = tmp_path / "horn.py", tmp_path / "1.json"
-    grammar.write_text(horn_text)
-    options = Options(only=("valid/Horn/*",), shard=(1, 1))
-    file.write_bytes(as_json(conform(grammar=horn, options=options)))
-
-    without = command("merge", str(file))
-    result = command("--grammar", str(grammar), "merge", str(file))
-
-    assert without.returncode == 2
-    assert "give that one with --grammar" in sentence(without)
-    assert result.returncode == 0, result.stderr
-
-
-def test_wrong_use_is_one_sentence_and_overwrites_nothing(files: list[str], tmp_path: Path) -> None:
-    before = Path(files[0]).read_bytes()
-    wrong = [
-        (("merge",), "Missing argument"),
-        (("merge", str(tmp_path)), "not a regular file"),
-        (("merge", str(tmp_path / "none.json")), "cannot be read"),
-        (("merge", *files, "--json", files[0]), "name another"),
-        (("merge", *files, "--json", str(tmp_path / "no" / "f")), "cannot be written"),
-        (("merge", files[0], files[0]), "are both shard 1/2"),
-    ]
-    for arguments, words in wrong:
-        result = command(*arguments)
-        assert (result.returncode, result.stdout) == (2, b"")
-        assert words.lower() in sentence(result).lower()
-    assert Path(files[0]).read_bytes() == before
 
 
 def test_shards_of_a_real_port_merge(protocol: Protocol, tmp_path: Path) -> None:

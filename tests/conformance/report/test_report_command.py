@@ -22,7 +22,6 @@ from bilprov.analyzer.files import write_whole
 from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict
 from bilprov.conformance.report.expected import Comparison
-from bilprov.conformance.report.formats import FORMATS, SEVERAL
 from bilprov.conformance.report.grouping import names, rows
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, read_report
@@ -194,13 +193,6 @@ def test_what_is_no_result_is_refused_with_2(tmp_path: Path, content: bytes) -> 
     assert not page.exists()
 
 
-def test_a_file_that_is_not_there_is_refused_with_2(tmp_path: Path) -> None:
-    result = command("report", str(tmp_path / "none.json"))
-
-    assert result.returncode == 2
-    assert "none.json cannot be read" in sentence(result)
-
-
 @pytest.mark.parametrize("name", ["report", "merge"])
 def test_a_result_is_read_from_a_pipe_but_not_from_a_folder(
     protocol: Protocol, tmp_path: Path, name: str
@@ -261,33 +253,6 @@ def test_runs_of_one_device_are_named_by_their_files(protocol: Protocol) -> None
     assert names([monday]) == [report.device]
 
 
-def test_several_results_are_a_table_on_the_terminal(protocol: Protocol, tmp_path: Path) -> None:
-    good = saved(a_run(protocol, "bad-data/LED/1?"), tmp_path, "good.json")
-    report = a_run(protocol, "bad-data/LED/1?", "valid/LED/1", fault="restarts-by-itself")
-    bad = saved(report, tmp_path, "bad.json")
-
-    result = command("report", str(good), str(bad))
-    said = result.stdout.decode()
-
-    assert (result.returncode, result.stderr) == (0, b"")
-    failed = [case.id for case in report.results if case.verdict is Verdict.FAIL]
-    assert failed
-    assert all(f"{ident}  pass, fail" in said for ident in failed)
-    assert f"{len(failed)} fail, {10 - len(failed)} pass" in said
-    assert "1 not run" in said
-    assert "sim --fault restarts-by-itself: sim does not conform" in said
-
-
-def test_one_result_is_shown_as_conform_shows_it(protocol: Protocol, tmp_path: Path) -> None:
-    file = tmp_path / "run.json"
-    ran = command("conform", "sim", *FEW, "--fault", "always-0", "--json", str(file))
-    shown = command("report", str(file))
-
-    assert ran.returncode == 1
-    assert shown.returncode == 0
-    assert shown.stdout == ran.stdout
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_hostile_result_does_not_control_the_terminal(
     protocol: Protocol, tmp_path: Path, count: int
@@ -302,22 +267,6 @@ def test_a_hostile_result_does_not_control_the_terminal(
     assert "[/red][link=x]" in said
     assert [line for line in said.splitlines() if line.startswith("│") and "[bold]" in line]
     assert not [c for c in said if not c.isprintable() and c != "\n"]
-
-
-def test_pages_of_all_kinds_are_written_from_results(protocol: Protocol, tmp_path: Path) -> None:
-    one = saved(a_run(protocol, "valid/LED/1"), tmp_path, "one.json")
-    two = saved(a_run(protocol, "valid/LED/2"), tmp_path, "two.json")
-    files = {kind: tmp_path / f"out.{kind}" for kind in ("html", "junit", "markdown")}
-    options = [word for kind, file in files.items() for word in (f"--{kind}", str(file))]
-
-    result = command("report", str(one), str(two), *options)
-
-    assert (result.returncode, result.stdout) == (0, b"")
-    assert files["html"].read_text().startswith("<!doctype html>")
-    assert files["junit"].read_text().startswith("<?xml")
-    assert files["markdown"].read_text().count("## ✅ sim conforms") == 2
-    for file in files.values():
-        assert f"{file} written" in result.stderr.decode()
 
 
 def test_another_grammars_result_is_shown_without_its_words(
@@ -337,88 +286,6 @@ def test_another_grammars_result_is_shown_without_its_words(
 
 
 # -- where reports are written --------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def passes(protocol: Protocol) -> int:
-    """How many cases a run of the eight LED frames has, with those that open every run."""
-    count = a_run(protocol, "valid/LED/*").counts["pass"]
-    assert count > 8
-    return count
-
-
-def test_conform_writes_every_kind_from_one_run(tmp_path: Path, passes: int) -> None:
-    files = {kind: tmp_path / f"out.{kind}" for kind in ("json", "junit", "markdown", "html")}
-    options = [word for kind, file in files.items() for word in (f"--{kind}", str(file))]
-
-    result = command("conform", "sim", *FEW, *options)
-
-    assert result.returncode == 0
-    assert "sim conforms" in result.stdout.decode()
-    assert all(
-        f"{passes} pass" in files[kind].read_text() for kind in ("junit", "markdown", "html")
-    )
-    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
-        file.name for file in files.values()
-    )
-
-
-def test_every_format_of_the_table_is_an_option() -> None:
-    helps = [command(name, "--help").stdout.decode() for name in ("conform", "report")]
-    options = [{n for n in FORMATS if re.search(rf"--{n} +\[?FILE", text)} for text in helps]
-
-    assert options == [set(FORMATS), set(SEVERAL)]
-    assert SEVERAL == ("junit", "markdown", "html")
-
-
-@pytest.mark.parametrize(
-    ("kind", "begins"), [("junit", b"<?xml"), ("markdown", b"## "), ("html", b"<!doctype")]
-)
-def test_a_dash_is_standard_output_and_nothing_else_is_on_it(
-    kind: str, begins: bytes, passes: int
-) -> None:
-    result = command("conform", "sim", *FEW, f"--{kind}", "-")
-
-    assert result.returncode == 0
-    assert result.stdout.startswith(begins)
-    assert f"sim conforms: {passes} pass".encode() in result.stderr
-
-
-@pytest.mark.parametrize("kind", ["json", "junit", "markdown", "html"])
-@pytest.mark.parametrize("place", ["none/out", "."])
-def test_what_cannot_be_written_is_refused_before_anything_moves(
-    tmp_path: Path, kind: str, place: str
-) -> None:
-    # The port is not there either: that the file comes first shows that nothing was sent.
-    result = command("conform", "/dev/none", "--yes", f"--{kind}", str(tmp_path / place))
-
-    assert result.returncode == 2
-    assert f"--{kind} {tmp_path / place} cannot be written" in sentence(result)
-
-
-def test_two_reports_do_not_share_a_file_or_standard_output(tmp_path: Path) -> None:
-    file = tmp_path / "out"
-    link = tmp_path / "link"
-    link.symlink_to(file)
-
-    one = command("conform", "sim", *FEW, "--json", "-", "--html", "-")
-    two = command("conform", "sim", *FEW, "--json", str(file), "--html", str(link))
-
-    assert (one.returncode, two.returncode) == (2, 2)
-    assert "--json and --html both go to standard output" in sentence(one)
-    assert "would overwrite --json" in sentence(two)
-    assert not file.exists()
-
-
-def test_the_results_that_are_read_are_not_overwritten(protocol: Protocol, tmp_path: Path) -> None:
-    file = saved(a_run(protocol, "valid/LED/1"), tmp_path)
-    before = file.read_bytes()
-
-    result = command("report", str(file), "--html", str(tmp_path / "." / "run.json"))
-
-    assert result.returncode == 2
-    assert f"would overwrite the input {file}" in sentence(result)
-    assert file.read_bytes() == before
 
 
 def refused(tmp_path: Path) -> str:
