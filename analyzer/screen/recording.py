@@ -111,7 +111,6 @@ class Recording:
             with self.lock:
                 row = max(row, self.first)
                 block = self._block_of(row)
-                batch: Batch
                 if block.packed is None:
                     found: tuple[int, Batch] = row, Records(self._listed[row - block.first :])
                 else:
