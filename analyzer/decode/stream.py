@@ -22,6 +22,7 @@ LEAST = 512
 # After an event that is not regular, so many go through the Session; more and more if none of
 # those that follow is regular, so that an irregular line costs little more than a Session alone.
 _FEWEST, _MOST = 1, 1024
+_BYTES = 1 << 18  # bytes that are decoded at once, so that their arrays fit into a cache
 _SHORTEST = 64  # events tried at once after an irregular one
 
 
@@ -80,7 +81,7 @@ class StreamDecoder:
         while at < len(events):
             direct = self._direct
             if self._enter_columns():
-                window = events.part(at, min(at + self._window, len(events)))
+                window = events.part(at, self._stop(events, at))
                 used = self._feed_columns(window, batches)
                 at += used
                 if used == len(window):
@@ -117,6 +118,12 @@ class StreamDecoder:
         """Go on from a saved state. Raises ValueError if it is of a session with other settings."""
         self._session.resume(state)
         self._carry = None
+
+    def _stop(self, events: Events, at: int) -> int:
+        """The end of the events from `at` on that are decoded at once."""
+        begun = int(events.end[at - 1]) if at else 0
+        fit = int(events.end.searchsorted(begun + _BYTES, "right"))
+        return min(at + self._window, max(fit, at + 1))
 
     def _feed_session(self, events: Sequence[Chunk | Line], batches: list[Batch]) -> None:
         session = self._leave_columns()

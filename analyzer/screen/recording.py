@@ -14,7 +14,6 @@ from threading import Event, RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.batch import Batch, Records
@@ -72,12 +71,12 @@ class Recording:
             return
         self.totals.add(batch)
         faulty = batch.in_order(batch.serious)
-        earliest = min(int(t.min()) for t in _times(batch) if len(t))
+        earliest = np.concatenate([batch.hosts.t, batch.devices.t, batch.others.t]).min()
         packed = PackedBatch(batch) if len(batch) >= TOGETHER else None
         with self.lock:
             if packed or not self._listed:
                 self._close_block()
-                self._blocks.append(_Block(self.rows, earliest, packed))
+                self._blocks.append(_Block(self.rows, int(earliest), packed))
             if not packed:
                 self._listed += batch.records()
             self.faults.append(faulty)
@@ -112,13 +111,12 @@ class Recording:
             with self.lock:
                 row = max(row, self.first)
                 block = self._block_of(row)
-                batch: Batch
                 if block.packed is None:
-                    first, batch = row, Records(self._listed[row - block.first :])
+                    found: tuple[int, Batch] = row, Records(self._listed[row - block.first :])
                 else:
-                    first, batch = block.first, self._batch(block.first, block.packed)
-            yield first, batch
-            row = first + len(batch)
+                    found = block.first, self._batch(block.first, block.packed)
+            yield found
+            row = found[0] + len(found[1])
 
     def let_go_older(self, t: int) -> None:
         """Forget the blocks whose records are all older than `t` (ns)."""
@@ -145,10 +143,6 @@ class Recording:
         if len(self._unpacked) > _UNPACKED:
             self._unpacked.popitem(last=False)
         return batch
-
-
-def _times(batch: Batch) -> tuple[NDArray[np.int64], ...]:
-    return batch.hosts.t, batch.devices.t, batch.others.t
 
 
 class View:
