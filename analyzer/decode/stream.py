@@ -1,20 +1,24 @@
 """Decodes a stream of events: much regular traffic at once, all else by a Session.
 
 The rows are those of one Session from the first event to the last, in the same order: each batch
-goes on from the state in which the one before it has ended.
+goes on from the state in which the one before it has ended. numpy is loaded with the first events.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.checkpoint import DecoderState
-from bilprov.analyzer.decode.regular import Carry, RegularDecoder, prepare
+from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session
-from bilprov.captures.events import Events
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.decode.regular import Carry, RegularDecoder
+    from bilprov.captures.events import Events
 
 LEAST = 512
 """Bytes from which on single events are decoded as arrays; fewer are decoded faster one by one."""
@@ -28,6 +32,8 @@ _SHORTEST = 64  # events tried at once after an irregular one
 
 def preload(protocol: Protocol) -> None:
     """Make now what decoding needs, and not in the first busy moment of a line."""
+    from bilprov.analyzer.decode.regular import prepare
+
     prepare(protocol)
 
 
@@ -69,6 +75,8 @@ class StreamDecoder:
     def feed(self, events: Sequence[Chunk | Line]) -> list[Batch]:
         """Take the next events, one by one as they are, and return what they complete."""
         if sum([len(event.data) for event in events if type(event) is Chunk]) >= LEAST:
+            from bilprov.captures.events import Events
+
             return self.decode(Events.of(events))
         batches: list[Batch] = []
         self._feed_session(events, batches)
@@ -101,12 +109,12 @@ class StreamDecoder:
         if due is None or now < due:
             return []
         records = self._leave_columns().advance(now)
-        return [Records(records)] if records else []
+        return _batch(records)
 
     def finish(self, t: int | None = None) -> list[Batch]:
         """End the recording, at `t` (ns) or with its last event, and return what is left."""
         records = self._leave_columns().finish(t)
-        return [Records(records)] if records else []
+        return _batch(records)
 
     def saved(self) -> DecoderState | None:
         """All that is needed to go on from here; None while frame boundaries are looked for."""
@@ -128,8 +136,7 @@ class StreamDecoder:
     def _feed_session(self, events: Sequence[Chunk | Line], batches: list[Batch]) -> None:
         session = self._leave_columns()
         records = [record for event in events for record in session.feed(event)]
-        if records:
-            batches.append(Records(records))
+        batches += _batch(records)
 
     def _feed_columns(self, events: Events, batches: list[Batch]) -> int:
         """Decode the first events into columns; returns how many are regular."""
@@ -156,6 +163,8 @@ class StreamDecoder:
     def _load(self) -> RegularDecoder | None:
         """Make the decoder into columns; None for a protocol that does not fit into them."""
         if self._regular is None and not self._unfit:
+            from bilprov.analyzer.decode.regular import RegularDecoder
+
             timeout, skew, paired = self._settings
             try:
                 self._regular = RegularDecoder(
@@ -171,3 +180,10 @@ class StreamDecoder:
             self._session.resume(self._regular.state(self._carry))
             self._carry = None
         return self._session
+
+
+def _batch(records: list[Record]) -> list[Batch]:
+    """The batch of records that were decoded one by one; none of no records."""
+    from bilprov.analyzer.decode.batch import Records
+
+    return [Records(records)] if records else []

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from bilprov.analyzer.decode.batch import LATEST, Batch
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.playback import AFTERMATH
-from bilprov.captures.events import Events
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.captures.events import Events
 
 TEXT_BATCH = 1 << 15
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
@@ -42,13 +43,13 @@ def event_batches(
         at = 0
         while at < len(read):
             done = int(read.end[at - 1]) if at else 0
-            stop = max(at + 1, int(np.searchsorted(read.end, done + most, "right")))
+            stop = max(at + 1, int(read.end.searchsorted(done + most, "right")))
             batch, at, most = read.part(at, stop), stop, min(2 * most, largest)
-            end = LATEST if window.after is None else window.after + AFTERMATH
-            late = np.flatnonzero(batch.t > end)
-            if len(late):
-                yield batch.part(0, int(late[0]))
-                return
+            if window.after is not None:
+                late = batch.t > window.after + AFTERMATH
+                if late.any():
+                    yield batch.part(0, int(late.argmax()))
+                    return
             yield batch
             progress(len(batch.data))
 

@@ -49,7 +49,7 @@ def text_of(data: bytes) -> str:
 def _batches() -> list[tuple[Records, Sequence[Batch]]]:
     """Some traffic with answers of all kinds: as decoded one by one, and as decoded as arrays."""
     protocol = load_protocol()
-    found = []
+    found: list[tuple[Records, Sequence[Batch]]] = []
     for heard in (_BOTH, frozenset[Direction]({"device"})):
         random, t, played = Random(2), 0, []
         for _ in range(24):
