@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode import checkpoint
-from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 
 if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
     from bilprov.analyzer.monitor.passive_judge import PassiveJudge
     from bilprov.analyzer.output.outputs import Shown
     from bilprov.analyzer.output.statistics import Statistics

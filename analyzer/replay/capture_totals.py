@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.replay.capture_parts import Progress, decoded_batches
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.screen.packed import PackedBatch
 from bilprov.analyzer.screen.row_set import RowSet
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:

@@ -24,8 +24,6 @@ from benchmarks.fuzz.traffic import (
     records_one_by_one,
     tape_of,
 )
-from bilprov.analyzer.columns.timeline import Timeline
-from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.checkpoint import encoded
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
@@ -43,6 +41,8 @@ from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.replay.seek import opened_at
+from bilprov.analyzer.totals.timeline import Timeline
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
+from bilprov.analyzer.totals.decoder import Part, Records, StreamDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -9,9 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.latencies import Latencies, Spread
-from bilprov.analyzer.columns.moving import MovingTime
-from bilprov.analyzer.columns.rates import SECOND, Rates
 from bilprov.analyzer.decode.batch import (
     KINDS,
     NO_VERDICT,
@@ -24,6 +21,9 @@ from bilprov.analyzer.decode.batch import (
     Selection,
 )
 from bilprov.analyzer.decode.records import LineRecord, serious_faults
+from bilprov.analyzer.totals.latencies import Latencies, Spread
+from bilprov.analyzer.totals.moving import MovingTime
+from bilprov.analyzer.totals.rates import SECOND, Rates
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import OUTCOMES
 

@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.latencies import Bin, Latencies, Spread
-from bilprov.analyzer.columns.rates import BUCKETS, SECOND, Rates
-from bilprov.analyzer.columns.totals import SERIES, Totals
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.regular import RegularBatch
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.totals.latencies import Bin, Latencies, Spread
+from bilprov.analyzer.totals.rates import BUCKETS, SECOND, Rates
+from bilprov.analyzer.totals.totals import SERIES, Totals
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, devices, hosts
