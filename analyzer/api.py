@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.analyzer.replay.playback import batches
 from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture
@@ -66,11 +66,11 @@ def decode(
     """
     decoder = StreamDecoder(protocol or load_protocol(), heard=frozenset({direction}))
     events = [Chunk(0, direction, data[at : at + PIECE]) for at in range(0, len(data), PIECE)]
-    parts = chain.from_iterable(decoder.feed([event]) for event in events)
+    batches = chain.from_iterable(decoder.feed([event]) for event in events)
     records: list[HostRecord | DeviceRecord] = []
-    for part in chain(parts, decoder.finish()):
+    for batch in chain(batches, decoder.finish()):
         # One direction alone has neither line events nor missing answers.
-        records += part.records()  # type: ignore[arg-type]
+        records += batch.records()  # type: ignore[arg-type]
     return records
 
 
@@ -84,11 +84,8 @@ def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator
     """
     capture = open_capture(path)
     decoder = capture_decoder(capture, protocol or load_protocol())
-    for batch in batches(capture, at_once=True):
-        for part in decoder.feed(batch):
-            yield from part.records()
-    for part in decoder.finish():
-        yield from part.records()
+    for batch in decoded(decoder, capture.batches(), largest=TEXT_BATCH):
+        yield from batch.records()
 
 
 _LONGEST_WAIT = 0.2  # s, so that Ctrl-C is never held up

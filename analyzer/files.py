@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import select
-import shutil
 import stat
 import time
 from collections.abc import Iterator
@@ -168,14 +166,14 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
     file, if there is one by then, unless `force`.
     """
     file = _target(file)
-    part = file.with_name(f".{file.name[:200]}.{secrets.token_hex(8)}.part")
+    part = file.with_name(f".{file.name[:200]}.{os.urandom(8).hex()}.part")
     try:
         yield part
         with part.open("rb") as written:
             os.fsync(written.fileno())
         if force:
             if file.exists():
-                shutil.copymode(file, part)
+                part.chmod(stat.S_IMODE(file.stat().st_mode))
             part.replace(file)
         elif not _linked(part, file):
             part.rename(file)

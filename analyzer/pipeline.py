@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
 from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 
 if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
     from bilprov.analyzer.monitor.passive_judge import PassiveJudge
     from bilprov.analyzer.output.outputs import Shown
     from bilprov.analyzer.output.statistics import Statistics
@@ -45,7 +46,7 @@ class Pipeline:
             return self._pending[0].t + self.patience
         return self.decoder.deadline
 
-    def events(self, events: Sequence[Chunk | Line]) -> list[Part]:
+    def events(self, events: Sequence[Chunk | Line]) -> list[Batch]:
         """Process events, in order, and return what they complete."""
         if not events:
             return []
@@ -56,26 +57,26 @@ class Pipeline:
             self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
             if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
                 return []
-            parts = self._decode_pending()
+            batches = self._decode_pending()
         else:
-            parts = []  # what is judged depends on the order of events and records
+            batches = []  # what is judged depends on the order of events and records
             for event in events:
                 self.judge.event(event)
                 self._pending = [event]
-                parts += self._decode_pending()
+                batches += self._decode_pending()
         self._save(events[-1].t)
-        return parts
+        return batches
 
-    def advance(self, now: int) -> list[Part]:
+    def advance(self, now: int) -> list[Batch]:
         """Let time pass to `now` (ns) and return what falls due; no earlier event may follow."""
-        parts: list[Part] = []
+        batches: list[Batch] = []
         if self._pending and now - self._pending[0].t >= self.patience:
-            parts = self._decode_pending()
+            batches = self._decode_pending()
             self._save(now)
         if not self._pending:
-            parts += self._parts(self.decoder.advance(now), now)
+            batches += self._handled(self.decoder.advance(now), now)
         self.tick(now)
-        return parts
+        return batches
 
     def tick(self, now: int) -> None:
         """Let recorder and output know the time (ns), where nothing falls due before it."""
@@ -85,17 +86,17 @@ class Pipeline:
                 self._save(now)
         self.shown.output.tick(now)
 
-    def finish(self) -> list[Part]:
+    def finish(self) -> list[Batch]:
         """End the session after its last event and return what is left."""
-        parts = self._decode_pending()
-        return parts + self._parts(self.decoder.finish(), 0)
+        batches = self._decode_pending()
+        return batches + self._handled(self.decoder.finish(), 0)
 
-    def _decode_pending(self) -> list[Part]:
+    def _decode_pending(self) -> list[Batch]:
         events, self._pending, self._bytes = self._pending, [], 0
         if not events:
             return []
         self.statistics.events(events)
-        return self._parts(self.decoder.feed(events), events[-1].t)
+        return self._handled(self.decoder.feed(events), events[-1].t)
 
     def _save(self, now: int) -> None:
         """Write a checkpoint at `now` (ns), if one is due: every recorded event is decoded."""
@@ -106,14 +107,14 @@ class Pipeline:
         state = self.decoder.saved()
         return None if state is None else checkpoint.encoded(state)
 
-    def _parts(self, parts: list[Part], now: int) -> list[Part]:
-        for part in parts:
+    def _handled(self, batches: list[Batch], now: int) -> list[Batch]:
+        for batch in batches:
             if self.recorder:
-                self.recorder.decoded(part.host_rows, now, part.records)
+                self.recorder.decoded(batch.host_count, now, batch.records)
             if self.judge:
-                for record in part.records():
+                for record in batch.records():
                     if self.shown.window.has(record.t):
                         self.judge.record(record)
-            self.shown.show(part)
-            self.statistics.part(part)
-        return parts
+            self.shown.show(batch)
+            self.statistics.batch(batch, now)
+        return batches

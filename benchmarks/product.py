@@ -16,8 +16,8 @@ import bilprov
 from benchmarks.ceiling import Judged
 from benchmarks.commands import Skipped, bilprov_words, run
 from bilprov.analyzer.cli.sniff import PATIENCE
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
@@ -25,8 +25,7 @@ from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 from bilprov.captures.writer import CaptureWriter
@@ -64,13 +63,14 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 
     def decode(data: bytes) -> list[Columns]:
         buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
-        state = [getattr(protocol.power_on, name) for name in VARIABLES]
+        state = list(tables.values_of(protocol.power_on))
         while at < len(data):
             part = buffer[at : at + _PART]
             offsets, used = found.offsets(part)
             frames = found.frames(part, offsets)
-            columns.append(Columns(frames.verdict, found.states(part, frames, state)))
-            state = [int(column[-1]) for column in columns[-1].state]
+            states = {name: found.state(name, part, frames, state) for name in VARIABLES}
+            columns.append(Columns(frames.verdict, states))
+            state = [int(column[-1]) for column in states.values()]
             at += used or len(data)
         return columns
 
@@ -80,7 +80,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
     codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES).ljust(256, b"\0")
-    last = {name: int(getattr(columns[-1].state, name)[-1]) for name in VARIABLES}
+    last = {name: int(columns[-1].state[name][-1]) for name in VARIABLES}
     state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
     verdicts = b"".join(part.verdict.tobytes() for part in columns)
     return Judged(verdicts.translate(codes), state)
@@ -169,7 +169,7 @@ def browsing(path: Path) -> Browser:
     from bilprov.analyzer.screen.feeds import capture_feed
 
     capture, protocol = open_indexed(path) or open_capture(path), bilprov.load_protocol()
-    opened = Opened(capture, capture_decoder(capture, protocol), capture.events)
+    opened = Opened(capture, capture_decoder(capture, protocol))
     byte_time = line_settings(protocol).byte_time
     return Browser(capture_feed(opened, protocol), Told(path.name, capture.start, byte_time))
 

@@ -6,7 +6,6 @@ recording; the records that are written once in a while are the library's own.
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections import Counter
 from collections.abc import Iterator
@@ -36,19 +35,12 @@ from mcap.records import (
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 MESSAGE_FRONT: Final = 31  # bytes of a message record before its data
-SEAL_NAME: Final = "bilprov.seal"
-SEAL_HASH: Final = "sha256"
-SEAL_BYTES: Final = "bytes"
 
 _MESSAGE = Struct("<BQHIQQ")  # opcode, length; channel, sequence, log time, publish time
 
 
 class ChunkedFile:
     """A new MCAP file without data yet; it is only ever appended to.
-
-    All data are hashed as they are written. The hash becomes the seal of a finished capture, over
-    all bytes before the seal; the parts after it have checksums of their own. A seal detects
-    damage, not forgery: a person who changes a file on purpose can write a new seal too.
 
     Every method that writes raises OSError.
     """
@@ -57,7 +49,7 @@ class ChunkedFile:
         self.size = 0
         """The number of bytes written."""
         self._file = file
-        self._hash = hashlib.sha256()
+        self._crc = 0  # of all that is written
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._messages: list[tuple[int, int, int, bytes]] = []
@@ -152,11 +144,9 @@ class ChunkedFile:
         self._file.flush()
 
     def finish(self) -> None:
-        """Write the seal, the end of the data, and the summary with the indexes."""
+        """Write the end of the data, with a checksum of them all, and the summary with indexes."""
         self.end_chunk()
-        seal = {SEAL_HASH: self._hash.hexdigest(), SEAL_BYTES: str(self.size)}
-        self.metadata(SEAL_NAME, seal)
-        self._write(_bytes(DataEnd(0)))
+        self._write(_bytes(DataEnd(self._crc)))
         start = self.size
         summary = b""
         offsets = []
@@ -235,7 +225,7 @@ class ChunkedFile:
         ).write(self._indexes[Opcode.CHUNK_INDEX])
 
     def _write(self, data: bytes) -> None:
-        self._hash.update(data)
+        self._crc = zlib.crc32(data, self._crc)
         self._file.write(data)
         self.size += len(data)
 

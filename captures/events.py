@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,26 @@ class Events:
             lines=tuple(event for event in events if isinstance(event, Line)),
         )
 
+    @classmethod
+    def joined(cls, parts: Sequence[Events | Chunk | Line]) -> Events:
+        """The rows of some parts and single events, in order."""
+        arrays: list[Events] = []
+        for kind, group in groupby(parts, lambda part: isinstance(part, Events)):
+            members = list(group)
+            if kind:
+                arrays += [part for part in members if isinstance(part, Events)]
+            else:
+                arrays.append(cls.of([part for part in members if not isinstance(part, Events)]))
+        if len(arrays) == 1:
+            return arrays[0]
+        return cls(
+            np.concatenate([part.t for part in arrays]),
+            np.concatenate([part.side for part in arrays]),
+            np.concatenate([part.size for part in arrays]),
+            np.concatenate([part.data for part in arrays]),
+            tuple(line for part in arrays for line in part.lines),
+        )
+
     def __len__(self) -> int:
         return len(self.t)
 
@@ -60,8 +81,8 @@ class Events:
         """The rows from `start` up to, not including, `stop`."""
         first = int(self.end[start - 1]) if start else 0
         last = int(self.end[stop - 1]) if stop else 0
-        before = np.count_nonzero(self.side[:start] == LINE)
-        inside = np.count_nonzero(self.side[start:stop] == LINE)
+        before = np.count_nonzero(self.side[:start] == LINE) if self.lines else 0
+        inside = np.count_nonzero(self.side[start:stop] == LINE) if self.lines else 0
         return Events(
             self.t[start:stop],
             self.side[start:stop],

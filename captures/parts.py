@@ -126,10 +126,16 @@ def merged(volumes: Sequence[Volume]) -> Contents:
 
 def start_of(contents: Contents) -> int:
     """The wall clock in ns from which the times of a file count."""
+    start = stated_start(contents)
+    return contents.first if start is None else start
+
+
+def stated_start(contents: Contents) -> int | None:
+    """The first start that a file states and a clock of 64 bits can show; None without."""
     for text in contents.starts:
-        if text.isascii() and text.isdigit() and len(text) <= 20:
+        if text.isascii() and text.isdigit() and len(text) <= 20 and int(text) < 1 << 64:
             return int(text)
-    return contents.first
+    return None
 
 
 def _damage(volumes: Sequence[Volume]) -> Iterator[str]:

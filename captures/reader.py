@@ -4,55 +4,37 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
-from msgspec.structs import replace
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.parts import Volume, kept_parts, merged, start_of, volumes_of
-from bilprov.captures.schemas import (
-    Asked,
-    CaseMark,
-    Checkpoint,
-    Chunk,
-    Direction,
-    Line,
-    Look,
-    Resumption,
-)
-from bilprov.captures.storage.messages import (
-    Contents,
-    Order,
-    Stored,
-    attachments,
-    stored_messages,
-)
-from bilprov.captures.storage.records import MAGIC, AttachmentRecord, Damaged
-from bilprov.captures.storage.recovery import WINDOW, RecordFile
-from bilprov.captures.storage.survey import JSON_ERRORS, surveyed
+from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_start, volumes_of
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
+from bilprov.captures.storage.records import JSON_ERRORS, MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.text import printable
+
+if TYPE_CHECKING:
+    # The rest needs arrays, and whoever only names a capture does not.
+    from bilprov.captures.events import Events
+    from bilprov.captures.storage.blocks import Stored
+    from bilprov.captures.storage.index import Index
+    from bilprov.captures.storage.messages import Contents, Order, Part, Place
 
 TOPICS_SHOWN = 10
 _FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
 
 Item = TypeVar("Item")
-Recorded: TypeAlias = Chunk | Line | Look | CaseMark | Asked | Checkpoint
-_DIRECTIONS: dict[str, Direction] = {topics.HOST_RAW: "host", topics.DEVICE_RAW: "device"}
-_RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
-    topics.LINE: Line,
-    topics.LOOKS: Look,
-    topics.CASES: CaseMark,
-    topics.ASKS: Asked,
-    topics.CHECKPOINT: Checkpoint,
-}
+_EVENTS = {topics.LINE, topics.CHECKPOINT}
+_SIGHTS = {*_EVENTS, topics.LOOKS}
+_RECORDED = {*_SIGHTS, topics.CASES, topics.ASKS}
 
 
 class Message(msgspec.Struct, frozen=True):
@@ -87,6 +69,18 @@ class Loss(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class StoredCheckpoint:
+    """A checkpoint of a file, and the place of its message: what stands behind it comes after.
+
+    `volume` tells in which of the capture's volumes, counted from 0.
+    """
+
+    value: Checkpoint
+    place: Place = field(repr=False)
+    volume: int = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Capture:
     """An opened capture; it can be read any number of times, and the file is closed in between.
 
@@ -96,6 +90,10 @@ class Capture:
 
     `volumes` are its files: of a recording that is kept in parts, those that are there. `path` is
     then the name that stands for all of them, and `contents` are those of all together.
+
+    `indexes` are those of its volumes if it was opened by them: then nobody looked for damage, so
+    that `damage` and `contents.sizes` are empty. Where a part turns out to be damaged, it is left
+    out and a Line `gap` is inserted, as after a survey.
     """
 
     path: Path
@@ -106,33 +104,41 @@ class Capture:
     damage: tuple[str, ...]
     contents: Contents = field(repr=False)
     volumes: tuple[Volume, ...] = field(repr=False)
+    indexes: tuple[Index, ...] = field(default=(), repr=False)
 
     def __iter__(self) -> Iterator[Chunk | Line]:
         """The same as `events()`."""
         return self.events()
 
-    def events(self) -> Iterator[Chunk | Line]:
-        """Yield the chunks and line events in order, for decoding.
+    def events(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line]:
+        """Yield the chunks and line events in order, for decoding; those behind `after` if given.
 
         Where messages are lost by damage to the file, a Line `gap` is inserted. A checkpoint that
         `resumes` is a Resumption, with the `gap` right before it if there is one. Raises
         CaptureError if the file changed since it was opened or cannot be read.
         """
-        return events_of(self, self._stored())
+        for value in self._values(after, _EVENTS):
+            if isinstance(value, Chunk | Line):
+                yield value
 
-    def sights(self) -> Iterator[Chunk | Line | Look]:
-        """Yield the events and the looks of a conformance run, in order.
+    def batches(self, after: StoredCheckpoint | None = None) -> Iterator[Events]:
+        """Yield the same as `events`, in the same order, as arrays of some 64 k to 256 k rows.
 
         Raises CaptureError as `events` does.
         """
-        return sights_of(self, self._stored())
+        from bilprov.captures.recorded import batches_of
 
-    def recorded(self) -> Iterator[Recorded]:
-        """Yield all that was recorded and not decoded from the bytes, in order.
+        return batches_of(self.start, self._topics, self._parts(after), _EVENTS)
 
-        Resumptions are as in `events`. Raises CaptureError as `events` does.
-        """
-        return recorded_of(self, self._stored())
+    def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
+        """Yield the events and the looks of a conformance run, in order, as `events` does."""
+        for value in self._values(after, _SIGHTS):
+            if isinstance(value, Chunk | Line | Look):
+                yield value
+
+    def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
+        """Yield all that was recorded and not decoded from the bytes, as `events` does."""
+        return self._values(after, _RECORDED)
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -168,47 +174,118 @@ class Capture:
 
     def attachments(self) -> Iterator[AttachmentRecord]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
+        from bilprov.captures.storage.messages import attachments
+
         for volume in self.volumes:
-            yield from read_volume(volume, attachments)
+            yield from _read_volume(volume, attachments)
 
-    def _stored(self) -> Iterator[Stored]:
-        order = Order(first_expected(self))
-        reads = ((volume, partial(stored_messages, order=order)) for volume in self.volumes)
-        return in_one(order, reads)
+    def checkpoint_before(self, t: int, grammar: str | None = None) -> StoredCheckpoint | None:
+        """The last checkpoint with a time below `t` (ns since the capture's start), None without.
+
+        With `grammar`, its decoder's grammar has that sha256. A checkpoint that is damaged, or is
+        not what it says it is, is passed over for the one before it. There is none in a capture
+        that was not opened by its index. Raises CaptureError as `events` does.
+        """
+        recorded = self.metadata.get("grammar_sha256")
+        if not self.contents.counts.get(topics.CHECKPOINT) or (
+            grammar and recorded and recorded != grammar
+        ):
+            return None
+        for number in reversed(range(len(self.indexes))):
+            read = partial(self._checkpoints_before, t, number)
+            for found in _read_volume(self.volumes[number], read):
+                value = found.value
+                if value.t < t and value.whole and grammar in (None, value.grammar):
+                    return found
+        return None
+
+    def _checkpoints_before(
+        self, t: int, number: int, file: BufferedReader, contents: Contents
+    ) -> Iterator[StoredCheckpoint]:
+        from bilprov.captures.storage.messages import messages_before
+
+        channel = topics.BY_VALUE[Checkpoint].channel
+        _check_size(file.fileno(), contents.size)
+        chunks = self.indexes[number].chunks_before(self.start + t, channel)
+        for message, place in messages_before(file, contents, chunks, channel):
+            try:
+                value = msgspec.json.decode(message.data, type=Checkpoint)
+            except JSON_ERRORS:
+                continue
+            if value.t == message.log_time - self.start:
+                yield StoredCheckpoint(value, place, number)
+
+    def _values(
+        self, after: StoredCheckpoint | None, wanted: Collection[str]
+    ) -> Iterator[Recorded]:
+        from bilprov.captures.recorded import recorded_values
+
+        return recorded_values(self.start, self._topics, self._stored(after), wanted)
+
+    @property
+    def _topics(self) -> dict[int, str]:
+        return {channel: topic for channel, (topic, _) in self.contents.channels.items()}
+
+    def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
+        from bilprov.captures.storage.messages import single
+
+        return single(self._parts(after))
+
+    def _parts(self, after: StoredCheckpoint | None = None) -> Iterator[Part]:
+        """Yield the messages of all volumes as those of one file.
+
+        Each part of a recording begins with a checkpoint for those who read it alone. Where nothing
+        is missing before it, decoding is in that state anyway, and it is left out.
+        """
+        from bilprov.captures.storage.messages import Order, split
+
+        whole = self.volumes[0].contents.metadata.get(topics.PART, "1") == "1"
+        order = Order(0 if whole else None)
+        first = after.volume if after else 0
+        for number, volume in enumerate(self.volumes[first:], first):
+            begins_there = after is not None and number == first
+            # What is missing before the part of a checkpoint is no loss behind it.
+            order.missing = "" if begins_there else volume.missing
+            place = after.place if after and begins_there else None
+            parts = _read_volume(volume, partial(self._read, order, place))
+            if number > first:
+                begin, parts = split(parts)
+                if begin and (begin.lost or not _resumes(begin)):
+                    yield begin
+            yield from parts
+
+    def _read(
+        self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
+    ) -> Iterator[Part]:
+        from bilprov.captures.storage.messages import parts_after, stored_parts
+
+        if not self.indexes:
+            yield from stored_parts(file, contents, order)
+            return
+        _check_size(file.fileno(), contents.size)
+        yield from parts_after(file, contents, order, place)
+        _check_size(file.fileno(), contents.size)
 
 
-Read: TypeAlias = Callable[[BufferedReader, Contents], Iterator[Item]]
+Read: TypeAlias = "Callable[[BufferedReader, Contents], Iterator[Item]]"
 
 
-def read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
+def _read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
     """Yield what `read` yields of a volume. Raises CaptureError as `Capture.events` does."""
     try:
         with volume.path.open("rb") as file:
             yield from read(file, volume.contents)
     except Damaged as error:
-        raise changed(volume.path, error) from error
+        raise CaptureError(
+            f"{printable(volume.path)} changed while it was read ({error}): open it again"
+        ) from error
     except OSError as error:
-        raise unreadable(volume.path, error) from error
+        raise _unreadable(volume.path, error) from error
 
 
-def first_expected(capture: Capture) -> int | None:
-    """The sequence number with which a capture begins, None for a later part of a recording."""
-    return None if capture.volumes[0].contents.metadata.get(topics.PART, "1") != "1" else 0
-
-
-def in_one(order: Order, reads: Iterable[tuple[Volume, Read[Stored]]]) -> Iterator[Stored]:
-    """Yield the messages of some volumes, which `order` counts, as those of one file.
-
-    Each part begins with a checkpoint for those who read it alone. Where nothing is missing before
-    it, decoding is in that state anyway, and it is left out.
-    """
-    for number, (volume, read) in enumerate(reads):
-        order.missing = volume.missing
-        stored = read_volume(volume, read)
-        begin = next(stored, None) if number else None
-        if begin and (begin.lost or not _resumes(begin)):
-            yield begin
-        yield from stored
+def _check_size(descriptor: int, size: int) -> None:
+    if os.fstat(descriptor).st_size != size:
+        raise Damaged("it has another size")
 
 
 def _resumes(message: Stored) -> bool:
@@ -223,66 +300,6 @@ def _resumes(message: Stored) -> bool:
 def _left_out(contents: Contents) -> int:
     read = sum(end - first for first, end in contents.regions)
     return contents.size - min(len(MAGIC), contents.size) - read
-
-
-def events_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line]:
-    """The chunks and line events among stored messages, as `Capture.events` says."""
-    for value in recorded_of(capture, stored, {topics.LINE, topics.CHECKPOINT}):
-        if isinstance(value, Chunk | Line):
-            yield value
-
-
-def sights_of(capture: Capture, stored: Iterator[Stored]) -> Iterator[Chunk | Line | Look]:
-    """The events and looks among stored messages, as `Capture.sights` says."""
-    wanted = {topics.LINE, topics.LOOKS, topics.CHECKPOINT}
-    for value in recorded_of(capture, stored, wanted):
-        if isinstance(value, Chunk | Line | Look):
-            yield value
-
-
-def recorded_of(
-    capture: Capture,
-    stored: Iterator[Stored],
-    wanted: Collection[str] = _RECORDED.keys(),
-) -> Iterator[Recorded]:
-    """The raw chunks among stored messages, and the values of the topics that are `wanted`."""
-    gap: Line | None = None
-    for value in _recorded(capture, stored, wanted):
-        if isinstance(value, Checkpoint) and value.resumes:
-            at = gap or Line(value.t, "gap")
-            silent = gap is None
-            yield Resumption(at.t, at.event, at.tap, at.detail, checkpoint=value, silent=silent)
-            gap = None
-            continue
-        if gap:
-            yield gap
-            gap = None
-        if isinstance(value, Line) and value.event == "gap":
-            gap = value
-        else:
-            yield value
-    if gap:
-        yield gap
-
-
-def _recorded(
-    capture: Capture, stored: Iterator[Stored], wanted: Collection[str]
-) -> Iterator[Recorded]:
-    start = capture.start
-    names = {channel: topic for channel, (topic, _) in capture.contents.channels.items()}
-    for message in stored:
-        t = message.log_time - start
-        if message.lost:
-            yield Line(t, "gap", "", message.lost)
-        topic = names.get(message.channel, "")
-        if topic in _DIRECTIONS:
-            yield Chunk(t, _DIRECTIONS[topic], message.data)
-        elif topic in wanted:
-            try:
-                value = msgspec.json.decode(message.data, type=_RECORDED[topic])
-            except JSON_ERRORS:
-                continue
-            yield replace(value, t=t)
 
 
 def open_capture(path: str | Path) -> Capture:
@@ -300,11 +317,53 @@ def open_capture(path: str | Path) -> Capture:
         return _opened_parts(path, parts)
     contents = _surveyed(path)
     _check_topics(path, contents)
-    return capture_of(path, contents, (Volume(path, contents),))
+    return _capture_of(path, contents, (Volume(path, contents),))
 
 
-def capture_of(path: Path, contents: Contents, volumes: tuple[Volume, ...]) -> Capture:
-    """The capture of these volumes, which hold `contents` together."""
+def open_indexed(path: str | Path) -> Capture | None:
+    """Open a capture by its index, in a time that does not depend on its data.
+
+    None if that is not possible, because the file is foreign, was not finished, or anything about
+    its index does not fit: then `open_capture` opens it or says what is wrong. Raises nothing.
+    """
+    path = Path(path)
+    parts = kept_parts(path) or {1: path}
+    indexes = [_index_of(file) for file in parts.values()]
+    fitting = tuple(index for index in indexes if index is not None)
+    if len(fitting) < len(parts):
+        return None
+    held = [
+        (number, file, index.contents)
+        for (number, file), index in zip(parts.items(), fitting, strict=True)
+    ]
+    try:
+        volumes = volumes_of(path, held)
+    except CaptureError:
+        return None
+    contents = volumes[0].contents if volumes[0].path == path else merged(volumes)
+    return _capture_of(path, contents, volumes, fitting)
+
+
+def _index_of(path: Path) -> Index | None:
+    """The index of a file with traffic that says when it began; None if there is none."""
+    from bilprov.captures.storage.index import read_index
+
+    try:
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            index = read_index(file, size) if file.read(len(MAGIC)) == MAGIC else None
+    except (OSError, ValueError):
+        return None
+    if index is None or not {topics.HOST_RAW, topics.DEVICE_RAW} & index.contents.counts.keys():
+        return None
+    return index if stated_start(index.contents) is not None else None
+
+
+def _capture_of(
+    path: Path, contents: Contents, volumes: tuple[Volume, ...], indexes: tuple[Index, ...] = ()
+) -> Capture:
     return Capture(
         path=path,
         start=start_of(contents),
@@ -314,6 +373,7 @@ def capture_of(path: Path, contents: Contents, volumes: tuple[Volume, ...]) -> C
         damage=contents.damage,
         contents=contents,
         volumes=volumes,
+        indexes=indexes,
     )
 
 
@@ -334,7 +394,7 @@ def _opened_parts(path: Path, parts: Mapping[int, Path]) -> Capture:
     contents = merged(volumes)
     if cut_short:
         contents = with_changes(contents, unfinished=True)
-    return capture_of(path, contents, volumes)
+    return _capture_of(path, contents, volumes)
 
 
 def _is_empty(path: Path) -> bool:
@@ -349,6 +409,8 @@ def _is_hardly_begun(contents: Contents) -> bool:
 
 
 def _surveyed(path: Path) -> Contents:
+    from bilprov.captures.storage.survey import surveyed
+
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
@@ -359,15 +421,10 @@ def _surveyed(path: Path) -> Contents:
             damage = _magic_damage(path, file, size)
             return surveyed(file, size, damage)
     except (OSError, ValueError) as error:
-        raise unreadable(path, error) from error
+        raise _unreadable(path, error) from error
 
 
-def changed(path: Path, why: Damaged) -> CaptureError:
-    """The error for a capture that is not what it was when it was opened."""
-    return CaptureError(f"{printable(path)} changed while it was read ({why}): open it again")
-
-
-def unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
+def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
     """The error that says why a capture cannot be read."""
     if isinstance(error, FileNotFoundError):
         return CaptureError(f"{printable(path)} does not exist: name an MCAP file")
@@ -383,6 +440,8 @@ def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:
     Raises CaptureError for what is no MCAP file: neither do the first bytes look like its magic nor
     is there a chunk with a correct checksum behind them.
     """
+    from bilprov.captures.storage.recovery import WINDOW, RecordFile
+
     front = file.read(len(MAGIC))
     if not front:
         raise CaptureError(f"{printable(path)} is empty: name an MCAP file")

@@ -9,7 +9,7 @@ have `t_ns` and `latency_ns` beside, which mean the same everywhere.
 from __future__ import annotations
 
 import zlib
-from typing import Literal, Self
+from typing import Literal, Self, TypeAlias
 
 import msgspec
 
@@ -213,6 +213,10 @@ class Resumption(Line, frozen=True, kw_only=True):
     def gap(self) -> Line:
         """The line event without the checkpoint, as a file holds it."""
         return Line(self.t, self.event, self.tap, self.detail)
+
+
+Recorded: TypeAlias = Chunk | Line | Look | CaseMark | Asked | Checkpoint
+"""What is recorded and not decoded from the bytes."""
 
 
 def _crc(t: int, grammar: str, decoder: str) -> int:

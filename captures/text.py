@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -21,9 +20,15 @@ class _Escapes(dict[int, str]):
         return shown
 
 
+def _in_json(character: str) -> str:
+    import json  # which takes long, and every command needs this module
+
+    return json.dumps(character)[1:-1]
+
+
 _REMEMBERED = 1 << 16  # characters
 _PLAIN = _Escapes(lambda character: character.encode("unicode_escape").decode())
-_IN_JSON = _Escapes(lambda character: json.dumps(character)[1:-1])
+_IN_JSON = _Escapes(_in_json)
 _IN_JSON[ord("\n")] = "\n"
 
 

@@ -2,7 +2,7 @@
 
 The run is made as every run is made (`conformance.api.run_suite`), over the recording instead of a
 device. Recorded verdicts are only compared with: what a case and each of its axes came to, and the
-bytes that it rests on, not the sentences that explain it. The seal and the checksums reveal damage,
+bytes that it rests on, not the sentences that explain it. Checksums reveal damage,
 not forgery: a recording that is written anew as a whole can hold anything that is consistent.
 """
 
@@ -115,8 +115,8 @@ class _Results(RunListener):
 def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     """Judge a recorded run again; by its own grammar unless another is given.
 
-    Raises CaptureError, in one sentence, for a file that is damaged (it names the checksum or hash
-    that does not fit), is no recording of a run, or cannot be judged again; GrammarError where its
+    Raises CaptureError, in one sentence, for a file that is damaged (it names the checksum that
+    does not fit), is no recording of a run, or cannot be judged again; GrammarError where its
     grammar is not run because it does more than declare.
     """
     evidence = open_evidence(path, (GRAMMAR, RUN, VERDICT))
@@ -172,7 +172,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
         verdict=(worst(r.verdict for r in judged) if whole is None else whole).label,
         differences=tuple(differences),
         notes=tuple(notes),
-        whole=evidence.sealed and not cut and not former and recorded is not None,
+        whole=not evidence.capture.unfinished and not cut and not former and recorded is not None,
     )
 
 
@@ -307,8 +307,8 @@ def _notes(
         )
     if run.grammar.get("sha256") != grammar.sha256:
         yield f"it was recorded with another grammar than {printable(grammar.origin)}"
-    if not evidence.sealed:
-        yield "it was never finished, so it has no hash; its checksums (CRC) match"
+    if evidence.capture.unfinished:
+        yield "it was never finished; the checksums (CRC) of what is there match"
     if cut:
         yield "it ends before its run did: what is there was judged again"
     elif report is not None and report.ended:

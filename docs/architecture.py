@@ -64,7 +64,7 @@ PLACES = {
     "analyzer.filters": Place(3, 0.7, 0.15),
     "analyzer.transport": Place(4, 0.27, 0.17),
     "analyzer.monitor": Place(4, 0.5, 0.15),
-    "analyzer.columns": Place(4, 0.7, 0.15),
+    "analyzer.totals": Place(4, 0.7, 0.15),
     "analyzer": Place(5, 0, 0.21),
     "analyzer.decode": Place(5, 0.23, 0.62),
     "captures.evidence": Place(0, 0, 0.38),

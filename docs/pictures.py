@@ -23,7 +23,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from bilprov.analyzer.cli.plot import plot
-from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told
 from bilprov.analyzer.doctor.drawing import INDENT, conclusion, drawn, heading, title
@@ -59,11 +59,11 @@ _SCREEN = (110, 36)  # columns and lines of the screen's picture
 _PATIENCE = 120  # s for the browser
 
 
-def drive_parts(protocol: Protocol) -> list[Part]:
+def drive_parts(protocol: Protocol) -> list[Batch]:
     """The decoded parts of a drive: the document's examples, driven on the simulator."""
     device = Simulator(protocol, latency=_LATENCY)
     session = Session(protocol, skew=0)
-    parts: list[Part] = []
+    parts: list[Batch] = []
     now = 0
     # As printed first and as meant last, so that the picture ends with the robot under way.
     for _, frames in reversed(examples(protocol)[:-1]):

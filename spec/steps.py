@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -89,30 +88,3 @@ def _assigned(effect: Effect, fields: dict[str, int]) -> dict[str, Any]:
         else getattr(value, "value", value)
         for variable, value in effect.assignments
     }
-
-
-class ShortFrames(NamedTuple):
-    """Frames of at most one data byte, and their judgements, by 256 times the header plus the data.
-
-    Each list has 65,536 entries: of a frame without data the same one 256 times, and None where the
-    header announces more than one byte.
-    """
-
-    frames: list[bytes | None]
-    judgements: list[Judgement | None]
-
-
-@lru_cache(maxsize=8)
-def short_frames(protocol: Protocol) -> ShortFrames:
-    """The short frames of a protocol, made when they are first asked for."""
-    short, steps = ShortFrames([], []), Steps(protocol)
-    for header, length in enumerate(protocol.lengths):
-        if length > 1:
-            short.frames.extend([None] * 256)
-            short.judgements.extend([None] * 256)
-            continue
-        data = [bytes([header, first])[: 1 + length] for first in range(256 if length else 1)]
-        repeated = 256 // len(data)
-        short.frames.extend(data * repeated)
-        short.judgements.extend([steps[frame].judgement for frame in data] * repeated)
-    return short

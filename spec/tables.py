@@ -22,15 +22,6 @@ OUTCOMES = tuple(Outcome)
 """The outcomes in the order of the codes in a column of verdicts; 0 is a valid frame."""
 
 
-class StateColumns(NamedTuple):
-    """The state after each frame, one array per variable; `motion` holds places in `MOTIONS`."""
-
-    motion: NDArray[np.uint8]
-    speed: NDArray[np.signedinteger]
-    steering: NDArray[np.signedinteger]
-    led: NDArray[np.signedinteger]
-
-
 class FrameColumns(NamedTuple):
     """The frames of a buffer, one row each.
 
@@ -67,7 +58,6 @@ class FrameTables:
         self.codes = np.array([protocol.answers[outcome].code for outcome in OUTCOMES], np.uint8)
         self.used = np.isin(np.arange(256), list(protocol.codes))
         self._verdict = np.zeros(1 << 16, np.uint8)
-        self._byte_values: dict[Callable[[bytes], int], NDArray[np.int64]] = {}
         # Instructions with more than one data byte: their data are judged field by field.
         self._long: dict[int, InstructionSpec] = {}
         ends = [end for both in protocol.bounds.values() for end in both]
@@ -159,59 +149,42 @@ class FrameTables:
             rows = np.flatnonzero(key >> 8 == code)
             good = np.ones(len(rows), np.bool_)
             for part in spec.fields:
-                value = self.field(part, data, offset[rows])
+                value = field_values(part, data, offset[rows])
                 good &= (value >= part.low) & (value <= part.high)
             verdict[rows] = np.where(good, VALID, _BAD_DATA)
         return FrameColumns(offset, key, verdict)
 
-    def field(
-        self, part: FieldSpec, data: NDArray[np.uint8], offset: NDArray[np.int64]
-    ) -> NDArray[np.signedinteger]:
-        """The value of a field in each of the frames at `offset`, which all carry it."""
-        at = offset + 1 + part.offset
-        if part.size == 1:
-            table = self._byte_values.get(part.parse)
-            if table is None:
-                table = np.array([part.parse(bytes([byte])) for byte in range(256)], np.int64)
-                self._byte_values[part.parse] = table
-            return np.take(table, data.take(at))
-        raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
-        distinct, place = np.unique(raw, return_inverse=True)
-        values = [part.parse(one.tobytes()) for one in distinct]
-        return np.take(np.array(values, np.int64), place)
-
-    def states(
-        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[str | int]
-    ) -> StateColumns:
-        """The state after each frame; `before` are the values of `VARIABLES` before the first."""
-        return StateColumns(*self._variables(VARIABLES, data, frames, before))
-
-    def moving(
-        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[str | int]
-    ) -> NDArray[np.bool_]:
-        """Whether the wheels turn after each frame; `before` is as in `states`."""
-        motion, speed = self._variables(("motion", "speed"), data, frames, before)
-        return moving(motion, speed)
-
-    def _variables(
+    def state(
         self,
-        names: Sequence[str],
+        variable: str,
         data: NDArray[np.uint8],
         frames: FrameColumns,
-        before: Sequence[str | int],
-    ) -> Iterator[NDArray[Any]]:
-        """Yield some state variables after each frame; `before` is as in `states`."""
-        long = list(self._long_effects(data, frames)) if self._long else []
-        sets = self._sets.take(frames.key)
-        for bit, (variable, value) in enumerate(zip(VARIABLES, before, strict=True)):
-            if variable in names:
-                yield self._variable(variable, frames, sets & 1 << bit != 0, coded(value), long)
+        before: Sequence[int],
+    ) -> NDArray[Any]:
+        """A state variable after each frame, a motion as its place in `MOTIONS`.
+
+        `before` are the values of `VARIABLES` before the first frame (see `values_of`).
+        """
+        place = VARIABLES.index(variable)
+        rows = np.flatnonzero(self._sets.take(frames.key) & 1 << place)
+        values = self._values[variable].take(frames.key.take(rows))
+        for name, more, set_to in self._long_effects(data, frames):
+            if name == variable:
+                rows = np.concatenate([rows, more])
+                values = np.concatenate([values, set_to.astype(values.dtype)])
+        if self._long:
+            order = np.argsort(rows, kind="stable")
+            rows, values = rows[order], values[order]
+        counts = np.diff(np.append(rows, len(frames.key)), prepend=0)
+        return np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
 
     def last_state(
-        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[Any]
+        self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[int]
     ) -> tuple[int, ...]:
-        """The state after all of the frames, as a row of StateColumns."""
-        if not self._long:  # then the last frame that sets a variable tells, for each of them
+        """The values of `VARIABLES` after all of the frames; `before` is as in `state`."""
+        if (
+            len(frames.key) and not self._long
+        ):  # then the last frame that sets a variable tells, for each of them
             bits = [1 << bit for bit in range(len(VARIABLES))]
             sets = self._sets.take(frames.key[-_TAIL:])
             if np.bitwise_or.reduce(sets) != sum(bits):  # none of the last frames sets one of them
@@ -220,30 +193,8 @@ class FrameTables:
             last = {int(rows[-1]) for bit in bits if len(rows := np.flatnonzero(sets & bit))}
             frames = frames.rows(sorted(last))
         if not len(frames.key):
-            return tuple(coded(value) for value in before)
-        return tuple(int(column[-1]) for column in self.states(data, frames, before))
-
-    def _variable(
-        self,
-        variable: str,
-        frames: FrameColumns,
-        sets: NDArray[np.bool_],
-        before: int,
-        long: list[tuple[str, NDArray[np.int64], NDArray[np.signedinteger]]],
-    ) -> NDArray[Any]:
-        """A state variable after each frame: what the last frame that sets it has set it to."""
-        rows = np.flatnonzero(sets)
-        values = self._values[variable].take(frames.key.take(rows))
-        for name, more, set_to in long:
-            if name == variable:
-                rows = np.concatenate([rows, more])
-                values = np.concatenate([values, set_to.astype(values.dtype)])
-        if long:
-            order = np.argsort(rows, kind="stable")
-            rows, values = rows[order], values[order]
-        ends = np.concatenate([rows, [len(frames.key)]])
-        counts = np.diff(ends, prepend=0)
-        return np.repeat(np.concatenate([np.array([before], values.dtype), values]), counts)
+            return tuple(before)
+        return tuple(int(self.state(name, data, frames, before)[-1]) for name in VARIABLES)
 
     def _long_effects(
         self, data: NDArray[np.uint8], frames: FrameColumns
@@ -257,7 +208,7 @@ class FrameTables:
                 for variable, value in effect.assignments:
                     if isinstance(value, tuple):
                         part = next(part for part in spec.fields if part.name == value[0])
-                        set_to = self.field(part, data, frames.offset[where]) * value[1]
+                        set_to = field_values(part, data, frames.offset[where]) * value[1]
                     else:
                         set_to = np.full(len(where), coded(value))
                     yield variable, where, set_to
@@ -270,6 +221,29 @@ _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
 _WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
 VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+
+
+def field_values(
+    part: FieldSpec, data: NDArray[np.uint8], offset: NDArray[np.int64]
+) -> NDArray[Any]:
+    """The value of a field in each of the frames at `offset`, which all carry it."""
+    at = offset + 1 + part.offset
+    if part.size == 1:
+        return np.take(_byte_values(part.parse), data.take(at))
+    raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
+    distinct, place = np.unique(raw, return_inverse=True)
+    values = [part.parse(one.tobytes()) for one in distinct]
+    return np.take(np.array(values) if values else np.zeros(0, np.int64), place)
+
+
+@lru_cache(maxsize=256)
+def _byte_values(parse: Callable[[bytes], int]) -> NDArray[np.int64]:
+    return np.array([parse(bytes([byte])) for byte in range(256)], np.int64)
+
+
+def values_of(state: Any) -> tuple[int, ...]:
+    """The values of VARIABLES in a state, each as `coded`."""
+    return tuple(coded(getattr(state, variable)) for variable in VARIABLES)
 
 
 def coded(value: str | int) -> int:

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 
 from benchmarks.dispositions import usual_for_children
-from bilprov.analyzer.columns import decoder
+from bilprov.analyzer.decode import stream
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
@@ -232,8 +232,7 @@ def drive() -> Drive:
 def columns_at_once() -> Iterator[None]:
     """Columns decode any number of bytes from the first on, which is else not worth the trouble."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(decoder, "LEAST", 0)
-        patch.setattr(decoder, "FIRST", 0)
+        patch.setattr(stream, "LEAST", 0)
         yield
 
 

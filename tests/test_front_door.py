@@ -40,7 +40,7 @@ HEAVY = {
 # Modules and packages that a command does not use.
 UNUSED = {
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
-    "decode 2111 --filter faulty": HEAVY - {"construct", "msgspec"}
+    "decode 2111 --filter faulty": HEAVY - {"construct", "msgspec", "numpy"}
     | {"zstandard", "lz4", "difflib"},
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},

@@ -13,7 +13,8 @@ from benchmarks.torture import chunks, damage, hostile, kills
 from benchmarks.torture.harm import Harm, Measured, measured
 from bilprov.captures.reader import Capture, Message
 from bilprov.captures.schemas import Chunk
-from bilprov.captures.storage.survey import _Survey
+from bilprov.captures.storage import survey
+from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.writer import CaptureWriter
 
 
@@ -44,7 +45,7 @@ def test_every_damage_changes_what_it_is_given() -> None:
 
 @pytest.mark.slow
 def test_a_reader_that_tells_no_damage_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_Survey, "_note", lambda survey, sentence: None)
+    monkeypatch.setattr(survey._Survey, "_note", lambda self, sentence: None)
 
     assert any("which nothing tells" in sentence for sentence in wrong(done(damage.HARM, 48)))
 
@@ -70,7 +71,7 @@ def test_a_reader_that_changes_a_message_is_seen(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.slow
 def test_a_reader_that_ends_at_the_first_damage_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     chunks.held()
-    monkeypatch.setattr(_Survey, "_resumed", lambda survey, offset, damage: survey._size)
+    monkeypatch.setattr(RecordFile, "next_chunk", lambda file, offset, until=None: None)
 
     assert any("is kept" in sentence for sentence in wrong(done(chunks.HARM, 60)))
 

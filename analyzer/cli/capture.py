@@ -100,8 +100,9 @@ def cut(
     numbers of the instructions and the answers that are due, so that OUT is decoded as IN is; times
     stay those of IN.
 
-    With --filter it holds the frames for which EXPR holds, each instruction with its answer. Where
-    others are left out, a gap records how many bytes, and a checkpoint how decoding continues.
+    With --filter it holds the reads of the frames for which EXPR holds, each instruction with its
+    answer, and the few frames that came in the same reads. Where others are left out, a gap records
+    how many bytes, and a checkpoint how decoding continues.
 
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT.
     """
@@ -134,14 +135,12 @@ def cut(
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
         if test is None:
             size = write_window(opened, protocol, out, window, progress)
-            what = quantity(size, "byte")
         else:
             held = test.started(capture.start)
-            frames = write_selected(
+            size = write_selected(
                 lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
             )
-            what = quantity(frames, "frame or answer", "frames and answers")
-    note(f"{printable(new)} holds {what} of {printable(path)}")
+    note(f"{printable(new)} holds {quantity(size, 'byte')} of {printable(path)}")
 
 
 @click.command()

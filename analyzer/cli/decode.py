@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from io import FileIO
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
-from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
 
 PIECE = 1 << 16  # bytes
 
@@ -56,45 +59,55 @@ def decode(
     test = compiled(expression, protocol)
     if not words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
-    decoder, events, start = _input(words or ("-",), sender, protocol)
-    out = Shown(stream_output(style), test and test.started(start))
-    for batch in events:
-        for part in decoder.feed(batch):
-            out.show(part)
-    for part in decoder.finish():
-        out.show(part)
+    out = stream_output(style)
+    source = _source(words)
+    if isinstance(source, bytes):
+        session = Session(protocol, heard=frozenset({sender}))
+        records = session.feed(Chunk(0, sender, source)) + session.finish()
+        if test is None:  # and so without numpy, which takes longer to load than all else here
+            out.records(records)
+            return
+        from bilprov.analyzer.decode.batch import Records
+
+        Shown(out, test.started(0)).show(Records(records))
+        return
+    batches, start = _decoded(source, sender, protocol)
+    shown = Shown(out, test and test.started(start))
+    for batch in batches:
+        shown.show(batch)
 
 
-def _input(
-    words: tuple[str, ...], sender: Direction, protocol: Protocol
-) -> tuple[StreamDecoder, Iterable[Sequence[Chunk | Line]], int]:
-    """The decoder and the events to decode, from hex words, a file, or standard input.
-
-    And the wall clock (ns since 1970) at their start, 0 where nobody knows it.
-    """
-    decoder = StreamDecoder(protocol, heard=frozenset({sender}))
-    if words == ("-",):
-        return decoder, _pieces(None, sender), 0
+def _source(words: Sequence[str]) -> bytes | Path | None:
+    """What is to be decoded: bytes in hex, or a file; None for standard input."""
+    if tuple(words) in ((), ("-",)):
+        return None
     path = Path(words[0])
-    in_parts = len(words) == 1 and bool(kept_parts(path))
-    if in_parts or (len(words) == 1 and _is_file(path)):
-        if in_parts or _begins_like_a_capture(path):
-            from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
-            from bilprov.analyzer.replay.playback import batches
-            from bilprov.captures.reader import open_capture
-
-            capture = open_capture(path)
-            for sentence in said_about(capture, protocol):
-                note(sentence)
-            events = batches(capture.events(), at_once=True)
-            return capture_decoder(capture, protocol), events, capture.start
-        return decoder, _pieces(path, sender), 0
+    if len(words) == 1 and (kept_parts(path) or _is_file(path)):
+        return path
     try:
-        data = bytes_from_hex(" ".join(words))
+        return bytes_from_hex(" ".join(words))
     except ValueError as error:
         files = "there is no such file, and " if len(words) == 1 else ""
         raise click.ClickException(f"{files}{error}") from None
-    return decoder, [[Chunk(0, sender, data)]], 0
+
+
+def _decoded(
+    path: Path | None, sender: Direction, protocol: Protocol
+) -> tuple[Iterator[Batch], int]:
+    """What is decoded from a file, or from standard input as it comes.
+
+    And the wall clock (ns since 1970) at its start, 0 where nobody knows it.
+    """
+    if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
+        return _of_bytes(path, sender, protocol), 0
+    from bilprov.analyzer.replay.capture_parts import decoded
+    from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
+    from bilprov.captures.reader import open_capture
+
+    capture = open_capture(path)
+    for sentence in said_about(capture, protocol):
+        note(sentence)
+    return decoded(capture_decoder(capture, protocol), capture.batches()), capture.start
 
 
 def _is_file(path: Path) -> bool:
@@ -116,15 +129,19 @@ def _begins_like_a_capture(path: Path) -> bool:
         raise _unreadable(path, error) from error
 
 
-def _pieces(path: Path | None, sender: Direction) -> Iterator[list[Chunk]]:
-    """Yield the bytes of a file, or of standard input as they come, as chunks."""
+def _of_bytes(path: Path | None, sender: Direction, protocol: Protocol) -> Iterator[Batch]:
+    """Yield what is decoded from the bytes of a file, or of standard input as they come."""
+    from bilprov.analyzer.decode.stream import StreamDecoder
+
+    decoder = StreamDecoder(protocol, heard=frozenset({sender}))
     try:
         # Unbuffered, so that bytes from a pipe are shown at once.
         with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
             while data := file.read(PIECE):
-                yield [Chunk(0, sender, data)]
+                yield from decoder.feed([Chunk(0, sender, data)])
     except OSError as error:
         raise _unreadable(path or Path("standard input"), error) from error
+    yield from decoder.finish()
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:

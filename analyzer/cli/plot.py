@@ -30,13 +30,13 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
     latencies share one time axis, which the mouse wheel, touch and keys zoom. A long recording is
     reduced to steps of time, as the page then states, so that it has a few MB at most.
     """
-    from bilprov.analyzer.columns.timeline import Timeline
-    from bilprov.analyzer.columns.totals import Totals
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page
-    from bilprov.analyzer.replay.capture_parts import decoded_parts
+    from bilprov.analyzer.replay.capture_parts import decoded_batches
     from bilprov.analyzer.replay.capture_session import capture_line, said_about
+    from bilprov.analyzer.totals.timeline import Timeline
+    from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version
     from bilprov.captures.reader import open_capture
 
@@ -47,8 +47,8 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
         note(sentence)
     totals, timeline = Totals(protocol), Timeline(protocol)
     with reading([capture]) as progress:
-        for part in decoded_parts(capture, protocol, progress):
-            totals.add(part)
-            timeline.add(part)
+        for batch in decoded_batches(capture, protocol, progress):
+            totals.add(batch)
+            timeline.add(batch)
     stats = file_stats(capture, totals, capture_line(capture, protocol))
     write_output(page, plot_page(capture, protocol, timeline, stats, kit_version()).encode())

@@ -39,7 +39,7 @@ from bilprov.analyzer.output.outputs import (
 )
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
 from bilprov.analyzer.replay.capture_session import (
     capture_decoder,
     capture_line,
@@ -48,12 +48,11 @@ from bilprov.analyzer.replay.capture_session import (
     require_begun,
     said_about,
 )
-from bilprov.analyzer.replay.playback import batches, interruptible, played
+from bilprov.analyzer.replay.playback import interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
@@ -205,8 +204,11 @@ def replay(
                 protocol, capture, pipeline, output, target, run, rate, window, stopper
             )
         else:
-            events = capture.sights() if judge else opened.events()
-            _show(events, pipeline, rate, window, stopper, judge)
+            if rate or judge:
+                events = capture.sights() if judge else opened.events()
+                _play(events, pipeline, rate, window, stopper, judge)
+            else:
+                _show(opened, shown, window, stopper)
     if target is not None and not target.answered_stops:
         from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 
@@ -229,9 +231,9 @@ def _what_moves(
 
     def frames() -> Iterator[bytes]:
         inside = (event for event in capture.events() if window.has(event.t))
-        parts = map(decoder.feed, batches(inside, at_once=True))
-        for part in chain(chain.from_iterable(parts), decoder.finish()):
-            yield from (r.data for r in part.records() if isinstance(r, HostRecord))
+        parts = map(decoder.feed, ([event] for event in inside))
+        for batch in chain(chain.from_iterable(parts), decoder.finish()):
+            yield from (r.data for r in batch.records() if isinstance(r, HostRecord))
 
     words = movement_words(protocol, movement_of(protocol, frames()))
     return f"the device at {port} will move as recorded in {printable(path)}: {words}"
@@ -262,7 +264,7 @@ def _opened(
     if window.first is not None and not whole:
         return opened_at(path, protocol, window.first, timeout)
     capture = (open_indexed(path) if style == "live" else None) or open_capture(path)
-    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events)
+    return Opened(capture, capture_decoder(capture, protocol, timeout))
 
 
 def _look_through(
@@ -300,7 +302,15 @@ def _look_through(
         feed.join()
 
 
-def _show(
+def _show(opened: Opened, shown: Shown, window: Window, stopper: Stopper) -> None:
+    """Show what is decoded of the window, as fast as it goes."""
+    for batch in decoded(opened.decoder, opened.batches(), window=window, largest=TEXT_BATCH):
+        if stopper.stopped or shown.full:
+            return
+        shown.show(batch)
+
+
+def _play(
     events: Iterable[Chunk | Line | Look],
     pipeline: Pipeline,
     rate: float,
@@ -312,13 +322,13 @@ def _show(
     # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
     playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
-    for batch in batches(playing, at_once=not rate and judge is None, largest=TEXT_BATCH):
+    for event in playing:
         if stopper.stopped or pipeline.shown.full:
             return
-        now = batch[-1].t
-        pipeline.events([event for event in batch if not isinstance(event, Look)])
+        now = event.t
+        if not isinstance(event, Look):
+            pipeline.events([event])
         pipeline.advance(now)
-        for event in batch:
-            if judge and isinstance(event, Look) and window.has(event.t):
-                judge.look(event)
+        if judge and isinstance(event, Look) and window.has(now):
+            judge.look(event)
     pipeline.finish()

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 
 from bilprov.analyzer.cli.options import note, note_suspension
-from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.records import (
     Anomaly,
     FaultRecord,
@@ -90,7 +90,7 @@ def send_again(
     return _compare(protocol, recorded, run, output)
 
 
-def _records(parts: Iterable[Part]) -> list[Record]:
+def _records(parts: Iterable[Batch]) -> list[Record]:
     return [record for part in parts for record in part.records()]
 
 

@@ -17,7 +17,6 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
-from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import stream_output
@@ -94,7 +93,7 @@ def send_items(
                     return
                 check.record(record)
                 run.record(record)
-                output.show(Records([record]))
+                output.records([record])
                 if check.flooded:
                     stopper.stop()
 

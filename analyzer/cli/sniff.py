@@ -32,8 +32,8 @@ from bilprov.analyzer.cli.options import (
     session_style,
     timeout_option,
 )
-from bilprov.analyzer.columns.decoder import StreamDecoder, preload
 from bilprov.analyzer.decode.session import BOTH, SKEW
+from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings

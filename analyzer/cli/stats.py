@@ -55,7 +55,6 @@ def stats(
     """
     import msgspec
 
-    from bilprov.analyzer.columns.totals import Totals
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats, stats_of
     from bilprov.analyzer.output.charts import ASCII, BLOCKS
@@ -64,6 +63,7 @@ def stats(
     from bilprov.analyzer.output.stats_tables import drawn
     from bilprov.analyzer.replay.capture_session import capture_line, said_about
     from bilprov.analyzer.replay.capture_totals import capture_totals
+    from bilprov.analyzer.totals.totals import Totals
     from bilprov.captures.reader import open_capture
 
     named = {"--json": json_file, "--csv": csv_file}

@@ -11,19 +11,13 @@ from bilprov.captures.schemas import MS, Direction, State
 from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
-_MOST = 1 << 62  # instructions: numbers of some more still fit into 64 bits
-_LATEST = 1 << 80  # ns: no clock shows it, and as seconds it is a number still
+# What a text may hold; what is decoded after it may still be as large again.
+_MOST = 1 << 61  # instructions
+_LATEST = 1 << 61  # ns: 73 years
 
 
 QUIET = 20 * MS
 """Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
-
-
-GROUP = 256
-"""A WaitingFrames begins with each instruction whose number is a multiple of this.
-
-So what has many that wait is saved again and again without copying all of them.
-"""
 
 
 class WaitingFrames(msgspec.Struct, frozen=True):
@@ -96,11 +90,11 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
                 low <= getattr(state, variable) <= high
                 for variable, (low, high) in protocol.bounds.items()
             )
-            and self.time <= _LATEST
+            and self.time <= 2 * _LATEST
             and all(0 <= t <= self.time for t in past)
             and self.frame_start <= self.frame_end
             and (len(set(self.heard)) > 1 or not (self.waiting or self.held))
-            and 0 <= count <= self.sequence <= _MOST
+            and 0 <= count <= self.sequence <= 2 * _MOST
             and expiries == sorted(expiries)
             and all(group.frames for group in self.waiting)
             and all(0 <= byte <= 255 for _, byte in self.held)
@@ -147,4 +141,4 @@ def decoded(text: str, protocol: Protocol) -> DecoderState | None:
         state.require_sense(protocol)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None
-    return state
+    return state if state.sequence <= _MOST and state.time <= _LATEST else None

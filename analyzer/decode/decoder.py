@@ -14,7 +14,7 @@ import msgspec
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
-from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, WaitingGroups
+from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -57,7 +57,6 @@ class Decoder:
         self._framer = Framer(protocol.lengths, timeout)
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
-        self._groups = WaitingGroups()
         self._steps = Steps(protocol)
         self._state = written_state(protocol.power_on)
         self._sequence = 0
@@ -92,7 +91,6 @@ class Decoder:
         later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in waiting]
         waiting.clear()
         waiting.extend(later)
-        self._groups = WaitingGroups()
         held = [replace(one, t=one.t + pause) for one in self._pairing.held]
         self._pairing.held.clear()
         self._pairing.held.extend(held)
@@ -220,7 +218,7 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=self._groups.of(self._pairing.waiting),
+            waiting=waiting_frames(self._pairing.waiting),
             held=tuple((held.t, held.byte) for held in self._pairing.held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
@@ -236,7 +234,6 @@ class Decoder:
             (group, frame) for group in state.waiting for frame in group.split(self._protocol)
         ]
         first = state.sequence - len(frames)
-        self._groups = WaitingGroups()
         self._pairing.waiting.clear()
         self._pairing.waiting.extend(
             Waiting(first + place, group.end, group.expires, self._steps[frame].judgement)

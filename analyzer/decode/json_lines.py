@@ -29,7 +29,9 @@ Each line is one object, always with these keys in this order. A key that does n
 from __future__ import annotations
 
 import msgspec
+from msgspec.structs import replace
 
+from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -62,12 +64,14 @@ class JsonLine(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
 
 encode = msgspec.json.Encoder().encode
+encode_lines = msgspec.json.Encoder().encode_lines
 
 
 def json_line(record: Record) -> JsonLine | None:
     """Convert a record to a line; None for a line event without an anomaly."""
     if isinstance(record, HostRecord):
-        return _host_line(record)
+        line = _frame_line(record)
+        return replace(line, t=record.t / 1e9, state=record.state, sequence=record.sequence)
     if isinstance(record, DeviceRecord):
         return _device_line(record)
     if isinstance(record, FaultRecord):
@@ -82,7 +86,8 @@ def _kinds(record: Record) -> tuple[str, ...]:
     return tuple(fault.kind for fault in serious_faults(record))
 
 
-def _host_line(record: HostRecord) -> JsonLine:
+@PerFrame
+def _frame_line(record: HostRecord) -> JsonLine:
     judgement = record.judgement
     spec = judgement.instruction if judgement else None
     return JsonLine(
@@ -113,7 +118,7 @@ def _device_line(record: DeviceRecord) -> JsonLine:
         state=record.state,
         answers=record.instruction,
         agrees=record.agrees,
-        faults=_kinds(record),
+        faults=_kinds(record) if record.faults else (),
     )
 
 

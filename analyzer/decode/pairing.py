@@ -8,12 +8,12 @@ instruction may be delayed in the other adapter. It uses no port and no clock.
 from __future__ import annotations
 
 from collections import deque
-from itertools import islice
+from collections.abc import Iterable
 from typing import Final
 
 import msgspec
 
-from bilprov.analyzer.decode.checkpoint import GROUP, WaitingFrames
+from bilprov.analyzer.decode.checkpoint import WaitingFrames
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
@@ -111,44 +111,14 @@ class Pairing:
         return held
 
 
-class WaitingGroups:
-    """Puts the instructions that wait together as WaitingFrames, by what it made the last time.
-
-    Their numbers follow each other; those that a number was given to before stay as they were.
-    """
-
-    def __init__(self) -> None:
-        self._groups: deque[tuple[int, WaitingFrames]] = deque()  # with the first one's number
-        self._next = 0  # the number of the first instruction that is in none of them
-        self._open = False  # whether another one may go into the last of them
-
-    def of(self, waiting: deque[Waiting]) -> tuple[WaitingFrames, ...]:
-        """The groups of all: neighbours with equal times, as far as one that was cut short."""
-        if not waiting:
-            self._groups.clear()
-            return ()
-        groups, first, end = self._groups, waiting[0].sequence, waiting[-1].sequence + 1
-        if not groups or self._next <= first:
-            groups.clear()
-            self._next = first
-        while len(groups) > 1 and groups[1][0] <= first:
-            groups.popleft()
-        if groups and groups[0][0] < first:
-            after = groups[1][0] if len(groups) > 1 else self._next
-            left = b"".join(one.judgement.frame for one in islice(waiting, after - first))
-            groups[0] = first, msgspec.structs.replace(groups[0][1], frames=left)
-        for one in reversed(list(islice(reversed(waiting), end - self._next))):
-            self._add(one)
-        self._next = end
-        return tuple(group for _, group in groups)
-
-    def _add(self, one: Waiting) -> None:
-        frame, number = one.judgement.frame, one.sequence
-        last = self._groups[-1][1] if self._groups else None
-        times = last and (last.end, last.expires)
-        if last and self._open and number % GROUP and times == (one.end, one.expires):
-            grown = msgspec.structs.replace(last, frames=last.frames + frame)
-            self._groups[-1] = self._groups[-1][0], grown
-        else:
-            self._groups.append((number, WaitingFrames(one.end, one.expires, frame)))
-        self._open = not one.judgement.truncated
+def waiting_frames(waiting: Iterable[Waiting]) -> tuple[WaitingFrames, ...]:
+    """Instructions that wait: neighbours with equal times together, as far as one cut short."""
+    groups: list[tuple[tuple[int, int], list[bytes]]] = []
+    closed = True
+    for one in waiting:
+        times = one.end, one.expires
+        if closed or groups[-1][0] != times:
+            groups.append((times, []))
+        groups[-1][1].append(one.judgement.frame)
+        closed = one.judgement.truncated
+    return tuple(WaitingFrames(*times, b"".join(frames)) for times, frames in groups)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from bilprov.analyzer.columns.latencies import Latencies, Spread
 from bilprov.analyzer.edit.alignment import aligned
 from bilprov.analyzer.edit.exchanges import Exchange
+from bilprov.analyzer.totals.latencies import Latencies, Spread
 from bilprov.captures.schemas import MS
 from bilprov.spec.protocol import Protocol
 

@@ -33,10 +33,10 @@ from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.latencies import Spread
     from bilprov.analyzer.decode.records import HostRecord
     from bilprov.analyzer.edit.compare import Comparison, Difference
     from bilprov.analyzer.edit.exchanges import Exchange
+    from bilprov.analyzer.totals.latencies import Spread
 
 SECOND = 1e9  # ns
 SHOWN = 20  # differences on a screen

@@ -7,25 +7,25 @@ An event that is stamped earlier than the one before it counts as coming with th
 Of a window all raw chunks and line events are kept as they are. Where its end cuts through a frame
 that goes on behind it, a `gap` is added, so that nothing is taken for a fault of the host.
 
-Of a filter the bytes of the frames are kept for which it holds, each instruction with its answer
-and each answer with its instruction. Where something is left out stand a `gap`, which says how
-much, and a checkpoint from which decoding goes on. What is decoded from the part are these frames,
-with the same judgements, states and latencies. Those that only what came at one moment tells apart
-(a frame that was given up, with the answers in its midst) stay together, as do bytes before the
-first frame of a recording with the frames by which they are seen to be none.
+Of a filter the reads are kept, whole, that came from the beginning of an instruction to its answer,
+where it holds for one of the two. Where reads are left out stand a `gap`, which says how much, and
+a checkpoint from which decoding goes on: what is decoded from the part are these frames, with the
+same judgements, states and latencies, and the neighbours that came in the same reads.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from msgspec.structs import replace
+
 from bilprov.analyzer.decode.checkpoint import DecoderState
-from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import write_resumption
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
@@ -37,11 +37,9 @@ from bilprov.analyzer.edit.recorded_values import (
     timed,
     write_values,
 )
-from bilprov.analyzer.edit.selection import Selection
-from bilprov.analyzer.edit.steps import Stepper
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
-from bilprov.analyzer.replay.capture_parts import Progress
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded
+from bilprov.analyzer.replay.capture_session import capture_settings, heard
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.replay.seek import Opened
@@ -66,7 +64,7 @@ def write_window(
     decoder = opened.decoder
     values = timed(opened.recorded(), first_state(decoder).time)
     if window.first is not None:
-        state, values = _state_at(decoder, protocol, settings, values, window.first, progress)
+        state, values = _state_at(decoder, values, window.first, progress)
         decoder = StreamDecoder(protocol, **settings)
         decoder.resume(state)
         begin = next(values, None)
@@ -101,120 +99,174 @@ def write_selected(
     test: Filter,
     progress: Progress,
 ) -> int:
-    """Write the frames in a window for which a filter holds, and return how many there are.
+    """Write the reads of the frames in a window for which a filter holds; return how many bytes.
 
-    `opened_at` opens the capture at a place before a time (ns). Its events are read twice: first
-    decoded at once, to see where something is selected, and there again step by step. Raises as
-    `write_window` does.
+    `opened_at` opens the capture at a place before a time (ns). Its events are read twice: first to
+    see when something is selected, and there again. Raises as `write_window` does.
     """
     start = max(0, (window.first or 0) - AFTERMATH)
     end = None if window.after is None else window.after + AFTERMATH
-    near = _selected_times(opened_at(start), window, test, end, progress)
+    selected = _selected_times(opened_at(start), window, test, progress)
     opened = opened_at(start)
-    settings = capture_settings(opened.capture, protocol)
-
-    def selected(record: Record) -> bool:
-        line = json_line(record) if window.has(record.t) else None
-        return line is not None and test(line)
-
-    selection = Selection(protocol, out, selected, window.has, paired=settings["heard"] >= BOTH)
-    decoder = opened.decoder
-    state, now = first_state(decoder), 0
-    since: list[Timed] = []  # the last known state, and nothing is selected in them
-    stepper: Stepper | None = None
-    behind: list[Timed] = []
-    values = timed(opened.recorded(), state.time)
-    for batch in batched(_before(values, end, behind)):
-        now = batch[-1].now
-        is_near = near.meets(batch[0].now, now)
-        if stepper is None and is_near:
-            stepper = Stepper(protocol, settings, state)
-            _step(stepper, selection, [one for one in since if _is_event(one)], window)
-            since = []
-        if stepper is not None:
-            _step(stepper, selection, batch, window)
-            saved = stepper.state
-            if saved is not None and not is_near:
-                decoder.resume(saved)
-                selection.passed(saved)
-                state, stepper = saved, None
-        else:
+    part = _Part(protocol, out, opened.decoder)
+    values = timed(opened.recorded(), first_state(opened.decoder).time)
+    for batch in batched(_before(values, end, [])):
+        if selected.meets(batch[0].now, batch[-1].now):
             for one in batch:
-                _keep_value(selection, one, window)
-            since += batch
-            decoder.feed(events_in(batch))
-            saved = decoder.saved()
-            if saved is not None:
-                missed = [one for one in since if window.has(one.now)]
-                selection.passed(saved, size_of(missed))
-                state, since = saved, []
+                part.take([one], kept=selected.meets(one.now, one.now), counted=window.has(one.now))
+        else:
+            part.take(batch, kept=False, counted=window.has(batch[-1].now))
+        for one in batch:
+            # What is no event, such as the looks of a conformance run, is kept.
+            if not isinstance(one.value, Chunk | Line | Checkpoint) and window.has(one.now):
+                out.write(one.value, one.value.t)
         progress(size_of(batch))
-    if stepper is not None and not behind:
-        for step in stepper.finish():
-            selection.step(step)
-    selection.close((stepper.state if stepper else None) or state, now)
-    return selection.frames
+    part.close()
+    return part.size
 
 
-def _step(stepper: Stepper, selection: Selection, batch: list[Timed], window: Window) -> None:
-    for one in batch:
-        if isinstance(one.value, Chunk | Line):
-            for step in stepper.feed(one.value):
-                selection.step(step)
-        _keep_value(selection, one, window)
+class _Part:
+    """Writes the values of a capture that are kept, and what decoding needs between them.
 
+    `size` is how many raw bytes were kept. The decoder is that of the whole recording.
+    """
 
-def _keep_value(selection: Selection, one: Timed, window: Window) -> None:
-    """Keep what is no event, such as the looks of a conformance run."""
-    if not isinstance(one.value, Chunk | Line | Checkpoint) and window.has(one.now):
-        selection.value(one.value, one.value.t)
+    def __init__(self, protocol: Protocol, out: RecordWriter, decoder: StreamDecoder) -> None:
+        self.size = 0
+        self._protocol = protocol
+        self._out = out
+        self._decoder = decoder
+        self._known = first_state(decoder)  # the last state in which boundaries were known
+        self._since: list[Timed] = []  # what came since then
+        self._left_out = 0  # bytes since the last one that was kept
+        self._now: int | None = None  # the time (ns) of the last thing that was kept
+        self._in_step = False
 
+    def take(self, batch: list[Timed], *, kept: bool, counted: bool) -> None:
+        """Take the next values, which are all kept or all left out.
 
-def _is_event(one: Timed) -> bool:
-    return isinstance(one.value, Chunk | Line)
+        Bytes that are left out are `counted` if they are missed.
+        """
+        if kept and not self._in_step:
+            begin = self._since[0].now if self._since else batch[0].now
+            self._resume(self._known, begin)
+            self._write(self._since)
+        self._in_step = kept
+        if kept:
+            self._write(batch)
+        elif counted:
+            self._left_out += size_of(batch)
+        self._decoder.feed(events_in(batch))
+        state = self._decoder.saved()
+        if state is None:
+            self._since += batch
+        else:
+            self._known, self._since = state, []
+
+    def close(self) -> None:
+        """End the part where the recording goes on: nothing is under way there."""
+        if self._in_step or not (self._left_out or self._now is None):
+            return
+        quiet = replace(
+            self._known,
+            frame=b"",
+            frame_start=0,
+            frame_end=0,
+            waiting=(),
+            held=(),
+            out_of_step=None,
+            lost_at=None,
+            unsynced_since=None,
+        )
+        self._resume(quiet, self._known.time)
+
+    def _write(self, batch: list[Timed]) -> None:
+        for event in events_in(batch):
+            self._out.event(event)
+        self.size += size_of(batch)
+        self._now = batch[-1].now if batch else self._now
+
+    def _resume(self, state: DecoderState, t: int) -> None:
+        gap = None
+        if self._left_out or self._now is not None:
+            what = f"{self._left_out} {'byte' if self._left_out == 1 else 'bytes'}"
+            said = f"{what} left out here by bilprov capture cut"
+            gap = Line(t if self._now is None else self._now, "gap", "", said)
+        write_resumption(self._out, self._protocol, state, t, gap)
+        self._left_out = 0
 
 
 class _Times:
     """Spans of time, each of which begins after the one before it has ended."""
 
     def __init__(self) -> None:
-        self._spans: list[tuple[int, int]] = []
+        self._first, self._last = array("q"), array("q")
         self._at = 0
 
     def add(self, first: int, last: int) -> None:
         """Add a span (ns), which ends at the latest where the last one does, or later."""
-        if self._spans and first <= self._spans[-1][1]:
-            begin, end = self._spans.pop()
-            first, last = min(begin, first), max(end, last)
-        self._spans.append((first, last))
+        if self._last and first <= self._last[-1]:
+            self._first[-1] = min(first, self._first[-1])
+            self._last[-1] = max(last, self._last[-1])
+        else:
+            self._first.append(first)
+            self._last.append(last)
 
     def meets(self, first: int, last: int) -> bool:
         """Whether a span has some of this one; asked for later and later ones."""
-        while self._at < len(self._spans) and self._spans[self._at][1] < first:
+        while self._at < len(self._last) and self._last[self._at] < first:
             self._at += 1
-        return self._at < len(self._spans) and self._spans[self._at][0] <= last
+        return self._at < len(self._first) and self._first[self._at] <= last
 
 
-def _selected_times(
-    opened: Opened, window: Window, test: Filter, end: int | None, progress: Progress
-) -> _Times:
-    """When something is selected, and as long before and after as an answer may take."""
-    near = _Times()
-    shown = Shown(NoOutput(), test, window=window)
-    decoder = opened.decoder
-    behind: list[Timed] = []
-    for batch in batched(_before(timed(opened.recorded(), 0), end, behind)):
-        _note(near, shown, decoder.feed(events_in(batch)))
-        progress(size_of(batch))
-    if not behind:
-        _note(near, shown, decoder.finish())
-    return near
+def _selected_times(opened: Opened, window: Window, test: Filter, progress: Progress) -> _Times:
+    """When what is selected came, each instruction with its answer."""
+    found = _Exchanges(paired=heard(opened.capture) >= BOTH)
+    batches = decoded(opened.decoder, opened.batches(), progress, window, TEXT_BATCH)
+    for batch in batches:
+        chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
+        for record, selected in zip(batch.records(), chosen.tolist(), strict=True):
+            found.add(record, selected)
+    found.give_up()
+    return found.times
 
 
-def _note(near: _Times, shown: Shown, parts: list[Part]) -> None:
-    times = [record.t for part in parts for record in shown.show(part).records()]
-    if times:
-        near.add(min(times) - AFTERMATH, max(times) + AFTERMATH)
+class _Exchanges:
+    """Notes when selected instructions and answers came; where answers are `paired`, as one."""
+
+    def __init__(self, *, paired: bool) -> None:
+        self.times = _Times()
+        self._paired = paired
+        self._waiting: dict[int, tuple[HostRecord, bool]] = {}
+
+    def add(self, record: Record, selected: bool) -> None:
+        """Take the next record."""
+        if isinstance(record, HostRecord) and record.sequence is not None and self._paired:
+            self._waiting[record.sequence] = record, selected
+            return
+        number = None
+        if isinstance(record, DeviceRecord):
+            number = record.instruction
+        elif isinstance(record, FaultRecord):
+            number = record.fault.instruction
+        elif not isinstance(record, HostRecord) and record.lost:
+            self.give_up()
+        end = record.end if isinstance(record, HostRecord) else record.t
+        if number is not None and number in self._waiting:
+            frame, frame_selected = self._waiting.pop(number)
+            self._note(frame.t, max(frame.end, end), selected or frame_selected)
+        else:
+            self._note(record.t, end, selected)
+
+    def give_up(self) -> None:
+        """No answer will come for the instructions that wait."""
+        for frame, selected in self._waiting.values():
+            self._note(frame.t, frame.end, selected)
+        self._waiting.clear()
+
+    def _note(self, first: int, last: int, selected: bool) -> None:
+        if selected:
+            self.times.add(min(first, last), max(first, last))
 
 
 def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> Iterator[Timed]:
@@ -227,36 +279,25 @@ def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> It
 
 
 def _state_at(
-    decoder: StreamDecoder,
-    protocol: Protocol,
-    settings: SessionSettings,
-    values: Iterator[Timed],
-    start: int,
-    progress: Progress,
+    decoder: StreamDecoder, values: Iterator[Timed], start: int, progress: Progress
 ) -> tuple[DecoderState, Iterator[Timed]]:
-    """Decode up to `start` (ns); returns the state there and the values from there on."""
+    """Decode up to `start` (ns); returns a state there and the values from it on.
+
+    Where frame boundaries are looked for then, both are those from before that.
+    """
     state = first_state(decoder)
     since: list[Timed] = []  # the last known state
-    for batch in batched(values):
-        since += batch
-        if batch[-1].now >= start:
-            break
+    behind: list[Timed] = []
+    for batch in batched(_before(values, start, behind)):
         decoder.feed(events_in(batch))
         progress(size_of(batch))
         saved = decoder.saved()
-        if saved is not None:
-            state, since = saved, []
-    stepper = Stepper(protocol, settings, state)
-    ahead: list[Timed] = []
-    near = iter(since)
-    for one in chain(near, values):
-        if one.now >= start:
-            ahead.append(one)
-        for step in stepper.feed(one.value) if isinstance(one.value, Chunk | Line) else ():
-            state = step.state
-            if step.t >= start:
-                return state, chain(ahead, near, values)
-    return stepper.state or state, iter(ahead)
+        since = [*since, *batch] if saved is None else []
+        state = saved or state
+    if not since:
+        decoder.advance(start - 1)
+        state = decoder.saved() or state
+    return state, chain(since, behind, values)
 
 
 def _cuts_through(

@@ -14,7 +14,7 @@ from bilprov.analyzer.decode.records import (
     Record,
 )
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.replay.capture_parts import Progress, decoded_parts
+from bilprov.analyzer.replay.capture_parts import Progress, decoded_batches
 from bilprov.analyzer.replay.capture_session import heard
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
@@ -51,8 +51,8 @@ def exchanges(capture: Capture, protocol: Protocol, progress: Progress) -> Itera
     Raises CaptureError as `Capture.events` does.
     """
     pairs = _Pairs(paired=heard(capture) >= BOTH)
-    for part in decoded_parts(capture, protocol, progress):
-        for record in part.records():
+    for batch in decoded_batches(capture, protocol, progress):
+        for record in batch.records():
             pairs.record(record)
         yield from pairs.settled()
     pairs.give_up()

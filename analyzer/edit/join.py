@@ -18,10 +18,10 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from msgspec.structs import replace
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import decoding_metadata, said_of
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
@@ -39,8 +39,8 @@ from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture, Recorded
-from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Resumption
+from bilprov.captures.reader import Capture
+from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Recorded, Resumption
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.recorder import RecordWriter
-from bilprov.captures.reader import Recorded
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption
 
 _BATCH_VALUES = 1 << 12
 _BATCH_BYTES = 1 << 15

@@ -9,17 +9,22 @@ extra of the kit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.output.csv_text import usual_columns
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
-from bilprov.analyzer.output.row_columns import AS_USUAL, COLUMNS, Column, RowStyle
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_parts
+from bilprov.analyzer.output.row_columns import (
+    AS_USUAL,
+    COLUMNS,
+    Column,
+    RowStyle,
+    Value,
+    converted,
+)
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_batches
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
@@ -27,7 +32,6 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.filters.filter import Filter
 
 ROWS = 1 << 16
@@ -60,75 +64,59 @@ def write_parquet(
     time that the format cannot hold.
     """
     pa, parquet = _pyarrow()
-    columns = [_typed(column) for column in rows.columns or _usual_columns(protocol)]
-    wide = _wide(protocol)
-    schema = pa.schema([pa.field(one.name, _type(pa, one.name, wide)) for one in columns])
+    columns = rows.columns or _usual_columns(protocol)
+    types = _types(pa, protocol)
+    schema = pa.schema([pa.field(one.name, types.get(one.name, pa.int64())) for one in columns])
+    shown = Shown(NoOutput(), test, window=window)
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
-        table = _Table(pa, writer, columns, capture.start)
-        shown = Shown(NoOutput(), test, window=window)
-        for decoded in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
-            part = shown.show(decoded)
+        waiting: list[Any] = []
+        for batch in decoded_batches(capture, protocol, progress, window, TEXT_BATCH):
+            arrays = _arrays(pa, shown.show(batch).records(), columns, schema, capture.start)
             try:
-                table.add(part)
+                waiting.append(pa.record_batch(list(arrays), schema=schema))
             except (OverflowError, pa.ArrowInvalid) as error:
                 raise CaptureError(
                     f"{printable(capture.path)} has a time that is out of the range of Parquet "
                     "(1677 to 2262): export it as csv or jsonl"
                 ) from error
-        table.write()
+            if sum(one.num_rows for one in waiting) >= ROWS:
+                _write(pa, writer, waiting)
+        _write(pa, writer, waiting)
 
 
-class _Table:
-    """Collects decoded parts into the row groups of a table, and writes them."""
+def _write(pa: Any, writer: Any, waiting: list[Any]) -> None:
+    """Write what waits, if anything does, as row groups."""
+    whole = pa.Table.from_batches(waiting, writer.schema).unify_dictionaries()
+    waiting.clear()
+    if whole.num_rows:
+        writer.write_table(whole, row_group_size=ROWS)
 
-    def __init__(self, pa: Any, writer: Any, columns: Sequence[Column], start: int) -> None:
-        self._pa = pa
-        self._writer = writer
-        self._schema = writer.schema
-        self._columns = columns
-        self._start = start
-        self._waiting: list[Any] = []
-        self._rows = 0
 
-    def add(self, part: Part) -> None:
-        """Add the rows of a part. Raises OverflowError or ArrowInvalid for a time out of range."""
-        arrays = self._listed(part.listed) if isinstance(part, Records) else self._stretch(part)
-        batch = self._pa.record_batch(list(arrays), schema=self._schema)
-        self._waiting.append(batch)
-        self._rows += batch.num_rows
-        if self._rows >= ROWS:
-            self.write()
+def _arrays(
+    pa: Any, records: Iterable[Record], columns: Iterable[Column], schema: Any, start: int
+) -> Iterator[Any]:
+    """Yield an array for each column. Raises OverflowError or ArrowInvalid for a time too far."""
+    rows = [(line, record.t) for record in records if (line := json_line(record))]
+    lines, times = [line for line, _ in rows], [t for _, t in rows]
+    for column, field in zip(columns, schema, strict=True):
+        yield pa.array(_values(column, lines, times, start), field.type)
 
-    def write(self) -> None:
-        """Write the rows that wait, if there are any."""
-        if not self._rows:
-            return
-        whole = self._pa.Table.from_batches(self._waiting, self._schema).unify_dictionaries()
-        self._writer.write_table(whole, row_group_size=ROWS)
-        self._waiting, self._rows = [], 0
 
-    def _listed(self, records: Sequence[Record]) -> Iterator[Any]:
-        rows = [(record.t, line) for record in records if (line := json_line(record))]
-        for column, field in zip(self._columns, self._schema, strict=True):
-            if column.name == "time":
-                values: list[Any] = [self._start + t for t, _ in rows]
-            elif column.name == "t_ns":
-                values = [t for t, _ in rows]
-            else:
-                values = [column.value(line) for _, line in rows]
-            yield self._pa.array(values, field.type)
-
-    def _stretch(self, stretch: Stretch) -> Iterator[Any]:
-        from bilprov.analyzer.output.stretch_rows import StretchRows
-
-        pa, rows = self._pa, StretchRows(stretch)
-        for column, field in zip(self._columns, self._schema, strict=True):
-            if column.name == "time":
-                pa.scalar(self._start + stretch.latest, field.type)  # or the sum may wrap around
-                yield pa.array(rows.t + self._start).cast(field.type)
-            else:
-                values, place = rows.cells(column)
-                yield pa.array(values, field.type).take(pa.array(place))
+def _values(
+    column: Column, lines: Sequence[JsonLine], times: Sequence[int], start: int
+) -> Sequence[Any]:
+    """The values of a column in lines at these times (ns), of a capture that began at `start`."""
+    name = column.name
+    if name == "time":
+        return [start + t for t in times]
+    if name == "t_ns":
+        return times
+    if name == "faults":
+        return [line.faults for line in lines]
+    values = list(map(column.value, lines))
+    if name == "bytes":
+        return converted(values, bytes.fromhex)
+    return converted(values, _harmless) if name in _WORDS | _TEXTS else values
 
 
 def _pyarrow() -> tuple[Any, Any]:
@@ -171,36 +159,19 @@ def _wide(protocol: Protocol) -> set[str]:
     }
 
 
-def _type(pa: Any, name: str, wide: set[str]) -> Any:
-    if name == "time":
-        return pa.timestamp("ns", "UTC")
-    if name == "bytes":
-        return pa.binary()
-    if name == "faults":
-        return pa.list_(pa.string())
-    if name in _SECONDS:
-        return pa.float64()
-    if name in _TRUTHS:
-        return pa.bool_()
-    if name in _WORDS:
-        return pa.dictionary(pa.int32(), pa.string())
-    if name in _TEXTS:
-        return pa.string()
-    return pa.decimal128(38) if name in wide else pa.int64()
+def _types(pa: Any, protocol: Protocol) -> dict[str, Any]:
+    """The types of the columns that are no whole numbers of 64 bits."""
+    return {
+        "time": pa.timestamp("ns", "UTC"),
+        "bytes": pa.binary(),
+        "faults": pa.list_(pa.string()),
+        **dict.fromkeys(_SECONDS, pa.float64()),
+        **dict.fromkeys(_TRUTHS, pa.bool_()),
+        **dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string())),
+        **dict.fromkeys(_TEXTS, pa.string()),
+        **dict.fromkeys(_wide(protocol), pa.decimal128(38)),
+    }
 
 
-def _typed(column: Column) -> Column:
-    """The column with values of its type."""
-    value: Any = column.value
-    typed: Any = value
-    if column.name == "bytes":
-        typed = lambda line: bytes.fromhex(line.hex)  # noqa: E731
-    elif column.name == "faults":
-        typed = lambda line: line.faults  # noqa: E731
-    elif column.name in _TEXTS | _WORDS:
-        typed = lambda line: _text(value(line))  # noqa: E731
-    return replace(column, value=typed)
-
-
-def _text(value: Any) -> str | None:
-    return None if value is None else escape_controls(value)
+def _harmless(text: Value) -> str | None:
+    return None if text is None else escape_controls(str(text))

@@ -23,13 +23,14 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
+from itertools import repeat
 from operator import itemgetter
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
-from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.batch import Batch
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, event_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
@@ -40,7 +41,6 @@ from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
     from bilprov.analyzer.filters.filter import Filter
 
 LINKTYPE_RTAC_SERIAL = 250
@@ -113,15 +113,15 @@ def write_pcapng(
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
     blocks = _Blocks(capture.start)
-    for batch in event_batches(capture, progress, window, TEXT_BATCH):
-        packets.take(decoder.feed(batch))
-        stream.write(blocks.of(packets.settled(decoder, batch[-1].t)))
+    for events in event_batches(capture.batches(), progress, window, TEXT_BATCH):
+        packets.take(decoder.decode(events))
+        stream.write(blocks.of(packets.settled(decoder, int(events.t[-1]))))
     packets.take(decoder.finish())
     stream.write(blocks.of(packets.rest()))
 
 
 class _Packets:
-    """Chooses among decoded parts, and makes packets of them in the order of time.
+    """Chooses among decoded rows, and makes packets of them in the order of time.
 
     A frame is decoded when it is known to be over, an answer when it is known what it answers: so
     packets wait until nothing that is older can follow. `paired` is true if both directions were
@@ -132,20 +132,14 @@ class _Packets:
         self._test = test
         self._window = window
         self._paired = paired
-        self._everything = test is None and window == Window()
         # Chosen instructions whose answers may follow; bounded, since a device may never answer.
         self._asked: deque[int] = deque(maxlen=_MOST_ASKED)
         self._waiting: list[Packet] = []
 
-    def take(self, parts: Iterable[Part]) -> None:
-        """Make packets of the next decoded parts."""
-        for part in parts:
-            if isinstance(part, Records):
-                self._waiting += self._of_records(part.listed)
-            elif self._everything:
-                self._waiting += _of_stretch(part)
-            else:
-                self._waiting += self._of_records(self._chosen(part))
+    def take(self, batches: Iterable[Batch]) -> None:
+        """Make packets of the next batches."""
+        for batch in batches:
+            self._waiting += self._of(batch)
 
     def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
         """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
@@ -166,50 +160,31 @@ class _Packets:
         packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
         return packets
 
-    def _of_records(self, records: Iterable[Record]) -> Iterator[Packet]:
-        """Yield the packets of the records that are chosen."""
-        for record in records:
+    def _of(self, batch: Batch) -> Iterator[Packet]:
+        """Yield the packets of the rows that pass, and those of the answers that they bring."""
+        passing: Iterable[bool] = repeat(True)
+        if self._test is not None:
+            passing = batch.in_order(self._test.selection(batch)).tolist()
+        for record, passes in zip(batch.records(), passing, strict=False):
+            if not self._window.has(record.t):
+                continue
             if isinstance(record, DeviceRecord):
                 brought = self._brought(record.instruction)
-                if self._window.has(record.t) and (brought or self._passes(record)):
+                if passes or brought:
                     yield _of_answer(record, stray=self._paired and not brought)
-            elif self._window.has(record.t) and self._passes(record):
-                if isinstance(record, HostRecord):
-                    if record.sequence is not None and not self._everything:
-                        self._asked.append(record.sequence)
-                    yield from _of_host(record)
-                elif isinstance(record, LineRecord):
-                    yield _of_line(record.value)
-
-    def _passes(self, record: Record) -> bool:
-        if self._test is None:
-            return True
-        line = json_line(record)
-        return line is not None and self._test(line)
+            elif passes and isinstance(record, HostRecord):
+                if record.sequence is not None:
+                    self._asked.append(record.sequence)
+                yield from _of_host(record)
+            elif passes and isinstance(record, LineRecord):
+                yield _of_line(record.value)
 
     def _brought(self, instruction: int | None) -> bool:
         """Whether an answer's instruction is in the file, so that the answer is too."""
-        if instruction is None or self._everything:
-            return instruction is not None
         asked = self._asked
-        while asked and asked[0] < instruction:  # answers come in order
-            asked.popleft()
+        while asked and instruction is not None and asked[0] < instruction:
+            asked.popleft()  # answers come in order
         return bool(asked) and asked[0] == instruction
-
-    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
-        """Yield the records of a stretch that pass, and the answers that they may bring."""
-        host, device = stretch.inside(self._window.first, self._window.after)
-        brought = device
-        if self._test is not None:
-            passing = self._test.masks(stretch)
-            host, device = host & passing[0], device & passing[1]
-        if stretch.decoding.paired:
-            carried, asked = stretch.carried, set(self._asked)
-            rows = [row for row in range(carried) if stretch.sequence + row in asked]
-            rows += (host.nonzero()[0] + carried).tolist()
-            answered = [row for row in rows if row < len(device)]
-            device[answered] |= brought[answered]
-        return stretch.chosen(host, device, [True] * len(stretch.lines))
 
 
 def _of_host(record: HostRecord) -> Iterator[Packet]:
@@ -240,24 +215,7 @@ def _of_line(line: Line) -> Packet:
     return Packet(line.t, interface, event, b"", comment, lines)
 
 
-def _of_stretch(stretch: Stretch) -> Iterator[Packet]:
-    """Yield the packets of all rows; every answer is one to an instruction."""
-    frames = stretch.frame_bytes(slice(stretch.carried, None))
-    ends = stretch.end[stretch.carried :].tolist()
-    answers, times = stretch.byte.tolist(), stretch.t.tolist()
-    for side, start, stop, _ in stretch.spans:
-        if side == "host":
-            for row in range(start - stretch.carried, stop - stretch.carried):
-                yield Packet(ends[row], 0, Event.DATA_TX_START, frames[row])
-        elif side == "device":
-            for row in range(start, stop):
-                yield Packet(times[row], 1, Event.DATA_RX_START, _ONE_BYTE[answers[row]])
-        else:
-            yield _of_line(stretch.lines[start])
-
-
 _MOST_ASKED = 1 << 18
-_ONE_BYTE = [bytes([byte]) for byte in range(256)]
 
 
 # The format: https://ietf-opsawg-wg.github.io/draft-ietf-opsawg-pcap/draft-ietf-opsawg-pcapng.html
@@ -266,9 +224,8 @@ _END_OF_OPTIONS, _COMMENT = 0, 1
 _USER_APPLICATION = 4  # of a section
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9  # of an interface
 _NANOSECONDS = 9  # as a resolution: 10^-9 s
-_PACKET_FRONT = struct.Struct("<7I")
+_PACKET_FRONT = struct.Struct("<5I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
-_LENGTH = struct.Struct("<I")
 _LATEST = (1 << 64) - 1  # ns
 _LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
@@ -291,23 +248,14 @@ class _Blocks:
         # The times of a forged capture may be any.
         wall = min(max(self._start + t, 0), _LATEST)
         seconds, rest = divmod(wall, 1_000_000_000)
-        size = _RTAC_FRONT.size + len(data)
-        options = _options((_COMMENT, _utf8(comment))) if comment else b""
-        whole = _PACKET_FRONT.size + _padded(size) + len(options) + _LENGTH.size
-        return b"".join(
-            (
-                _PACKET_FRONT.pack(
-                    _ENHANCED_PACKET, whole, interface, wall >> 32, wall & 0xFFFFFFFF, size, size
-                ),
-                _RTAC_FRONT.pack(
-                    seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0
-                ),
-                data,
-                bytes(-size % 4),
-                options,
-                _LENGTH.pack(whole),
-            )
+        data = (
+            _RTAC_FRONT.pack(seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0)
+            + data
         )
+        size = len(data)
+        front = _PACKET_FRONT.pack(interface, wall >> 32, wall & 0xFFFFFFFF, size, size)
+        options = _options((_COMMENT, _utf8(comment))) if comment else b""
+        return _any_block(_ENHANCED_PACKET, front + _padded(data) + options)
 
 
 def _section(capture: Capture, protocol: Protocol) -> bytes:
@@ -349,19 +297,19 @@ def _ports(capture: Capture) -> dict[str, str]:
 
 
 def _any_block(kind: int, body: bytes) -> bytes:
-    whole = _LENGTH.pack(len(body) + 12)
-    return _LENGTH.pack(kind) + whole + body + whole
+    whole = len(body) + 12
+    return struct.pack("<II", kind, whole) + body + struct.pack("<I", whole)
 
 
 def _options(*options: tuple[int, bytes]) -> bytes:
     return b"".join(
-        struct.pack("<HH", code, len(value)) + value + bytes(-len(value) % 4)
+        struct.pack("<HH", code, len(value)) + _padded(value)
         for code, value in (*options, (_END_OF_OPTIONS, b""))
     )
 
 
-def _padded(size: int) -> int:
-    return size + -size % 4
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)
 
 
 def _utf8(text: str) -> bytes:

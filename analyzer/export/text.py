@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, BinaryIO
 
-from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import NoOutput, Shown, TextForm, Window
 from bilprov.analyzer.output.row_columns import AS_USUAL, RowStyle
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_parts
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_batches
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
@@ -64,7 +63,6 @@ def _write(
     progress: Progress,
 ) -> None:
     shown = Shown(NoOutput(), test, window=window)
-    for decoded in decoded_parts(capture, protocol, progress, window, TEXT_BATCH):
-        part = shown.show(decoded)
-        text = form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
+    for decoded in decoded_batches(capture, protocol, progress, window, TEXT_BATCH):
+        text = form.text(shown.show(decoded).records())
         stream.write(text.encode("utf-8", "backslashreplace"))

@@ -6,29 +6,13 @@ What can never hold, or asks nothing of a row, is a mistake: the error says what
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NoReturn, TypeAlias
 
-from bilprov.analyzer.filters import moments, parts, tree
+from bilprov.analyzer.filters import moments, tree, values
 from bilprov.analyzer.filters.fields import Field, Kind, find, folded
 from bilprov.analyzer.filters.parts import FilterError, Part
-from bilprov.analyzer.filters.values import (
-    example,
-    instant,
-    kind_of,
-    listed,
-    names_value,
-    only_a_value,
-    owners,
-    refuse,
-    refuse_part,
-    refuse_unknown,
-    require_possible,
-    shown,
-    value,
-    whole_number,
-    word,
-)
+from bilprov.analyzer.filters.values import kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
 
 _TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
@@ -52,28 +36,26 @@ class _Checker:
 
     def condition(self, part: Part) -> tree.Node:
         """What is true or false by itself. Raises FilterError."""
-        match part:
-            case parts.Joined(every=every, parts=several):
-                return tree.Joined(every, tuple(map(self.condition, several)))
-            case parts.Negated(part=negated):
-                return tree.Not(self.condition(negated))
-            case parts.Compared(first=left, steps=steps):
-                nodes = []
-                for sign, right in steps:
-                    nodes.append(self._comparison(left, sign, right))
-                    left = right
-                return nodes[0] if len(nodes) == 1 else tree.Joined(True, tuple(nodes))
-        if self._field(part) is None or only_a_value(self._protocol, part):
+        match part.kind:
+            case "and" | "or":
+                return tree.Joined(part.kind == "and", tuple(map(self.condition, part.parts)))
+            case "not":
+                return tree.Not(self.condition(part.parts[0]))
+            case "compared":
+                operands, signs = part.parts[::2], part.parts[1::2]
+                nodes = tuple(map(self._comparison, operands, signs, operands[1:]))
+                return nodes[0] if len(nodes) == 1 else tree.Joined(True, nodes)
+        if self._field(part) is None or values.only_a_value(self._protocol, part):
             return self._refuse_value(part)
         operand, field = self._operand(part)
         if isinstance(operand, tree.Bits):
             return tree.Comparison(operand, "!=", tree.Constant(0))
         if field.kind is not Kind.TRUTH:
-            rest = f"is {kind_of(field)}, not a condition: compare it, like {example(field)}"
-            refuse_part(part, rest)
+            example = values.example(field)
+            refuse_part(part, f"is {kind_of(field)}, not a condition: compare it, like {example}")
         return tree.Comparison(operand, "==", tree.Constant(True))
 
-    def _comparison(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
         one, other = self._fields(left, right)
         if one and (one.kind is Kind.TEXT or sign.text.endswith("contains")):
             other = None  # any word is text there
@@ -93,30 +75,30 @@ class _Checker:
         number (`Speed != OK`).
         """
         one, other = self._field(left), self._field(right)
-        if one and names_value(right, one):
+        if one and values.names_value(right, one):
             return one, None
-        if other and names_value(left, other):
+        if other and values.names_value(left, other):
             return None, other
-        numbers = parts.Number | parts.Range | parts.Listed
-        if not isinstance(right, numbers) and only_a_value(self._protocol, left):
+        numbers = ("number", "range", "set")
+        if right.kind not in numbers and values.only_a_value(self._protocol, left):
             one = None
-        if not isinstance(left, numbers) and only_a_value(self._protocol, right):
+        if left.kind not in numbers and values.only_a_value(self._protocol, right):
             other = None
         return one, other
 
-    def _turned(self, left: Part, sign: parts.Sign, right: Part, field: Field) -> tree.Node:
+    def _turned(self, left: Part, sign: Part, right: Part, field: Field) -> tree.Node:
         """A comparison whose field stands on the right: `100 < speed`, `'LED' in reason`."""
         if sign.text in _TURNED:
             turned = _TURNED[sign.text]
         elif sign.text.endswith("in") and "contains" in field.signs:
             turned = sign.text.replace("in", "contains")
         else:
-            refuse(sign, f"the name stands before {sign.text}, like {example(field)}")
-        return self._with_value(right, parts.Sign(sign.start, sign.end, turned), left)
+            refuse(sign, f"the name stands before {sign.text}, like {values.example(field)}")
+        return self._with_value(right, sign._replace(text=turned), left)
 
-    def _two_fields(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
-        if sign.text not in tree.COMPARISONS:
+        if sign.text not in _TURNED:
             refuse_part(right, f"is a name of the row, and {sign.text} takes values")
         if one.kind is not other.kind:
             kinds = f"{one.name} is {kind_of(one)}, {other.name} is {kind_of(other)}"
@@ -130,7 +112,7 @@ class _Checker:
             refuse_part(right, f"is a name of the row; {one.name} is compared with values")
         return tree.Comparison(operand, sign.text, with_operand)
 
-    def _with_value(self, left: Part, sign: parts.Sign, right: Part) -> tree.Node:
+    def _with_value(self, left: Part, sign: Part, right: Part) -> tree.Node:
         """A comparison of a field with what is the same in all rows."""
         operand, field = self._operand(left)
         self._require_sign(field, sign)
@@ -139,13 +121,13 @@ class _Checker:
         if sign.text.endswith("in"):
             return self._among(operand, field, right, sign.text == "in")
         if field.kind is Kind.WORDS:
-            kinds = right.parts if isinstance(right, parts.Listed) else (right,)
-            found = frozenset(str(word(self._protocol, kind, field)) for kind in kinds)
+            kinds = right.parts if right.kind == "set" else (right,)
+            found = frozenset(str(values.word(self._protocol, kind, field)) for kind in kinds)
             return tree.Comparison(operand, sign.text, tree.Constant(found))
         if field.kind is Kind.CLOCK:
-            moment = instant(right)
+            moment = values.instant(right)
             return tree.Comparison(_clock(moment), sign.text, tree.Constant(moment.ns))
-        found_value = value(self._protocol, right, field)
+        found_value = values.value(self._protocol, right, field)
         if field.kind is Kind.NUMBER and isinstance(found_value, float):
             if sign.text in ("==", "!="):
                 refuse_part(right, f"is not whole, and {field.name} always is")
@@ -155,13 +137,9 @@ class _Checker:
         return tree.Comparison(operand, sign.text, tree.Constant(found_value))
 
     def _among(self, operand: tree.Operand, field: Field, right: Part, holds: bool) -> tree.Node:
-        match right:
-            case parts.Listed(parts=several):
-                pass
-            case parts.Range():
-                several = (right,)
-            case _:
-                refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
+        if right.kind not in ("set", "range"):
+            refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
+        several = right.parts if right.kind == "set" else (right,)
         if field.kind is Kind.CLOCK:
             return self._among_moments(several, holds)
         return tree.Among(
@@ -170,47 +148,50 @@ class _Checker:
 
     def _ends(self, operand: tree.Operand, field: Field, part: Part) -> _Ends:
         """The ends of a range; those of a single value are the same."""
-        if isinstance(part, parts.Range):
+        if part.kind == "range":
             low, high = self._range_ends(part, field)
             return tree.Constant(low), tree.Constant(high)
-        if self._field(part) is not None and not names_value(part, field):
+        if self._field(part) is not None and not values.names_value(part, field):
             end, other = self._operand(part)
             if other.kind is not field.kind:
                 refuse_part(part, f"is {kind_of(other)}, and {field.name} is {kind_of(field)}")
             return end, end
-        found = value(self._protocol, part, field)
+        found = values.value(self._protocol, part, field)
         if field.kind is Kind.NUMBER and isinstance(found, float):
             refuse_part(part, f"is not whole, and {field.name} always is")
         _require_possible(operand, field, "==", found, part)
         return tree.Constant(found), tree.Constant(found)
 
-    def _range_ends(self, part: parts.Range, field: Field) -> tuple[float, float]:
-        low, high = (value(self._protocol, end, field) for end in (part.low, part.high))
+    def _range_ends(self, part: Part, field: Field) -> tuple[float, float]:
+        low, high = (values.value(self._protocol, end, field) for end in part.parts)
         if isinstance(low, str | bytes | bool) or isinstance(high, str | bytes | bool):
-            refuse(part, f"{field.name} is {kind_of(field)}, which has no ranges: name each value")
+            refuse(
+                part,
+                f"{field.name} is {kind_of(field)}, which has no ranges: name each value",
+            )
         if low > high:
-            refuse(part, f"the range ends at {shown(part.high)}, before it begins")
+            refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
         if field.kind is Kind.NUMBER:
             low, high = math.ceil(low), math.floor(high)
             if low > high:
                 refuse(part, f"no whole number is in this range, and {field.name} always is one")
-        require_possible(field, ">=", low, part.low)
-        require_possible(field, "<=", high, part.high)
+        values.require_possible(field, ">=", low, part.parts[0])
+        values.require_possible(field, "<=", high, part.parts[1])
         return low, high
 
     def _among_moments(self, several: Sequence[Part], holds: bool) -> tree.Node:
         """Ranges of moments; of a day, one that ends before it begins goes over midnight."""
         ranges: list[tuple[moments.Instant, moments.Instant]] = []
         for part in several:
-            if not isinstance(part, parts.Range):
+            if part.kind != "range":
                 refuse(
                     part, "no row matches a moment exactly: write a range, like 14:03:20..14:03:21"
                 )
-            low, high = instant(part.low), instant(part.high)
+            low, high = map(values.instant, part.parts)
             if len({low.daily, high.daily, *(first.daily for first, _ in ranges)}) > 1:
                 refuse(part, "times of day and times with a date do not go together in one set")
             if low > high and not low.daily:
-                refuse(part, f"the range ends at {shown(part.high)}, before it begins")
+                refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
             if low > high:
                 ranges.append((low, moments.Instant(True, moments.DAY)))
                 low = moments.Instant(True, 0)
@@ -220,20 +201,20 @@ class _Checker:
 
     def _containing(self, field: Field, right: Part, holds: bool) -> tree.Node:
         if field.kind is Kind.WORDS:
-            return tree.Contains(field.key, str(word(self._protocol, right, field)), holds)
+            return tree.Contains(field.key, str(values.word(self._protocol, right, field)), holds)
         if field.kind is Kind.BYTES:
-            data = value(self._protocol, right, field)
+            data = values.value(self._protocol, right, field)
             if not isinstance(data, bytes) or not data:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
             return tree.Contains(field.key, data, holds)
-        if not isinstance(right, parts.Quoted | parts.Word) or not right.text:
+        if right.kind not in values.TEXTS or not right.text:
             refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
             return tree.Contains(field.key, right.text, holds)
         same = folded(right.text)
         found = [named for text, named in field.words.items() if same in folded(text)]
         if not found:
-            refuse_part(right, f"is in no {field.name}; there are {listed(field)}")
+            refuse_part(right, f"is in no {field.name}; there are {values.listed(field)}")
         ends = tuple((tree.Constant(one), tree.Constant(one)) for one in found)
         return tree.Among(tree.Name(field.key), ends, holds)
 
@@ -241,35 +222,32 @@ class _Checker:
 
     def _field(self, part: Part) -> Field | None:
         """The field that a part asks the row for, None for what is the same in all rows."""
-        match part:
-            case parts.Word(text=text):
-                return find(self._protocol, text)
-            case parts.Item() | parts.Bits():
-                return self._operand(part)[1]
-            case parts.Compared() | parts.Joined() | parts.Negated():
-                refuse(part, "a condition is not compared: join it with and, or, not")
-        return None
+        if part.kind in ("compared", "and", "or", "not"):
+            refuse(part, "a condition is not compared: join it with and, or, not")
+        if part.kind == "word":
+            return find(self._protocol, part.text)
+        return self._operand(part)[1] if part.kind in ("item", "bits") else None
 
     def _operand(self, part: Part) -> tuple[tree.Operand, Field]:
         """What a part asks the row for, and as a field: its kind and its limits."""
-        match part:
-            case parts.Item(of=of, index=index):
-                whole = self._operand(of)[1]
-                place = self._index(whole, index)
-                byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
-                return tree.Item(whole.key, place), byte
-            case parts.Bits(left=left, right=right):
-                if id(part) not in self._known:
-                    if self._field(left) is None:
-                        left, right = right, left
-                    self._known[id(part)] = self._bits(left, right, shown(part))
-                return self._known[id(part)]
+        if part.kind == "item":
+            whole = self._operand(part.parts[0])[1]
+            place = self._index(whole, part.parts[1])
+            byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
+            return tree.Item(whole.key, place), byte
+        if part.kind == "bits":
+            if id(part) not in self._known:
+                left, right = part.parts
+                if self._field(left) is None:
+                    left, right = right, left
+                self._known[id(part)] = self._bits(left, right, shown(part))
+            return self._known[id(part)]
         field = self._field(part)
         assert field is not None
         return tree.Name(field.key), field
 
-    def _index(self, field: Field, index: parts.Number) -> int:
-        place, most = whole_number(index), self._protocol.data_lengths[-1]
+    def _index(self, field: Field, index: Part) -> int:
+        place, most = values.whole_number(index), self._protocol.data_lengths[-1]
         if place is None or place < 0:
             refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
         if field.name == "data" and place >= most:
@@ -289,7 +267,7 @@ class _Checker:
         if self._field(right) is not None:
             both = tree.Bits(operand, self._operand(right)[0])
             return both, Field(name, Kind.NUMBER, "bits")
-        mask = value(self._protocol, right, field)
+        mask = values.value(self._protocol, right, field)
         if not isinstance(mask, int) or mask < 0 or mask.bit_length() > 63:
             refuse_part(right, "is not a mask; & takes a whole number like 4 or 0x80")
         reach = mask
@@ -302,7 +280,7 @@ class _Checker:
 
     # What is a mistake
 
-    def _require_sign(self, field: Field, sign: parts.Sign) -> None:
+    def _require_sign(self, field: Field, sign: Part) -> None:
         text = sign.text.removeprefix("not ")
         if text in field.signs:
             return
@@ -311,28 +289,28 @@ class _Checker:
         elif text == "contains":
             why = "which contains nothing: contains is for names, text, bytes and faults"
         elif text == "in":
-            why = f"so write {example(field)}"
+            why = f"so write {values.example(field)}"
         else:
             why = "which has no order: use == or !="
         refuse(sign, f"{field.name} is {kind_of(field)}, {why}")
 
     def _refuse_value(self, part: Part) -> NoReturn:
         """Refuse a value that stands where a condition should. Raises FilterError."""
-        if isinstance(part, parts.Word):
+        if part.kind == "word":
             names = owners(self._protocol, part.text)
             if not names:
-                refuse_unknown(self._protocol, part)
+                values.refuse_unknown(self._protocol, part)
             refuse_part(part, f"is a value, not a condition: write {names[0]} == {shown(part)}")
         refuse_part(part, "asks nothing of the row: compare it with a name, like latency > 20ms")
 
     def _refuse_constants(self, left: Part, right: Part) -> NoReturn:
         """Refuse a comparison that asks nothing of the row. Raises FilterError."""
-        for part in (left, right):
-            if isinstance(part, parts.Word) and not owners(self._protocol, part.text):
-                refuse_unknown(self._protocol, part)
-        words: Iterable[Part] = (part for part in (left, right) if isinstance(part, parts.Word))
-        first = next((shown(part) for part in words), "")
-        meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if first else ""
+        words = [part for part in (left, right) if part.kind == "word"]
+        for part in words:
+            if not owners(self._protocol, part.text):
+                values.refuse_unknown(self._protocol, part)
+        first = shown(words[0]) if words else ""
+        meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if words else ""
         sentence = f"two values are compared, which is the same for all rows{meant}"
         raise FilterError(sentence, left.start, right.end)
 
@@ -343,7 +321,7 @@ def _require_possible(
     """Refuse a value that the operand never has. Raises FilterError."""
     if isinstance(found, str | bytes):
         return
-    require_possible(field, sign, found, part)
+    values.require_possible(field, sign, found, part)
     match operand:
         case tree.Bits(right=tree.Constant(value=int() as mask)):
             if sign in ("==", "!=") and int(found) & ~mask:

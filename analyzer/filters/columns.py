@@ -1,4 +1,4 @@
-"""The values that a filter asks for, as columns of the rows of a Stretch. Needs numpy.
+"""The values that a filter asks for, as columns of the rows of a batch. Needs numpy.
 
 Numbers and bytes are arrays; words are coded, so that each word of a column is looked at once.
 """
@@ -6,22 +6,26 @@ Numbers and bytes are arrays; words are coded, so that each word of a column is 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.kinds import device_kinds, host_kinds
-from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.records import DeviceRecord
+from bilprov.analyzer.decode.batch import (
+    GARBAGE,
+    INSTRUCTION,
+    KINDS,
+    NO_VERDICT,
+    DeviceRows,
+    HostRows,
+    Mask,
+)
+from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
-from bilprov.spec.steps import data_decide
-from bilprov.spec.tables import MOTIONS, VALID, moving
-
-Mask: TypeAlias = NDArray[np.bool_]
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.tables import MOTIONS, OUTCOMES, VALID, field_values
 
 
 class Numbers(NamedTuple):
@@ -48,296 +52,224 @@ class Octets(NamedTuple):
 
 Column: TypeAlias = Numbers | Words | Octets
 
-_NONE = Numbers(np.zeros((), np.int64), np.zeros((), np.bool_))
+
+Maker: TypeAlias = Callable[[], Column]
+
+NOTHING = Numbers(np.zeros((), np.int64), np.zeros((), np.bool_))
+"""The column of a name that none of the rows has."""
 
 
-class Rows(ABC):
-    """The rows of one side of a stretch."""
+class Columns(ABC):
+    """The columns of some rows that came at `t` (ns), each made when it is asked for.
 
-    def __init__(self, stretch: Stretch, start: int | None, count: int) -> None:
-        self._stretch = stretch
+    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+    """
+
+    def __init__(self, t: NDArray[np.int64], start: int | None) -> None:
+        self._t = t
         self._start = start
-        self.count = count
-        self._protocol = stretch.decoding.protocol
         self._columns: dict[str, Column] = {}
 
-    def column(self, key: str) -> Column:
-        """The values of a name."""
-        found = self._columns.get(key)
-        if found is None:
-            found = self._columns[key] = self._made(key)
-        return found
+    def __len__(self) -> int:
+        return len(self._t)
+
+    def __getitem__(self, key: str) -> Column:
+        if key not in self._columns:
+            self._columns[key] = self._made(key)
+        return self._columns[key]
 
     def _made(self, key: str) -> Column:
         space, _, name = key.rpartition(".")
-        if space == "fields":
-            return self._field(name)
-        if space == "state":
-            return self._state(name)
+        if space:
+            return self._field(name) if space == "fields" else self._state(name)
+        if key == "t":
+            return Numbers(self._t / 1e9)
         if key in (DATE, TIME_OF_DAY):
             return self._clock(key)
-        made: Column = getattr(self, f"_{key}")()
-        return made
+        make = self._makers().get(key)
+        return make() if make else NOTHING
 
-    def _clock(self, key: str) -> Numbers:
+    def _clock(self, key: str) -> Column:
         """The wall clock in ns: since 1970, or since local midnight."""
         if self._start is None:
-            return _NONE
-        wall = np.rint(np.multiply(self._t().value, 1e9)).astype(np.int64) + self._start
+            return NOTHING
+        wall = self._t + self._start
         if key == DATE:
             return Numbers(wall)
-        step = wall // STEP
-        begins = np.flatnonzero(np.diff(step, prepend=step[0] - 1))  # a run of one offset each
-        offsets = [offset(one) for one in step[begins].tolist()]
-        runs = np.diff(begins, append=len(step))
-        return Numbers((wall + np.repeat(np.array(offsets, np.int64), runs)) % DAY)
+        step, place = np.unique(wall // STEP, return_inverse=True)
+        offsets = np.array([offset(one) for one in step.tolist()], np.int64)
+        return Numbers((wall + offsets[place]) % DAY)
 
-    @abstractmethod
-    def _t(self) -> Numbers:
-        """Seconds since the start."""
-
-    @abstractmethod
-    def _field(self, name: str) -> Numbers:
+    def _field(self, name: str) -> Column:
         """A field of the instructions."""
+        return NOTHING
 
     @abstractmethod
     def _state(self, variable: str) -> Column:
         """A variable of the state, or `moving`."""
 
+    @abstractmethod
+    def _makers(self) -> Mapping[str, Maker]:
+        """What makes the other columns that there are."""
 
-class HostRows(Rows):
-    """The new host rows."""
 
-    def __init__(self, stretch: Stretch, start: int | None) -> None:
-        super().__init__(stretch, start, stretch.host_rows)
+class Side(Columns):
+    """The rows of one side."""
 
-    @cached_property
-    def _header(self) -> NDArray[np.uint8]:
-        return (self._stretch.new.key >> 8).astype(np.uint8)
+    def __init__(self, protocol: Protocol, rows: HostRows | DeviceRows, start: int | None) -> None:
+        super().__init__(rows.t, start)
+        self._protocol = protocol
+        self._rows: Any = rows
 
-    def _field(self, name: str) -> Numbers:
-        stretch, protocol = self._stretch, self._protocol
-        value = np.zeros(self.count, np.int64)
-        present = np.zeros(self.count, np.bool_)
-        for spec in protocol.instructions:
+    def _state(self, variable: str) -> Column:
+        states = self._rows.states
+        if variable == "moving":
+            return _truth(states.moving)
+        if variable == "motion":
+            return Words(states[variable], [motion.value for motion in MOTIONS])
+        return Numbers(states[variable])
+
+    def _judgement(self) -> Column:
+        codes = [self._protocol.answers[outcome].code for outcome in OUTCOMES]
+        verdict = self._rows.verdict
+        return Numbers(np.array([*codes, 0]).take(verdict), verdict != NO_VERDICT)
+
+    def _faults(self) -> Column:
+        return Words(self._rows.faults.code, list(map(frozenset, self._rows.faults.kinds)))
+
+
+class HostColumns(Side):
+    """The host's rows."""
+
+    def _makers(self) -> Mapping[str, Maker]:
+        rows = self._rows
+        return {
+            "id": lambda: self._of_header(0),
+            "len": lambda: self._of_header(1),
+            "hex": lambda: Octets(rows.data, rows.offset, rows.size),
+            "data": self._data,
+            "direction": lambda: _one("host"),
+            "kind": lambda: Words(rows.kind, KINDS),
+            "name": self._name,
+            "judgement": self._judgement,
+            "faulty": lambda: _truth(rows.verdict != VALID),
+            "faults": self._faults,
+            "reason": self._reason,
+            "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
+        }
+
+    def _field(self, name: str) -> Column:
+        rows = self._rows
+        value, present = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.bool_)
+        for spec in self._protocol.instructions:
+            header = self._protocol.header_bytes[spec.id, spec.length]
             for part in spec.fields:
                 if part.name == name:
-                    header = protocol.header_bytes[spec.id, spec.length]
-                    rows = np.flatnonzero(self._header == header)
-                    offsets = stretch.new.offset[rows]
-                    value[rows] = stretch.decoding.tables.field(part, stretch.data, offsets)
-                    present[rows] = True
+                    found = (rows.header == header) & (rows.kind == INSTRUCTION)
+                    values = field_values(part, rows.data, rows.offset[found])
+                    if values.dtype.kind != "i":  # wider than 64 bits with a sign
+                        value = value.astype(object)
+                    value[found] = values
+                    present |= found
         return Numbers(value, present)
 
-    def _state(self, variable: str) -> Column:
-        states = self._stretch.states
-        if variable == "moving":
-            return Words(moving(states.motion, states.speed).view(np.uint8), (False, True))
-        column = getattr(states, variable)
-        return _motion_words(column) if variable == "motion" else Numbers(column)
+    def _of_header(self, place: int) -> Column:
+        """The ID or the length in the header."""
+        values = np.array([header[place] for header in self._protocol.headers])
+        return Numbers(values.take(self._rows.header), self._rows.kind != GARBAGE)
 
-    def _id(self) -> Numbers:
-        ids = np.array([identity for identity, _ in self._protocol.headers])
-        return Numbers(ids.take(self._header))
+    def _data(self) -> Column:
+        size = np.where(self._rows.kind == GARBAGE, -1, self._rows.size - 1)
+        return Octets(self._rows.data, self._rows.offset + 1, size)
 
-    def _len(self) -> Numbers:
-        return Numbers(np.array(list(self._protocol.lengths)).take(self._header))
+    def _name(self) -> Column:
+        specs = [self._protocol.by_id.get(identity) for identity, _ in self._protocol.headers]
+        code = np.where(self._rows.kind == GARBAGE, np.int64(len(specs)), self._rows.header)
+        return Words(code, [spec.name if spec else None for spec in (*specs, None)])
 
-    def _hex(self) -> Octets:
-        stretch = self._stretch
-        return Octets(stretch.data, stretch.new.offset, stretch.size[stretch.carried :])
-
-    def _data(self) -> Octets:
-        data, start, size = self._hex()
-        return Octets(data, start + 1, size - 1)
-
-    def _direction(self) -> Words:
-        return _one("host")
-
-    def _kind(self) -> Words:
-        return _one("instruction")
-
-    def _name(self) -> Words:
-        known = self._protocol.by_id
-        specs = [known.get(identity) for identity, _ in self._protocol.headers]
-        return Words(self._header, [spec.name if spec else None for spec in specs])
-
-    def _judgement(self) -> Numbers:
-        return Numbers(self._stretch.decoding.tables.codes.take(self._stretch.new.verdict))
-
-    def _faulty(self) -> Words:
-        faulty = np.not_equal(self._stretch.new.verdict, VALID)
-        return Words(faulty.view(np.uint8), (False, True))
-
-    def _faults(self) -> Words:
-        code, kinds = host_kinds(self._stretch)
-        return Words(code, list(map(frozenset, kinds)))
-
-    def _reason(self) -> Words:
-        """The reasons; frames of one header and first byte have one, unless they are longer."""
-        stretch, steps = self._stretch, self._stretch.decoding.steps
-        decides = np.array([self._data_decide(header) for header in range(256)]).take(self._header)
-        size = stretch.size[stretch.carried :]
-        # Frames are of one sort that have the header and, if data decide, the first byte in common.
-        key = np.where(decides & (size > 1), stretch.new.key, stretch.new.key & 0xFF00)
-        sorts = np.flatnonzero(np.bincount(key, minlength=1 << 16))
-        places: dict[str, int] = {}
-
-        def place(frame: bytes) -> int:
-            return places.setdefault(steps[frame].judgement.reason, len(places))
-
-        code = np.zeros(1 << 16, np.int64)
-        code[sorts] = [place(self._frame(sort)) for sort in sorts.tolist()]
-        code = code.take(key)
-        long = np.flatnonzero(decides & (size > 2))
-        code[long] = [place(frame) for frame in stretch.frame_bytes(long + stretch.carried)]
-        return Words(code, list(places))
-
-    def _data_decide(self, header: int) -> bool:
-        """Whether a frame's outcome depends on more than its header."""
-        frame = bytes([header]) + bytes(self._protocol.lengths[header])
-        return data_decide(self._protocol, frame)
-
-    def _frame(self, key: int) -> bytes:
-        """A frame of that header and first byte, else of zeros."""
-        length = self._protocol.lengths[key >> 8]
-        return key.to_bytes(2, "big").ljust(1 + length, b"\0")[: 1 + length]
-
-    def _t(self) -> Numbers:
-        return Numbers(self._stretch.start / 1e9)
-
-    def _sequence(self) -> Numbers:
-        return _counted(self._stretch.sequence + self._stretch.carried, self.count)
-
-    def _none(self) -> Numbers:
-        return _NONE
-
-    _latency = _answers = _response = _none
-
-    def _agrees(self) -> Words:
-        return _one(None)
+    def _reason(self) -> Column:
+        faulty = np.flatnonzero(self._rows.verdict != VALID)
+        return _words(self._rows.reasons(faulty), faulty, len(self))
 
 
-class DeviceRows(Rows):
-    """The device rows."""
+class DeviceColumns(Side):
+    """The device's rows."""
 
-    def __init__(self, stretch: Stretch, start: int | None) -> None:
-        super().__init__(stretch, start, len(stretch.byte))
-        self._paired = stretch.decoding.paired
+    def _makers(self) -> Mapping[str, Maker]:
+        rows = self._rows
+        return {
+            "hex": lambda: Octets(rows.byte, np.arange(len(rows)), np.ones(len(rows), np.int64)),
+            "direction": lambda: _one("device"),
+            "kind": lambda: _one("response"),
+            "name": self._name,
+            "response": lambda: Numbers(rows.byte),
+            "judgement": self._judgement,
+            "faulty": self._faulty,
+            "faults": self._faults,
+            "reason": self._reason,
+            "answers": lambda: Numbers(rows.sequence, rows.answering),
+            "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
+            "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
+        }
 
-    @cached_property
-    def _odd(self) -> tuple[NDArray[np.int64], list[DeviceRecord]]:
-        """The rows with an anomaly, and a record of each (with a state that may be another)."""
-        stretch = self._stretch
-        rows = np.flatnonzero(~stretch.fits)
-        return rows, [
-            stretch.device_record(answer, stretch.before) for answer in stretch.answers(rows)
-        ]
-
-    def _of_odd(self, usual: Any, get: Callable[[DeviceRecord], Any]) -> Words:
-        """What only rows with an anomaly have otherwise than `usual`."""
-        rows, records = self._odd
-        words = {usual: 0}
-        code = np.zeros(self.count, np.int64)
-        code[rows] = [words.setdefault(get(record), len(words)) for record in records]
-        return Words(code, list(words))
-
-    @cached_property
-    def _after(self) -> NDArray[np.int64]:
-        """How many new host rows have taken effect before each row."""
-        spans = [span for span in self._stretch.spans if span.side == "device"]
-        after = np.array([span.after for span in spans], np.int64) - self._stretch.carried
-        return np.repeat(np.maximum(after, 0), [span.stop - span.start for span in spans])
-
-    def _field(self, name: str) -> Numbers:
-        return _NONE
-
-    def _state(self, variable: str) -> Column:
-        before = self._stretch.before
-        if variable == "moving":
-            motion, speed = self._state("motion"), self._state("speed")
-            assert isinstance(motion, Words)
-            assert isinstance(speed, Numbers)
-            return Words(moving(motion.code, np.asarray(speed.value)).view(np.uint8), (False, True))
-        column: NDArray[Any] = getattr(self._stretch.states, variable)
-        first = getattr(before, variable)
-        if variable == "motion":
-            first = MOTIONS.index(first)
-        values = np.concatenate([np.array([first], column.dtype), column]).take(self._after)
-        return _motion_words(values) if variable == "motion" else Numbers(values)
-
-    def _none(self) -> Numbers:
-        return _NONE
-
-    _id = _len = _sequence = _none
-
-    def _data(self) -> Octets:
-        none = np.full(self.count, -1)
-        return Octets(self._stretch.byte, np.zeros(self.count, np.int64), none)
-
-    def _hex(self) -> Octets:
-        return Octets(self._stretch.byte, np.arange(self.count), np.ones(self.count, np.int64))
-
-    def _direction(self) -> Words:
-        return _one("device")
-
-    def _kind(self) -> Words:
-        return _one("response")
-
-    def _name(self) -> Words:
+    def _name(self) -> Column:
         codes = [self._protocol.codes.get(byte) for byte in range(256)]
-        return Words(self._stretch.byte, [code.name if code else None for code in codes])
+        return Words(self._rows.byte, [code.name if code else None for code in codes])
 
-    def _response(self) -> Numbers:
-        return Numbers(self._stretch.byte)
+    def _faulty(self) -> Column:
+        wrong = self._rows.answering & (self._rows.verdict != VALID)
+        return _truth(wrong | self._rows.faults.serious)
 
-    @property
-    def _verdict(self) -> NDArray[np.uint8]:
-        """The verdict of the instruction that each row answers; for paired rows only."""
-        return self._stretch.frames.verdict[: self.count]
-
-    def _judgement(self) -> Numbers:
-        if not self._paired:
-            return _NONE
-        return Numbers(self._stretch.decoding.tables.codes.take(self._verdict))
-
-    def _faulty(self) -> Words:
-        code, kinds = device_kinds(self._stretch)
-        faulty = np.array([bool(one) for one in kinds]).take(code)
-        if self._paired:
-            faulty |= self._verdict != VALID
-        return Words(faulty.view(np.uint8), (False, True))
-
-    def _faults(self) -> Words:
-        code, kinds = device_kinds(self._stretch)
-        return Words(code, list(map(frozenset, kinds)))
-
-    def _reason(self) -> Words:
-        return self._of_odd("", lambda record: record.reason)
-
-    def _t(self) -> Numbers:
-        return Numbers(self._stretch.t / 1e9)
-
-    def _answers(self) -> Numbers:
-        return _counted(self._stretch.sequence, self.count) if self._paired else _NONE
-
-    def _latency(self) -> Numbers:
-        return Numbers(self._stretch.latency / 1e9) if self._paired else _NONE
-
-    def _agrees(self) -> Words:
-        if self._paired:
-            return Words(self._stretch.agrees.view(np.uint8), (False, True))
-        return self._of_odd(None, lambda record: record.agrees)
+    def _reason(self) -> Column:
+        odd = np.flatnonzero(self._rows.odd)
+        return _words((record.reason for record in self._rows.samples(odd)), odd, len(self))
 
 
-def _motion_words(code: NDArray[np.integer]) -> Words:
-    return Words(code, [motion.value for motion in MOTIONS])
+class LineColumns(Columns):
+    """The other rows, which are few: each is a JSON line."""
+
+    def __init__(self, lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> None:
+        super().__init__(t, start)
+        self._lines = lines
+
+    def _state(self, variable: str) -> Column:
+        return self._listed(getattr(line.state, variable) for line in self._lines)
+
+    def _makers(self) -> Mapping[str, Maker]:
+        lines, none = self._lines, np.zeros(len(self), np.int64)
+        return {
+            "hex": lambda: Octets(np.zeros(1, np.uint8), none, none),
+            "direction": lambda: self._listed(line.direction for line in lines),
+            "kind": lambda: self._listed(line.kind for line in lines),
+            "name": lambda: self._listed(line.name for line in lines),
+            "faulty": lambda: self._listed(bool(line.faults) for line in lines),
+            "faults": lambda: self._listed(frozenset(line.faults) for line in lines),
+            "reason": lambda: self._listed(line.reason for line in lines),
+            "sequence": lambda: self._listed(line.sequence for line in lines),
+        }
+
+    def _listed(self, values: Iterable[Any]) -> Column:
+        """A column of values of one kind."""
+        listed = list(values)
+        numbers = [type(value) is int for value in listed]
+        if any(numbers):
+            return Numbers(np.array([value or 0 for value in listed]), np.array(numbers))
+        return _words(listed, np.arange(len(self)), len(self), None)
 
 
-def _one(word: str | None) -> Words:
+def _truth(mask: Mask) -> Words:
+    return Words(mask.view(np.uint8), (False, True))
+
+
+def _one(word: str) -> Words:
     return Words(np.zeros((), np.int64), (word,))
 
 
-def _counted(first: int, count: int) -> Numbers:
-    """`first`, `first` + 1, ..."""
-    return Numbers(np.arange(first, first + count))
+def _words(
+    values: Iterable[Hashable], rows: NDArray[np.int64], count: int, others: Hashable = ""
+) -> Words:
+    """A column with these values in some of `count` rows, and `others` in all others."""
+    places = {others: 0}
+    code = np.zeros(count, np.int64)
+    code[rows] = [places.setdefault(value, len(places)) for value in values]
+    return Words(code, list(places))

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bilprov.analyzer.filters import parts
 from bilprov.analyzer.filters.fields import Field, Kind, fields_of, find, folded
-from bilprov.analyzer.filters.syntax import Place, place_at_end
+from bilprov.analyzer.filters.parts import Part
+from bilprov.analyzer.filters.syntax import CLOSING, Place, place_at_end
 from bilprov.spec.protocol import Protocol
 
 
@@ -89,7 +89,7 @@ def _written(word: str, blank: str) -> str:
     """A word as it is written: a value in quotes if it is not one word, the others as they are."""
     if " " in word:
         return f"'{word}'"
-    return word if word in (",", *_CLOSING.values()) else blank + word
+    return word if word in (",", *CLOSING.values()) else blank + word
 
 
 def _units(place: Place, protocol: Protocol) -> Iterator[tuple[str, str]]:
@@ -113,19 +113,16 @@ def _words(
         yield from _names(protocol, typed)
     elif place.listed:
         yield ",", "and another value"
-        yield _CLOSING[place.open], "no more values"
+        yield CLOSING[place.open], "no more values"
     else:
         if field is not None and not place.compared:
             yield from ((sign, _SIGNS.get(sign, "")) for sign in field.signs)
-        whole = isinstance(place.left, parts.Bits | parts.Compared | parts.Joined | parts.Negated)
+        whole = place.left and place.left.kind in ("bits", "compared", "and", "or", "not")
         if place.compared or whole or (field is not None and field.kind is Kind.TRUTH):
             yield "and", "both hold"
             yield "or", "one of them holds"
             if place.open:
-                yield _CLOSING[place.open], ""
-
-
-_CLOSING = {"(": ")", "[": "]", "{": "}"}
+                yield CLOSING[place.open], ""
 
 
 def _names(protocol: Protocol, typed: str) -> Iterator[tuple[str, str]]:
@@ -146,8 +143,8 @@ def _values(field: Field, place: Place) -> Iterator[tuple[str, str]]:
         yield word, f"{field.name} {value}" if type(value) is int else ""
 
 
-def _field(part: parts.Part | None, protocol: Protocol) -> Field | None:
+def _field(part: Part | None, protocol: Protocol) -> Field | None:
     """The field that a part asks for, None for a value or a condition."""
-    if isinstance(part, parts.Item):
+    if part and part.kind == "item":
         return Field("", Kind.NUMBER, "")
-    return find(protocol, part.text) if isinstance(part, parts.Word) else None
+    return find(protocol, part.text) if part and part.kind == "word" else None

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
-from itertools import chain
 from typing import TypeAlias, get_args
 
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
@@ -90,13 +89,7 @@ def fields_of(protocol: Protocol) -> Mapping[str, Field]:
 
     A field of an instruction that is named like another one is reached as `fields.NAME` only.
     """
-    listed = chain(
-        _about_frames(protocol),
-        _about_answers(protocol),
-        _about_both(protocol),
-        _about_state(protocol),
-    )
-    own = {each.name: each for each in listed}
+    own = {each.name: each for each in (*_of_rows(protocol), *_of_state(protocol))}
     parts = {part.name: _part(protocol, part.name) for part in _parts(protocol)}
     return {**parts, **own, **{part.key: part for part in parts.values()}}
 
@@ -114,58 +107,46 @@ def _by_folded(protocol: Protocol) -> Mapping[str, Field]:
     return {folded(name): each for name, each in reversed([*fields_of(protocol).items()])}
 
 
-def _about_frames(protocol: Protocol) -> Iterator[Field]:
+def _of_rows(protocol: Protocol) -> list[Field]:
+    number, seconds, word, truth = Kind.NUMBER, Kind.SECONDS, Kind.WORD, Kind.TRUTH
     ids = {spec.name: spec.id for spec in protocol.instructions}
-    longest = protocol.data_lengths[-1]
-    yield Field("id", Kind.NUMBER, "the ID in the header", "", 0, protocol.ids[-1], ids)
-    yield Field("len", Kind.NUMBER, "the data bytes that the header announces", "", 0, longest)
-    yield Field("data", Kind.BYTES, "the bytes behind the header; data[0] is the first")
-    yield Field("sequence", Kind.NUMBER, "the instruction's number, from 0", low=0)
-
-
-def _about_answers(protocol: Protocol) -> Iterator[Field]:
     codes = {spec.name: spec.code for spec in protocol.responses}
-    says = "the response code that the device sent"
-    yield Field("response", Kind.NUMBER, says, "", 0, 255, codes)
-    says = "from the instruction's last byte to the answer"
-    yield Field("latency", Kind.SECONDS, says)
-    says = "the number of the instruction that it answers"
-    yield Field("answers", Kind.NUMBER, says, low=0)
-    says = "whether the answer is the expected one"
-    yield Field("agrees", Kind.TRUTH, says, words=_TRUTH)
-
-
-def _about_both(protocol: Protocol) -> Iterator[Field]:
-    codes = {spec.name: spec.code for spec in protocol.responses}
-    names = [*protocol.by_name, *codes]
-    says = "the name of the instruction, the response or the anomaly"
-    yield Field("name", Kind.WORD, says, words=_itself([*names, *_ROWS_OF_THEIR_OWN]))
-    says = "host or device"
-    yield Field("direction", Kind.WORD, says, words=_itself(get_args(Direction)))
-    says = "the kind of the row"
+    names = _itself([*protocol.by_name, *codes, *_ROWS_OF_THEIR_OWN])
     kinds = _itself([*get_args(FrameKind), "fault"])
-    yield Field("kind", Kind.WORD, says, words=kinds)
-    yield Field("hex", Kind.BYTES, "all bytes of the row; hex[0] is the first")
-    says = "the response that a conforming device gives to the instruction"
-    yield Field("judgement", Kind.NUMBER, says, "", 0, 255, codes)
-    says = "a faulty instruction or its answer, or anything else odd"
-    yield Field("faulty", Kind.TRUTH, says, words=_TRUTH)
-    yield Field("faults", Kind.WORDS, "the kinds of anomalies", words=_itself(KINDS))
-    yield Field("reason", Kind.TEXT, "why, in words")
-    yield Field("t", Kind.SECONDS, "since the start of the recording")
-    yield Field("time", Kind.CLOCK, "the time of day, or with a date before it")
+    longest = protocol.data_lengths[-1]
+    right = "the response that a conforming device gives to the instruction"
+    named = "the name of the instruction, the response or the anomaly"
+    odd = "a faulty instruction or its answer, or anything else odd"
+    return [
+        Field("id", number, "the ID in the header", "", 0, protocol.ids[-1], ids),
+        Field("len", number, "the data bytes that the header announces", "", 0, longest),
+        Field("data", Kind.BYTES, "the bytes behind the header; data[0] is the first"),
+        Field("sequence", number, "the instruction's number, from 0", low=0),
+        Field("response", number, "the response code that the device sent", "", 0, 255, codes),
+        Field("latency", seconds, "from the instruction's last byte to the answer"),
+        Field("answers", number, "the number of the instruction that it answers", low=0),
+        Field("agrees", truth, "whether the answer is the expected one", words=_TRUTH),
+        Field("name", word, named, words=names),
+        Field("direction", word, "host or device", words=_itself(get_args(Direction))),
+        Field("kind", word, "the kind of the row", words=kinds),
+        Field("hex", Kind.BYTES, "all bytes of the row; hex[0] is the first"),
+        Field("judgement", number, right, "", 0, 255, codes),
+        Field("faulty", truth, odd, words=_TRUTH),
+        Field("faults", Kind.WORDS, "the kinds of anomalies", words=_itself(KINDS)),
+        Field("reason", Kind.TEXT, "why, in words"),
+        Field("t", seconds, "since the start of the recording"),
+        Field("time", Kind.CLOCK, "the time of day, or with a date before it"),
+    ]
 
 
-def _about_state(protocol: Protocol) -> Iterator[Field]:
-    for variable in (*VARIABLES, "moving"):
+def _of_state(protocol: Protocol) -> Iterator[Field]:
+    for variable in VARIABLES:
         name, says = f"state.{variable}", f"the predicted {variable}"
         if variable == "motion":
             yield Field(name, Kind.WORD, says, words=_itself(Motion))
-        elif variable == "moving":
-            yield Field(name, Kind.TRUTH, "whether the wheels turn", words=_TRUTH)
         else:
-            low, high = protocol.bounds[variable]
-            yield Field(name, Kind.NUMBER, says, "", low, high)
+            yield Field(name, Kind.NUMBER, says, "", *protocol.bounds[variable])
+    yield Field("state.moving", Kind.TRUTH, "whether the wheels turn", words=_TRUTH)
 
 
 def _part(protocol: Protocol, name: str) -> Field:

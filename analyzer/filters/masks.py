@@ -1,83 +1,83 @@
-"""What a filter means for columns: a mask over the rows of a Stretch. Needs numpy.
-
-A mask holds for the same rows as the filter for their JSON lines.
-"""
+"""What a filter means for the rows of a batch: which of them pass. Needs numpy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.stretch import Stretch
+from bilprov.analyzer.decode.batch import Batch, Mask, Selection
+from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.filters import tree
 from bilprov.analyzer.filters.columns import (
+    NOTHING,
     Column,
-    DeviceRows,
-    HostRows,
-    Mask,
+    Columns,
+    DeviceColumns,
+    HostColumns,
+    LineColumns,
     Numbers,
     Octets,
-    Rows,
     Words,
 )
-from bilprov.analyzer.filters.tree import (
-    COMPARISONS,
-    Among,
-    Bits,
-    Comparison,
-    Constant,
-    Contains,
-    Item,
-    Joined,
-    Name,
-    Node,
-    Not,
-    Operand,
-)
+from bilprov.spec.protocol import Protocol
 
-_UFUNCS: dict[str, Callable[[Any, Any], Any]] = {
-    "==": np.equal,
-    "!=": np.not_equal,
-    "<": np.less,
-    "<=": np.less_equal,
-    ">": np.greater,
-    ">=": np.greater_equal,
+# What compares two values, and also two arrays value by value.
+_COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
 }
 
 
-def masks(tree: Node, stretch: Stretch, start: int | None = None) -> tuple[Mask, Mask]:
-    """In which of the new host rows, and in which device rows, a condition holds.
+def selection(
+    test: tree.Node, protocol: Protocol, batch: Batch, start: int | None = None
+) -> Selection:
+    """The rows in which a condition holds; a line event without an anomaly is none of them.
 
     `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
     """
-    host, device = HostRows(stretch, start), DeviceRows(stretch, start)
-    return _mask(host, tree), _mask(device, tree)
+    others = batch.others
+    lines = [json_line(record) for record in others.listed]
+    shown = np.array([line is not None for line in lines], np.bool_)
+    other = np.zeros(len(others), np.bool_)
+    listed = [line for line in lines if line is not None]
+    other[shown] = _mask(LineColumns(listed, others.t[shown], start), test)
+    return Selection(
+        _mask(HostColumns(protocol, batch.hosts, start), test),
+        _mask(DeviceColumns(protocol, batch.devices, start), test),
+        other,
+    )
 
 
-def _mask(rows: Rows, node: Node) -> Mask:
+def _mask(rows: Columns, node: tree.Node) -> Mask:
     """In which rows a condition holds."""
-    if not rows.count:
+    if not len(rows):
         return np.zeros(0, np.bool_)
-    return np.broadcast_to(_true(rows, node), rows.count)
+    return np.broadcast_to(_true(rows, node), len(rows))
 
 
-def _true(rows: Rows, node: Node) -> Mask:
+def _true(rows: Columns, node: tree.Node) -> Mask:
     match node:
-        case Comparison(left=left, sign=sign, right=right):
+        case tree.Comparison(left=left, sign=sign, right=right):
             return _compared(_operand(rows, left), sign, _operand(rows, right))
-        case Among():
+        case tree.Among():
             return _among(rows, node)
-        case Contains(key=key, part=part, holds=holds):
-            return _containing(rows.column(key), part, holds)
-        case Not(part=part):
+        case tree.Contains(key=key, part=part, holds=holds):
+            return _containing(rows[key], part, holds)
+        case tree.Not(part=part):
             return ~_true(rows, part)
-        case Joined(every=every, parts=parts):
+        case tree.Joined(every=every, parts=parts):
             return _joined(rows, parts, every)
 
 
-def _joined(rows: Rows, parts: Sequence[Node], every: bool) -> Mask:
+def _joined(rows: Columns, parts: Sequence[tree.Node], every: bool) -> Mask:
     true = _true(rows, parts[0])
     for part in parts[1:]:
         if (every and not true.any()) or (not every and true.all()):
@@ -86,7 +86,7 @@ def _joined(rows: Rows, parts: Sequence[Node], every: bool) -> Mask:
     return true
 
 
-def _among(rows: Rows, node: Among) -> Mask:
+def _among(rows: Columns, node: tree.Among) -> Mask:
     column = _operand(rows, node.left)
     true: Mask = np.zeros((), np.bool_)
     for low, high in node.ranges:
@@ -98,15 +98,15 @@ def _among(rows: Rows, node: Among) -> Mask:
     return true if node.holds else _present(column) & ~true
 
 
-def _operand(rows: Rows, operand: Operand) -> Column:
+def _operand(rows: Columns, operand: tree.Operand) -> Column:
     match operand:
-        case Constant(value=value):
+        case tree.Constant(value=value):
             return _constant(value)
-        case Name(key=key):
-            return rows.column(key)
-        case Item(key=key, index=index):
-            return _item(rows.column(key), index)
-        case Bits(left=left, right=right):
+        case tree.Name(key=key):
+            return rows[key]
+        case tree.Item(key=key, place=place):
+            return _item(rows[key], place)
+        case tree.Bits(left=left, right=right):
             return _bits(_operand(rows, left), _operand(rows, right))
 
 
@@ -120,21 +120,25 @@ def _constant(value: float | str | bytes | frozenset[str]) -> Column:
     return Numbers(value)
 
 
-def _item(column: Column, index: int) -> Numbers:
+def _item(column: Column, place: int) -> Column:
     """One byte of each row."""
-    if isinstance(column, Numbers):
-        return column
-    assert isinstance(column, Octets)
-    value = column.data.take(column.start + index, mode="clip")
-    return Numbers(value, column.size > index)
+    if not isinstance(column, Octets):
+        return column  # none of the rows has the name
+    value = column.data.take(column.start + place, mode="clip")
+    return Numbers(value, column.size > place)
 
 
 def _bits(left: Column, right: Column) -> Numbers:
-    assert isinstance(left, Numbers)
-    assert isinstance(right, Numbers)
+    if not (isinstance(left, Numbers) and isinstance(right, Numbers)):
+        return NOTHING
     present = _both(left.present, right.present)
-    values = (np.asarray(one.value).astype(np.int64) for one in (left, right))
-    return Numbers(np.bitwise_and(*values), present)
+    return Numbers(_whole(left) & _whole(right), present)
+
+
+def _whole(column: Numbers) -> NDArray[Any]:
+    """Whole numbers as an array whose bits can be joined with those of any other."""
+    value = np.asarray(column.value)
+    return value if value.dtype == object else value.astype(np.int64)
 
 
 def _both(left: Mask | None, right: Mask | None) -> Mask | None:
@@ -156,15 +160,15 @@ def _present(column: Column) -> Mask:
 def _compared(left: Column, sign: str, right: Column) -> Mask:
     """In which rows two columns have values that compare so."""
     if isinstance(left, Numbers) and isinstance(right, Numbers):
-        true = np.asarray(_UFUNCS[sign](left.value, right.value), np.bool_)
+        true = np.asarray(_COMPARING[sign](left.value, right.value), np.bool_)
         present = _both(left.present, right.present)
         return true if present is None else true & present
     if isinstance(left, Octets) and isinstance(right, Octets):
         same = _equal(left, right.data)
         return same if sign == "==" else (left.size >= 0) & ~same
-    assert isinstance(left, Words)
-    assert isinstance(right, Words)
-    compare = COMPARISONS[sign]
+    if not (isinstance(left, Words) and isinstance(right, Words)):
+        return np.zeros((), np.bool_)  # one side is a name that none of the rows has
+    compare = _COMPARING[sign]
     many = len(right.words)
     holds = [
         one is not None and other is not None and compare(one, other)
@@ -192,8 +196,8 @@ def _containing(column: Column, part: str | bytes, wanted: bool) -> Mask:
     if isinstance(column, Words):
         holds = [word is not None and (part in word) is wanted for word in column.words]
         return np.array(holds, np.bool_).take(column.code)
-    assert isinstance(column, Octets)
-    assert isinstance(part, bytes)
+    if not (isinstance(column, Octets) and isinstance(part, bytes)):
+        return np.zeros((), np.bool_)  # none of the rows has the name
     last = len(column.data) - len(part)
     if last < 0:
         return np.asarray((column.size >= 0) & (not wanted))

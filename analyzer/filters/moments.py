@@ -53,11 +53,6 @@ def instant(text: str) -> Instant | None:
     return Instant(False, int(since) * SECOND + rest)
 
 
-def of_day(wall: int) -> int:
-    """Ns since local midnight of a moment (ns since 1970)."""
-    return (wall + offset(wall // STEP)) % DAY
-
-
 @lru_cache(maxsize=4096)
 def offset(step: int) -> int:
     """How far (ns) local time is ahead of UTC from a moment on: a number of STEPs since 1970."""

@@ -1,7 +1,6 @@
 """Parses the text of a filter into parts that know their columns. Knows no protocol.
 
-The parser is the kit's own: to import a general one (pyparsing: 0.2 s) would take longer than any
-command takes to begin, and this one also tells what may come next at a cursor.
+The parser is the kit's own: it also tells what may come next at a cursor.
 
     filter     = condition ("or" condition)*      "and" binds closer; && and || are the same
     condition  = ("not" | "!") condition | comparison
@@ -15,32 +14,17 @@ command takes to begin, and this one also tells what may come next at a cursor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from bilprov.analyzer.filters.parts import (
-    Bits,
-    Compared,
     FilterError,
-    Item,
-    Joined,
-    Listed,
-    Moment,
-    Negated,
-    Octets,
     Part,
-    Range,
-    Sign,
-    Word,
-)
-from bilprov.analyzer.filters.tokens import (
-    Token,
     instead_of,
-    number,
     octets_at,
-    quoted,
     token_at,
+    unquoted,
 )
 from bilprov.captures.text import printable
 
@@ -50,13 +34,12 @@ DEEPEST = 40  # brackets and nots inside each other
 BYTES = ("data", "hex")
 """The names that are compared with bytes, which are written in hex without quotes: `11 ff`."""
 
+CLOSING = {"(": ")", "[": "]", "{": "}"}
 _COMPARING = ("==", "!=", "<=", ">=", "<", ">")
 _KEYWORDS = ("and", "or", "not", "in", "contains")
-_CLOSING = {"(": ")", "[": "]", "{": "}"}
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """Where a text ends, and what may come next there.
 
     Where an operand is `wanted`, it is the first of a condition, or stands behind `left` and
@@ -97,57 +80,53 @@ class _Parser:
         self._text = text
         self._at = 0
         self._depth = 0
-        self._open: list[Token] = []
+        self._open: list[Part] = []
         self.place: Place | None = None
 
     def whole(self) -> Part:
         """The whole text as one filter. Raises FilterError."""
-        part = self._joined(every=False)
-        rest = self._peek()
-        if rest.kind:
-            self._refuse_rest(rest, part)
+        part = self._any()
+        if self._peek().kind:
+            self._refuse_rest(self._peek(), part)
         return part
 
-    def _peek(self) -> Token:
+    def _peek(self) -> Part:
         return token_at(self._text, self._at)
 
-    def _take(self) -> Token:
+    def _take(self) -> Part:
         token = self._peek()
         self._at = token.end
         return token
 
-    def _taken(self, *words: str) -> Token | None:
+    def _taken(self, *words: str) -> Part | None:
         """The next token, taken if it is one of these signs or words (in any case)."""
         token = self._peek()
         if token.kind in ("sign", "word") and token.text.lower() in words:
-            self._at = token.end
-            return token
+            return self._take()
         return None
 
-    def _reach(
-        self,
-        wanted: bool,
-        left: Part | None = None,
-        sign: str = "",
-        *,
-        compared: bool = False,
-        listed: bool = False,
-    ) -> None:
+    def _written(self, token: Part) -> str:
+        return printable(self._text[token.start : token.end])
+
+    def _reach(self, wanted: bool, left: Part | None = None, sign: str = "", **more: bool) -> None:
         """Note the place if the text ends here; the innermost part is the first to say it."""
         if self.place is None and not self._peek().kind:
             bracket = self._open[-1].text if self._open else ""
-            self.place = Place(wanted, left, sign, compared, listed, bracket)
+            self.place = Place(wanted, left, sign, open=bracket, **more)
 
     # Conditions
 
-    def _joined(self, *, every: bool) -> Part:
-        words = ("and", "&&") if every else ("or", "||")
-        parts = [self._condition() if every else self._joined(every=True)]
-        while self._taken(*words):
-            parts.append(self._condition() if every else self._joined(every=True))
-        if len(parts) == 1:
-            return parts[0]
-        return Joined(parts[0].start, parts[-1].end, every, tuple(parts))
+    def _any(self) -> Part:
+        return self._joined("or", "||", self._every)
+
+    def _every(self) -> Part:
+        return self._joined("and", "&&", self._condition)
+
+    def _joined(self, word: str, sign: str, part: Callable[[], Part]) -> Part:
+        parts = [part()]
+        while self._taken(word, sign):
+            parts.append(part())
+        return _around(word, parts) if len(parts) > 1 else parts[0]
 
     def _condition(self) -> Part:
         negation = self._taken("not", "!")
@@ -156,29 +135,26 @@ class _Parser:
         self._deeper(negation)
         part = self._condition()
         self._depth -= 1
-        return Negated(negation.start, part.end, part)
+        return Part("not", negation.start, part.end, parts=(part,))
 
-    def _deeper(self, token: Token) -> None:
+    def _deeper(self, token: Part) -> None:
         self._depth += 1
         if self._depth > DEEPEST:
             raise FilterError("the filter is nested too deeply", token.start, token.end)
 
     def _comparison(self) -> Part:
         self._reach(True)
-        first = left = self._operand("")
-        steps: list[tuple[Sign, Part]] = []
+        parts = [self._operand("")]
         while True:
-            self._reach(False, left, compared=bool(steps))
+            left = parts[-1]
+            self._reach(False, left, compared=len(parts) > 1)
             sign = self._sign()
             if sign is None:
-                break
+                return _around("compared", parts) if len(parts) > 1 else left
             self._reach(True, left, sign.text)
-            right = self._operand(sign.text, left)
-            steps.append((sign, right))
-            left = right
-        return Compared(first.start, left.end, first, tuple(steps)) if steps else first
+            parts += [sign, self._operand(sign.text, left)]
 
-    def _sign(self) -> Sign | None:
+    def _sign(self) -> Part | None:
         before = self._at
         negation = self._taken("not", "!")
         token = self._taken(*([] if negation else _COMPARING), "in", "contains")
@@ -187,8 +163,8 @@ class _Parser:
             return None
         words = token.text.lower()
         if negation:
-            return Sign(negation.start, token.end, f"not {words}")
-        return Sign(token.start, token.end, words)
+            return Part("sign", negation.start, token.end, f"not {words}")
+        return token._replace(kind="sign", text=words)
 
     # Operands
 
@@ -198,13 +174,12 @@ class _Parser:
         among = sign.endswith("in")
         if token.text in ("{", "[") or (among and token.text == "("):
             return self._elements(self._take(), sign, left, [])
-        if _is_bytes(left) and _may_be_bytes(token) and not among:
+        if _are_bytes(left, token) and not among:
             return self._octets(token)
         part = self._primary(sign, left)
         while self._taken("&"):
             self._reach(True, part, "&")
-            right = self._primary("&", part)
-            part = Bits(part.start, right.end, part, right)
+            part = _around("bits", [part, self._primary("&", part)])
         return self._ranged(part, sign, left) if among else part
 
     def _ranged(self, low: Part, sign: str, left: Part | None) -> Part:
@@ -212,10 +187,9 @@ class _Parser:
         if self._taken("..") is None:
             return low
         self._reach(True, left, sign)
-        high = self._primary(sign, left)
-        return Range(low.start, high.end, low, high)
+        return _around("range", [low, self._primary(sign, left)])
 
-    def _elements(self, opening: Token, sign: str, left: Part | None, parts: list[Part]) -> Part:
+    def _elements(self, opening: Part, sign: str, left: Part | None, parts: list[Part]) -> Part:
         """The set of some parts and those that follow, up to the end of its bracket."""
         if not parts:
             self._open.append(opening)
@@ -224,27 +198,27 @@ class _Parser:
         while not parts or (self._taken(",") and not self._closes()):
             self._reach(True, left, sign, listed=True)
             token = self._peek()
-            if _is_bytes(left) and _may_be_bytes(token):
+            if _are_bytes(left, token):
                 parts.append(self._octets(token))
             else:
                 parts.append(self._ranged(self._primary(sign, left), sign, left))
             self._reach(False, left, sign, listed=True)
         token = self._peek()
-        if token.kind and token.text not in _CLOSING.values():
-            sentence = f"a comma is missing before {printable(token.text)!r}"
+        if token.kind and token.text not in CLOSING.values():
+            sentence = f"a comma is missing before {self._written(token)!r}"
             raise FilterError(sentence, token.start, token.end)
-        return Listed(opening.start, self._close().end, tuple(parts))
+        return Part("set", opening.start, self._close().end, parts=tuple(parts))
 
     def _closes(self) -> bool:
-        return self._peek().text == _CLOSING[self._open[-1].text]
+        return self._peek().text == CLOSING[self._open[-1].text]
 
-    def _close(self) -> Token:
+    def _close(self) -> Part:
         """Take what closes the bracket that was opened last. Raises FilterError."""
         opening, token = self._open[-1], self._peek()
         if self._closes():
             self._open.pop()
             return self._take()
-        if token.text in _CLOSING.values():
+        if token.text in CLOSING.values():
             sentence = f"{token.text!r} does not close the {opening.text!r} before it"
             raise FilterError(sentence, token.start, token.end)
         if token.kind:
@@ -252,29 +226,26 @@ class _Parser:
         raise FilterError(f"this {opening.text!r} is never closed", opening.start, opening.end)
 
     def _primary(self, sign: str, left: Part | None) -> Part:
-        token = self._peek()
-        self._at = token.end
+        token = self._take()
         if token.kind == "word" and token.text.lower() not in _KEYWORDS:
             return self._named(token)
-        if token.kind == "number":
-            return number(token)
-        if token.kind == "moment":
-            return Moment(token.start, token.end, token.text)
-        if token.kind == "text":
-            return quoted(token)
+        if token.kind in ("number", "moment"):
+            return token
+        if token.kind == "quoted":
+            return unquoted(token)
         if token.text == "(":
             return self._bracketed(token, sign, left)
         if token.kind:
-            sentence = f"{printable(token.text)!r} cannot stand here, expected {_wanted(sign)}"
+            sentence = f"{self._written(token)!r} cannot stand here, expected {_wanted(sign)}"
             raise FilterError(sentence, token.start, token.end)
         end = len(self._text.rstrip())
         raise FilterError(f"something is missing at the end: {_wanted(sign)}", end, end + 1)
 
-    def _bracketed(self, opening: Token, sign: str, left: Part | None) -> Part:
+    def _bracketed(self, opening: Part, sign: str, left: Part | None) -> Part:
         """What stands in parentheses: a condition, an operand, or a set of several values."""
         self._deeper(opening)
         self._open.append(opening)
-        part = self._joined(every=False)
+        part = self._any()
         if self._peek().text in (",", ".."):
             part = self._elements(opening, sign, left, [self._ranged(part, sign, left)])
         else:
@@ -282,35 +253,33 @@ class _Parser:
         self._depth -= 1
         return part
 
-    def _named(self, token: Token) -> Part:
+    def _named(self, word: Part) -> Part:
         """A name, or one byte of it."""
-        word = Word(token.start, token.end, token.text)
-        if not (_is_bytes(word) and self._peek().text == "["):
+        if not (word.text.lower() in BYTES and self._taken("[")):
             return word
-        self._take()
         index = self._take()
         if index.kind != "number" or self._peek().text != "]":
             sentence = f"{word.text}[...] takes one number: {word.text}[0] is its first byte"
             raise FilterError(sentence, index.start, index.end)
-        return Item(word.start, self._take().end, word, number(index))
+        return Part("item", word.start, self._take().end, parts=(word, index))
 
-    def _octets(self, token: Token) -> Octets:
+    def _octets(self, token: Part) -> Part:
         octets = octets_at(self._text, token)
         self._at = octets.end
         return octets
 
-    def _refuse_rest(self, token: Token, part: Part | None) -> NoReturn:
+    def _refuse_rest(self, token: Part, part: Part | None) -> NoReturn:
         """Say what is wrong with a token behind a part that is complete. Raises FilterError."""
-        piece = printable(token.text)
-        if token.text in _CLOSING.values():
+        piece = self._written(token)
+        if token.text in CLOSING.values():
             why = f"{piece!r} closes nothing that is open"
-        elif instead_of(token.text):
-            why = f"{piece!r} {instead_of(token.text)}"
+        elif instead_of(piece):
+            why = f"{piece!r} {instead_of(piece)}"
         elif token.text == "&":
             why = "'&' is for the bits of numbers, did you mean and?"
         elif token.text == "..":
             why = "a range follows in, like t in 1s..2s"
-        elif isinstance(part, Compared | Joined | Negated):
+        elif part and part.kind in ("compared", "and", "or", "not"):
             unit = token.kind == "word" and self._text[: token.start].rstrip()[-1:].isdigit()
             no_unit = ", which is not a unit (us, ms, s)" if unit else ""
             why = f"'and' or 'or' is missing before {piece!r}{no_unit}"
@@ -319,11 +288,15 @@ class _Parser:
         raise FilterError(why, token.start, token.end)
 
 
-def _is_bytes(part: Part | None) -> bool:
-    return isinstance(part, Word) and part.text.lower() in BYTES
+def _around(kind: str, parts: list[Part]) -> Part:
+    """The part that consists of these."""
+    return Part(kind, parts[0].start, parts[-1].end, parts=tuple(parts))
 
 
-def _may_be_bytes(token: Token) -> bool:
+def _are_bytes(left: Part | None, token: Part) -> bool:
+    """Whether a token behind `left` and a sign is the first of bytes without quotes."""
+    if left is None or left.kind != "word" or left.text.lower() not in BYTES:
+        return False
     return token.kind in ("number", "word", "moment") and token.text.lower() not in _KEYWORDS
 
 

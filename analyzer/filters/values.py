@@ -9,10 +9,9 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NoReturn
 
-from bilprov.analyzer.filters import moments, parts
+from bilprov.analyzer.filters import moments
 from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
-from bilprov.analyzer.filters.parts import FilterError, Part
-from bilprov.analyzer.filters.tokens import octets_of
+from bilprov.analyzer.filters.parts import FilterError, Part, octets_of
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -30,18 +29,15 @@ def value(protocol: Protocol, part: Part, field: Field) -> float | str | bytes:
     """
     if names_value(part, field):
         return word(protocol, part, field)
-    match part:
-        case parts.Number() if field.kind in (Kind.NUMBER, Kind.SECONDS):
-            return _measured(part, field)
-        case parts.Octets(data=data) if field.kind is Kind.BYTES:
-            return data
-        case parts.Quoted(text=text) if field.kind is Kind.BYTES:
-            data_in_quotes = octets_of(text)
-            if data_in_quotes is not None:
-                return data_in_quotes
+    if part.kind == "number" and field.kind in (Kind.NUMBER, Kind.SECONDS):
+        return _measured(part, field)
+    if part.kind in ("bytes", "quoted") and field.kind is Kind.BYTES:
+        data = octets_of(part.text)
+        if data is None:
             refuse_part(part, f"is not hex; {field.name} is bytes, written like 11 ff")
-        case parts.Quoted(text=text) | parts.Word(text=text) if field.kind is Kind.TEXT:
-            return text
+        return data
+    if part.kind in TEXTS and field.kind is Kind.TEXT:
+        return part.text
     if field.words:
         return word(protocol, part, field)
     return refuse_kind(protocol, part, field)
@@ -49,12 +45,12 @@ def value(protocol: Protocol, part: Part, field: Field) -> float | str | bytes:
 
 def names_value(part: Part, field: Field) -> bool:
     """Whether a part is a word, in quotes or not, that names a value of the field."""
-    return isinstance(part, parts.Word | parts.Quoted) and field.value_of(part.text) is not None
+    return part.kind in TEXTS and field.value_of(part.text) is not None
 
 
 def word(protocol: Protocol, part: Part, field: Field) -> Value:
     """The value of a field that a word names. Raises FilterError if it names none."""
-    if not isinstance(part, parts.Word | parts.Quoted):
+    if part.kind not in TEXTS:
         return refuse_kind(protocol, part, field)
     named = field.value_of(part.text)
     if named is not None:
@@ -70,11 +66,10 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
 
 def instant(part: Part) -> moments.Instant:
     """The moment that a part stands for. Raises FilterError."""
-    if isinstance(part, parts.Moment | parts.Quoted):
-        found = moments.instant(part.text)
-        if found is not None:
-            return found
-    if isinstance(part, parts.Number):
+    found = moments.instant(part.text) if part.kind in ("moment", "quoted") else None
+    if found is not None:
+        return found
+    if part.kind == "number":
         refuse_part(part, "is not a time of day like 14:03:20; seconds since the start are t")
     return refuse_part(part, "is not a time: write 14:03:20 or 2026-11-22 14:03:20")
 
@@ -103,26 +98,26 @@ def owners(protocol: Protocol, text: str) -> list[str]:
 
 def only_a_value(protocol: Protocol, part: Part) -> bool:
     """Whether a word is spelled like a value, and like a name of the row in another case only."""
-    if not isinstance(part, parts.Word) or part.text in fields_of(protocol):
+    if part.kind != "word" or part.text in fields_of(protocol):
         return False
     return any(part.text in field.words for field in fields_of(protocol).values())
 
 
-def whole_number(part: parts.Number) -> int | None:
+def whole_number(part: Part) -> int | None:
     """The number that a part is, None if it has a unit or is not whole. Raises FilterError."""
     found = _number(part)
-    return found if isinstance(found, int) and not part.unit else None
+    return found if isinstance(found, int) and not part.parts else None
 
 
-def _measured(part: parts.Number, field: Field) -> float:
+def _measured(part: Part, field: Field) -> float:
     """The value of a number beside a field, in its unit. Raises FilterError."""
     plain = _number(part)
-    if not part.unit:
+    if not part.parts:
         return plain
-    unit = parts.Word(part.end - len(part.unit), part.end, part.unit)
+    (unit,) = part.parts
     if field.kind is Kind.NUMBER:
         refuse_part(unit, f"does not fit: {field.name} has no unit, so write {part.text}")
-    power = UNITS.get(part.unit)
+    power = UNITS.get(unit.text)
     if power is None:
         refuse_part(unit, "is not a unit of time; there are us, ms and s")
     mantissa, _, exponent = part.text.lower().replace("_", "").partition("e")
@@ -132,29 +127,25 @@ def _measured(part: parts.Number, field: Field) -> float:
     return float(f"{mantissa}e{int(exponent or 0) + power}")
 
 
-def _number(part: parts.Number) -> float:
+def _number(part: Part) -> float:
     """A number without its unit; a whole one is an int. Raises FilterError."""
     text = part.text.lower().replace("_", "")
-    digits = text.lstrip("+-")
-    number: float
     try:
-        if digits[:2] in ("0x", "0b"):
-            number = int(text, 0)
-        elif digits.isdecimal():
-            number = int(text)
-        else:
+        try:
+            number: float = int(text, 10 if text.lstrip("+-").isdecimal() else 0)
+        except ValueError:
             number = float(text)
     except ValueError:
         refuse_part(part, "is not a number")
     if abs(number) > _LARGEST:
         refuse_part(part, "is too large")
-    return int(number) if float(number).is_integer() and not isinstance(number, int) else number
+    return int(number) if float(number).is_integer() else number
 
 
 # Sentences
 
 
-def refuse(part: Part | parts.Sign, sentence: str) -> NoReturn:
+def refuse(part: Part, sentence: str) -> NoReturn:
     """Raise FilterError with a sentence about a part."""
     raise FilterError(sentence, part.start, part.end)
 
@@ -166,15 +157,15 @@ def refuse_part(part: Part, rest: str) -> NoReturn:
 
 def refuse_kind(protocol: Protocol, part: Part, field: Field) -> NoReturn:
     """Refuse a value of another kind than the field's. Raises FilterError."""
-    if isinstance(part, parts.Word):
+    if part.kind == "word":
         refuse_unknown(protocol, part)
-    if isinstance(part, parts.Range | parts.Listed):
+    if part.kind in ("range", "set"):
         refuse(part, "a set or a range follows in, like id in {1, 2} or t in 1s..2s")
-    what = _WHAT.get(type(part), "a condition")
+    what = _WHAT.get(part.kind, "a condition")
     refuse_part(part, f"is {what}, and {field.name} is {kind_of(field)}: write {example(field)}")
 
 
-def refuse_unknown(protocol: Protocol, part: parts.Word) -> NoReturn:
+def refuse_unknown(protocol: Protocol, part: Part) -> NoReturn:
     """Refuse a word that is no name, and no value that fits. Raises FilterError."""
     known = find(protocol, part.text)
     if known is not None:
@@ -234,25 +225,24 @@ def close(text: str, names: Iterable[str]) -> str:
 
 def shown(part: Part) -> str:
     """A part as it was written, or empty for what is longer than a value."""
-    match part:
-        case parts.Word(text=text) | parts.Moment(text=text) | parts.Quoted(text=text):
-            return printable(text)
-        case parts.Number(text=text, unit=unit):
-            return printable(text + unit)
-        case parts.Octets(data=data):
-            return data.hex(" ")
-        case parts.Item(of=of, index=index):
+    match part.kind, part.parts:
+        case "item", (of, index):
             return f"{of.text}[{index.text}]"
-        case parts.Bits(left=left, right=right):
+        case "bits", (left, right):
             return f"{shown(left)} & {shown(right)}"
-    return ""
+        case "number", (unit,):
+            return printable(part.text + unit.text)
+    return printable(part.text)
 
 
-_WHAT: Mapping[type, str] = {
-    parts.Number: "a number",
-    parts.Quoted: "text",
-    parts.Moment: "a time of day",
-    parts.Octets: "bytes",
-    parts.Item: "a byte of the row",
-    parts.Bits: "bits of the row",
+TEXTS = ("word", "quoted")
+"""The kinds of parts that are text, with or without quotes."""
+
+_WHAT = {
+    "number": "a number",
+    "quoted": "text",
+    "moment": "a time of day",
+    "bytes": "bytes",
+    "item": "a byte of the row",
+    "bits": "bits of the row",
 }

@@ -55,9 +55,9 @@ from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.latencies import Spread
-    from bilprov.analyzer.columns.rates import Rates
-    from bilprov.analyzer.columns.totals import Totals
+    from bilprov.analyzer.totals.latencies import Spread
+    from bilprov.analyzer.totals.rates import Rates
+    from bilprov.analyzer.totals.totals import Totals
 
 SECOND = 1e9  # ns
 

@@ -15,9 +15,8 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.decode.records import Record
@@ -27,15 +26,12 @@ from bilprov.analyzer.output.row_columns import (
     Times,
     Value,
     columns_of,
+    converted,
     nanoseconds,
 )
-from bilprov.captures.schemas import State
 from bilprov.captures.text import escape_controls
+from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
-    from bilprov.analyzer.output.stretch_rows import StretchRows
 
 _FRONT = ("t", "direction", "kind", "hex", "name")
 _BACK = ("sequence", "answers", "agrees", "faults")
@@ -48,50 +44,29 @@ def usual_columns(protocol: Protocol, *, time: bool = False) -> tuple[Column, ..
     """
     known = columns_of(protocol)
     fields = [name for name in known if name.startswith("fields.")]
-    states = [f"state.{name}" for name in State.__struct_fields__]
+    states = [f"state.{name}" for name in (*VARIABLES, "moving")]
     names = [*_FRONT, *fields, "judgement", "reason", "latency", *states, *_BACK]
     return tuple(known[name] for name in (["time", *names] if time else names))
 
 
 class CsvText:
-    """Renders records and stretches as rows of CSV, each with its line end."""
+    """Renders records as rows of CSV, each with its line end."""
 
     def __init__(self, columns: Sequence[Column], times: Times) -> None:
         self._columns = columns
         self._times = times
-        self._cells = [self._cell(column) for column in columns]
         self.header = ",".join(_text_cell(column.name) for column in columns) + "\r\n"
 
-    def records(self, records: Iterable[Record]) -> str:
+    def text(self, records: Iterable[Record]) -> str:
         """The rows of the records; a record without a JSON line gives none."""
-        made = self._cells
-        return "".join(
-            ",".join([cell(line) for cell in made]) + "\r\n"
-            for record in records
-            if (line := json_line(record)) is not None
-        )
+        lines = [line for record in records if (line := json_line(record))]
+        columns = [self._cells(column, lines) for column in self._columns]
+        return "\r\n".join([*map(",".join, zip(*columns, strict=True)), ""])
 
-    def stretch(self, stretch: Stretch) -> str:
-        """The rows of all records of a stretch."""
-        from bilprov.analyzer.output.stretch_rows import StretchRows
-
-        rows = StretchRows(stretch)
-        columns = [self._texts(rows, column) for column in self._columns]
-        lines = list(map(",".join, zip(*columns, strict=True)))
-        return "\r\n".join([*lines, ""])
-
-    def _texts(self, rows: StretchRows, column: Column) -> Iterable[str]:
+    def _cells(self, column: Column, lines: Sequence[JsonLine]) -> Iterable[str]:
         if column is TIME:
-            return map(self._times.shown, rows.t.tolist())
-        values, place = rows.cells(column)
-        texts = list(map(csv_cell, values))
-        return map(texts.__getitem__, place.tolist())
-
-    def _cell(self, column: Column) -> Callable[[JsonLine], str]:
-        if column is TIME:
-            return lambda line: self._times.shown(nanoseconds(line.t))
-        value = column.value
-        return lambda line: csv_cell(value(line))
+            return [self._times.shown(nanoseconds(line.t)) for line in lines]
+        return converted(map(column.value, lines), csv_cell)
 
 
 def csv_cell(value: Value) -> str:

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.console import can_show
 from bilprov.analyzer.output.json_text import JsonText
@@ -22,7 +20,7 @@ from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.decode.batch import Batch, Selection
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.row_columns import RowStyle
 
@@ -30,13 +28,10 @@ Format = Literal["live", "lines", "jsonl", "csv"]
 
 
 class TextForm(Protocol):
-    """A form of text for records: `records` and `stretch` give whole lines."""
+    """A form of text for records."""
 
-    def records(self, records: Iterable[Record], /) -> str:
-        """The lines of the records."""
-
-    def stretch(self, stretch: Stretch, /) -> str:
-        """The lines of all records of a stretch."""
+    def text(self, records: Iterable[Record], /) -> str:
+        """The lines of the records, each with its end."""
 
 
 class StreamOutput:
@@ -49,11 +44,13 @@ class StreamOutput:
         self._write = write
         self._form = form
 
-    def show(self, part: Part) -> None:
-        """Print the lines of all records of a part."""
-        form = self._form
-        text = form.records(part.listed) if isinstance(part, Records) else form.stretch(part)
-        if text:
+    def show(self, batch: Batch) -> None:
+        """Print the lines of all records of a batch."""
+        self.records(batch.records())
+
+    def records(self, records: Sequence[Record]) -> None:
+        """Print the lines of the records."""
+        if text := self._form.text(records):
             self._write(text)
 
     def tick(self, now: int) -> None:
@@ -63,7 +60,7 @@ class StreamOutput:
 class NoOutput:
     """Shows nothing."""
 
-    def show(self, part: Part) -> None:
+    def show(self, batch: Batch) -> None:
         """Show nothing."""
 
     def tick(self, now: int) -> None:
@@ -71,10 +68,10 @@ class NoOutput:
 
 
 class Output(Protocol):
-    """Takes the decoded parts once, in order (`show`), and is informed of the time (`tick`)."""
+    """Takes the decoded batches once, in order (`show`), and is informed of the time (`tick`)."""
 
-    def show(self, part: Part, /) -> None:
-        """Show a part."""
+    def show(self, batch: Batch, /) -> None:
+        """Show a batch."""
 
     def tick(self, now: int, /) -> None:
         """Let time pass to `now` (ns since the start)."""
@@ -156,13 +153,10 @@ class Window:
         """Whether a time (ns) is inside the window."""
         return (self.first is None or t >= self.first) and (self.after is None or t < self.after)
 
-    def covers(self, part: Part) -> bool:
-        """Whether all records of a part are inside; for a frame its first byte counts."""
-        if self.first is None and self.after is None:
-            return True
-        if isinstance(part, Records):
-            return all(self.has(record.t) for record in part.listed)
-        return self.has(part.earliest) and self.has(part.latest)
+    @property
+    def bounded(self) -> bool:
+        """Whether some times are outside."""
+        return self.first is not None or self.after is not None
 
 
 @dataclass(slots=True)
@@ -184,44 +178,34 @@ class Shown:
         """Whether the requested number of frames was shown."""
         return self.left == 0
 
-    def show(self, part: Part) -> Part:
-        """Show what passes of a part, and return that."""
-        if self.test is not None or self.left is not None or not self.window.covers(part):
-            part = Records(list(self._passing(part)))
-        self.output.show(part)
-        return part
+    def show(self, batch: Batch) -> Batch:
+        """Show what passes of a batch, and return that."""
+        chosen = self._chosen(batch)
+        if self.left is not None or (chosen is not None and not chosen.everything):
+            from bilprov.analyzer.decode.batch import Records
 
-    def _passing(self, part: Part) -> Iterator[Record]:
-        chosen = (
-            filter(self._passes, part.listed) if isinstance(part, Records) else self._chosen(part)
-        )
-        for record in chosen:
+            batch = Records(list(self._counted(batch.records(chosen))))
+        self.output.show(batch)
+        return batch
+
+    def _chosen(self, batch: Batch) -> Selection | None:
+        """The rows inside the window that pass the filter; None for all."""
+        chosen = None
+        if self.window.bounded:
+            chosen = batch.inside(self.window.first, self.window.after)
+        if self.test is not None:
+            passing = self.test.selection(batch)
+            chosen = passing if chosen is None else chosen & passing
+        return chosen
+
+    def _counted(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Yield the records up to the last frame that is shown."""
+        for record in records:
             if self.full:
                 return
             if self.left is not None and is_frame(record):
                 self.left -= 1
             yield record
-
-    def _passes(self, record: Record) -> bool:
-        if not self.window.has(record.t):
-            return False
-        if self.test is None:
-            return True
-        line = json_line(record)
-        return line is not None and self.test(line)
-
-    def _chosen(self, stretch: Stretch) -> Iterator[Record]:
-        """Yield the records of a stretch that pass; no others are made."""
-        host, device = stretch.inside(self.window.first, self.window.after)
-        if self.test is not None:
-            passing = self.test.masks(stretch)
-            host, device = host & passing[0], device & passing[1]
-        lines = [
-            self._passes(stretch.line(span.start, span.after))
-            for span in stretch.spans
-            if span.side == "line"
-        ]
-        return stretch.chosen(host, device, lines)
 
 
 def _wants_colour(stream: TextIO) -> bool:

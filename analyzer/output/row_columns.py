@@ -12,20 +12,22 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias
+from operator import attrgetter
+from typing import Any, TypeAlias, TypeVar
 
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
 from bilprov.analyzer.output.text_lines import painted, state_words
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
+from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
 
-if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
-
-Value: TypeAlias = "str | int | float | bool | None"
+Value: TypeAlias = str | int | float | bool | None
 """What a column has in a row; None where the row lacks it."""
+
+Result = TypeVar("Result")
+_Text: TypeAlias = Callable[[Value], str]
 
 SECOND = 1_000_000_000  # ns
 
@@ -103,8 +105,15 @@ class Column:
     width: int
     says: str
     value: Callable[[JsonLine], Value]
-    text: Callable[[Value], str] = lambda value: _plain(value)
+    text: _Text = lambda value: _plain(value)
     right: bool = False
+
+
+def converted(values: Iterable[Value], convert: Callable[[Any], Result]) -> list[Result]:
+    """What `convert` makes of the values of a column; it is called once for each distinct one."""
+    listed = list(values)
+    known = {value: convert(value) for value in set(listed)}
+    return [known[value] for value in listed]
 
 
 def nanoseconds(seconds: float) -> int:
@@ -135,79 +144,71 @@ def _header(line: JsonLine) -> int | None:
     return int(line.hex[:2], 16) if line.kind in ("instruction", "truncated") else None
 
 
+def _data(line: JsonLine) -> str | None:
+    return None if _header(line) is None else line.hex[3:]
+
+
+def _response(line: JsonLine) -> str | None:
+    return line.name if line.kind == "response" else None
+
+
 def _described(line: JsonLine) -> str | None:
     return " ".join(f"{name}={value}" for name, value in line.fields.items()) or None
+
+
+def _state_words(line: JsonLine) -> str:
+    return state_words(line.state)
 
 
 def _time(line: JsonLine) -> Value:
     return f"{line.t:.6f}"  # `cells` writes it in the chosen style
 
 
+def _key(
+    name: str, heading: str, width: int, says: str, text: _Text = _plain, *, right: bool = False
+) -> Column:
+    """The column of a key of the JSON lines."""
+    return Column(name, heading, width, says, attrgetter(name), text, right)
+
+
+def _state(variable: str) -> Column:
+    """The column of one variable of the predicted state."""
+    width = max(map(len, Motion)) if variable == "motion" else len(variable)
+    right = variable not in ("motion", "moving")
+    return _key(f"state.{variable}", variable, width, "predicted", right=right)
+
+
 COLUMNS: Mapping[str, Column] = {
     column.name: column
     for column in (
         Column("time", "time", 12, "the time in the style of --time", _time, right=True),
-        Column("t", "t", 12, "seconds since the start", lambda r: r.t, _seconds, right=True),
+        _key("t", "t", 12, "seconds since the start", _seconds, right=True),
         Column("t_ns", "t ns", 15, "the same in ns", lambda r: nanoseconds(r.t), right=True),
-        Column("direction", "from", 6, "host or device", lambda r: r.direction),
-        Column("kind", "kind", 11, "instruction, response, ...", lambda r: r.kind),
-        Column("hex", "hex", 11, "the bytes", lambda r: r.hex),
+        _key("direction", "from", 6, "host or device"),
+        _key("kind", "kind", 11, "instruction, response, ..."),
+        _key("hex", "hex", 11, "the bytes"),
         Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
-        Column(
-            "data",
-            "data",
-            8,
-            "an instruction's bytes behind its header",
-            lambda r: None if _header(r) is None else r.hex[3:],
-        ),
-        Column("name", "name", 13, "of the instruction or response", lambda r: r.name),
+        Column("data", "data", 8, "an instruction's bytes behind its header", _data),
+        _key("name", "name", 13, "of the instruction or response"),
         Column("fields", "fields", 14, "the instruction's fields and values", _described),
-        Column("judgement", "judgement", 13, "the expected response", lambda r: r.judgement),
-        Column(
-            "response",
-            "response",
-            13,
-            "the response's name",
-            lambda r: r.name if r.kind == "response" else None,
-        ),
-        Column(
-            "latency",
-            "latency",
-            12,
-            "seconds from the instruction to its answer",
-            lambda r: r.latency,
+        _key("judgement", "judgement", 13, "the expected response"),
+        Column("response", "response", 13, "the response's name", _response),
+        _key(
+            *("latency", "latency", 12, "seconds from the instruction to its answer"),
             _milliseconds,
             right=True,
         ),
         Column("latency_ns", "latency ns", 10, "the same in ns", _latency_ns, right=True),
-        Column(
-            "state",
-            "state",
-            26,
-            "the predicted state in words",
-            lambda r: state_words(r.state),
-        ),
-        Column("state.motion", "motion", 12, "predicted", lambda r: r.state.motion),
-        Column("state.speed", "speed", 5, "predicted", lambda r: r.state.speed, right=True),
-        Column(
-            "state.steering", "steering", 8, "predicted", lambda r: r.state.steering, right=True
-        ),
-        Column("state.led", "led", 3, "predicted", lambda r: r.state.led, right=True),
-        Column("state.moving", "moving", 6, "predicted", lambda r: r.state.moving),
-        Column(
-            "sequence", "number", 8, "the instruction's, from 0", lambda r: r.sequence, right=True
-        ),
-        Column(
-            "answers",
-            "answers",
-            8,
-            "the number of the instruction that is answered",
-            lambda r: r.answers,
+        Column("state", "state", 26, "the predicted state in words", _state_words),
+        *map(_state, (*VARIABLES, "moving")),
+        _key("sequence", "number", 8, "the instruction's, from 0", right=True),
+        _key(
+            *("answers", "answers", 8, "the number of the instruction that is answered"),
             right=True,
         ),
-        Column("agrees", "agrees", 6, "whether the answer is as expected", lambda r: r.agrees),
+        _key("agrees", "agrees", 6, "whether the answer is as expected"),
         Column("faults", "faults", 20, "the kinds of faults", lambda r: "; ".join(r.faults)),
-        Column("reason", "reason", 40, "why, in words", lambda r: r.reason),
+        _key("reason", "reason", 40, "why, in words"),
     )
 }
 """The columns of every grammar but `id`, `len` and the fields."""
@@ -325,15 +326,11 @@ class ColumnLines:
         self._colour = colour
         self._widths = [times.width if column is TIME else column.width for column in columns]
 
-    def records(self, records: Iterable[Record]) -> str:
+    def text(self, records: Iterable[Record]) -> str:
         """The lines of the records, each with its newline."""
         return "".join(
             self._line(record, line) for record in records if (line := json_line(record))
         )
-
-    def stretch(self, stretch: Stretch) -> str:
-        """The lines of all records of a stretch."""
-        return self.records(stretch.records())
 
     def _line(self, record: Record, line: JsonLine) -> str:
         padded = (

@@ -1,18 +1,16 @@
-"""Counts and rates of a session. `part` is cheap, since all traffic passes through it."""
+"""Counts and rates of a session. `batch` is cheap, since all traffic passes through it."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.captures.schemas import Chunk, Line
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.decode.batch import Batch
 
 WINDOW = 2_000_000_000  # ns that rates are taken over
 _BUCKET = 250_000_000  # ns
@@ -27,7 +25,7 @@ class Rates:
 
 
 class Statistics:
-    """Counts the events and records of a session.
+    """Counts the events and the decoded rows of a session.
 
     `instructions` counts the whole and the truncated ones, `responses` the device bytes, `faults`
     the anomalies without those of severity info.
@@ -46,41 +44,19 @@ class Statistics:
             if isinstance(event, Chunk):
                 self._bytes[event.direction].add(event.t, len(event.data))
 
-    def part(self, part: Part) -> None:
-        """Count a part."""
-        if isinstance(part, Records):
-            self._records(part.listed)
-        else:
-            self._stretch(part)
+    def batch(self, batch: Batch, now: int) -> None:
+        """Count a batch that was complete at `now` (ns)."""
+        frames = batch.host_count
+        self.instructions += frames
+        self.responses += batch.device_count
+        self.faults += batch.fault_count
+        if frames:
+            self._frames.add(now, frames)
 
     def rates(self, now: int) -> Rates:
         """The rates at `now` (ns since the start)."""
         sides = self._bytes["host"].value(now), self._bytes["device"].value(now)
         return Rates(self._frames.value(now), sides)
-
-    def _records(self, records: Sequence[Record]) -> None:
-        """Count records; this is done for each frame of a line that is not very busy."""
-        for record in records:
-            if type(record) is DeviceRecord:
-                self.responses += 1
-                if not record.faults:
-                    continue
-            elif type(record) is HostRecord:
-                self._frames.add(record.end, 1)
-                self.instructions += record.sequence is not None
-                if not record.reason:
-                    continue
-            self.faults += len(serious_faults(record))
-
-    def _stretch(self, stretch: Stretch) -> None:
-        self.instructions += stretch.host_rows
-        for t, frames in stretch.frame_counts():
-            self._frames.add(t, frames)
-        self.responses += len(stretch.t)
-        from bilprov.analyzer.columns.kinds import fault_counts  # it needs numpy
-
-        self.faults += fault_counts(stretch).total()
-        self._records([stretch.line(at, stretch.carried) for at in range(len(stretch.lines))])
 
 
 class _Rate:

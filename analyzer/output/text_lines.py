@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
@@ -23,9 +23,6 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import Line, State
 from bilprov.captures.text import printable
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.columns.stretch import Stretch
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
 WORDS_WIDTH = 22
@@ -55,24 +52,18 @@ class LineRenderer:
         self._colour = colour
         self._time = time or _seconds
         self._to_device, self._to_host = arrows
-        self._host = lru_cache(maxsize=8192)(self._host_text)
+        self._host = PerFrame(self._host_text)
         self._device = lru_cache(maxsize=8192)(self._device_text)
         self._state = lru_cache(maxsize=8192)(self._state_text)
 
-    def records(self, records: Iterable[Record]) -> str:
+    def text(self, records: Iterable[Record]) -> str:
         """Render the lines of the records, each with its newline."""
         return "".join([f"{self.line(record)}\n" for record in records])
-
-    def stretch(self, stretch: Stretch) -> str:
-        """Render the lines of all records of a stretch."""
-        return self.records(stretch.records())
 
     def line(self, record: Record) -> str:
         """Render one line without its newline, safe for a terminal and for a pipe."""
         if isinstance(record, HostRecord):
-            severity = severity_of(record)
-            text = self._host(record.hex, record.words, severity)
-            why = self._why(record.reason, severity)
+            text, why = self._host(record)
             return f"{self._time(record.t)} {text}{self._state(record.state)}{why}"
         if isinstance(record, DeviceRecord):
             return f"{self._time(record.t)} {self._device_line(record)}"
@@ -80,18 +71,22 @@ class LineRenderer:
             return f"{self._time(record.t)} - {_line_event(record.value)}"
         return self._fault_line(record.faults[0])
 
-    def _host_text(self, hex_text: str, words: str, severity: Severity | None) -> str:
-        body = f"{hex_text:<{HEX_WIDTH}}  {words:<{WORDS_WIDTH}}"
-        return f"{self._to_device} {self._paint(body, severity)}"
+    def _host_text(self, record: HostRecord) -> tuple[str, str]:
+        """What stands before the state, and behind it."""
+        severity = severity_of(record)
+        body = f"{record.hex:<{HEX_WIDTH}}  {record.words:<{WORDS_WIDTH}}"
+        text = f"{self._to_device} {self._paint(body, severity)}"
+        return text, self._why(record.reason, severity)
 
     def _device_line(self, record: DeviceRecord) -> str:
-        value, severity = record, severity_of(record)
-        text = self._device(value.hex, record.words, severity)
-        latency = "" if value.latency is None else f" {value.latency / 1e6:8.3f} ms"
-        return f"{text}{latency}{self._why(value.reason, severity)}".rstrip()
+        severity = severity_of(record) if record.faults else None
+        text = self._device(record.byte, record.words, severity)
+        latency = "" if record.latency is None else f" {record.latency / 1e6:8.3f} ms"
+        return f"{text}{latency}{self._why(record.reason, severity)}".rstrip()
 
-    def _device_text(self, hex_text: str, name: str, severity: Severity | None) -> str:
-        return f"{self._to_host} {self._paint(f'{hex_text:<{HEX_WIDTH}}  {name:<13}', severity)}"
+    def _device_text(self, byte: int, name: str, severity: Severity | None) -> str:
+        body = f"{bytes([byte]).hex():<{HEX_WIDTH}}  {name:<13}"
+        return f"{self._to_host} {self._paint(body, severity)}"
 
     def _fault_line(self, fault: Anomaly) -> str:
         words = f"{fault.kind}: {fault.reason}"

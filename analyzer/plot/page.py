@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.columns.timeline import Mark, Range, Timeline
 from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
 from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency
+from bilprov.analyzer.totals.timeline import Mark, Range, Timeline
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import MOTIONS

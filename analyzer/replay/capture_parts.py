@@ -2,51 +2,78 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
-from bilprov.analyzer.columns.decoder import Part
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.analyzer.replay.playback import BATCH_BYTES, batches, played
+from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.captures.events import Events
 
 TEXT_BATCH = 1 << 15
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
+BATCH_BYTES = 1 << 18
+_FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
+
 WHOLE = Window()
 
 Progress = Callable[[int], object]
-"""Told how many bytes of the line were read more; what it raises ends the work."""
+"""Gets how many bytes of the line were read more; what it raises ends the work."""
 
 
 def event_batches(
-    capture: Capture,
+    events: Iterable[Events],
     progress: Progress,
     window: Window = WHOLE,
     largest: int = BATCH_BYTES,
-) -> Iterator[list[Chunk | Line]]:
-    """Yield the events that decoding a window needs, in batches of at most about `largest` bytes.
+) -> Iterator[Events]:
+    """Yield those events of a capture that decoding a window needs, about `largest` bytes at once.
 
-    Raises CaptureError as `Capture.events` does.
+    Raises CaptureError as `Capture.batches` does.
     """
-    events = played(capture.events(), 0, sleep=time.sleep, start=window.first, end=window.after)
-    for batch in batches(events, at_once=True, largest=largest):
-        yield batch
-        progress(sum(len(event.data) for event in batch if isinstance(event, Chunk)))
+    most = min(_FIRST_BATCH, largest)
+    for read in events:
+        at = 0
+        while at < len(read):
+            done = int(read.end[at - 1]) if at else 0
+            stop = max(at + 1, int(read.end.searchsorted(done + most, "right")))
+            batch, at, most = read.part(at, stop), stop, min(2 * most, largest)
+            if window.after is not None:
+                late = batch.t > window.after + AFTERMATH
+                if late.any():
+                    yield batch.part(0, int(late.argmax()))
+                    return
+            yield batch
+            progress(len(batch.data))
 
 
-def decoded_parts(
+def decoded(
+    decoder: StreamDecoder,
+    events: Iterable[Events],
+    progress: Progress = lambda size: None,
+    window: Window = WHOLE,
+    largest: int = BATCH_BYTES,
+) -> Iterator[Batch]:
+    """Yield all that is decoded from these events, also outside the window."""
+    for batch in event_batches(events, progress, window, largest):
+        yield from decoder.decode(batch)
+    yield from decoder.finish()
+
+
+def decoded_batches(
     capture: Capture,
     protocol: Protocol,
     progress: Progress,
     window: Window = WHOLE,
     largest: int = BATCH_BYTES,
-) -> Iterator[Part]:
-    """Yield all that is decoded from these events, part by part, also outside the window."""
+) -> Iterator[Batch]:
+    """Yield all that is decoded from a capture, as `decoded` does."""
     decoder = capture_decoder(capture, protocol)
-    for batch in event_batches(capture, progress, window, largest):
-        yield from decoder.feed(batch)
-    yield from decoder.finish()
+    return decoded(decoder, capture.batches(), progress, window, largest)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session, SessionSettings
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Direction

@@ -94,29 +94,6 @@ def played(
         yield event
 
 
-BATCH_BYTES = 1 << 18
-BATCH_EVENTS = 1 << 12
-
-
-def batches(
-    events: Iterable[Paced], *, at_once: bool, largest: int = BATCH_BYTES
-) -> Iterator[list[Paced]]:
-    """Yield the events in order: one by one, or `at_once` up to `largest` bytes and 4,096 events.
-
-    The first batches are smaller, so that there is soon something to show.
-    """
-    batch: list[Paced] = []
-    size, most = 0, 1 << 10
-    for event in events:
-        batch.append(event)
-        size += len(event.data) if isinstance(event, Chunk) else 0
-        if not at_once or size >= most or len(batch) >= BATCH_EVENTS:
-            yield batch
-            batch, size, most = [], 0, min(2 * most, largest)
-    if batch:
-        yield batch
-
-
 def interruptible(
     stopper: Stopper, meanwhile: Callable[[float], object]
 ) -> Callable[[float], None]:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.captures.indexed import IndexedCapture, StoredCheckpoint, open_indexed
-from bilprov.captures.reader import Capture, Recorded, open_capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.events import Events
+from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
+from bilprov.captures.schemas import Chunk, Line, Recorded
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
 from bilprov.spec.protocol import Protocol
 
 
 class Opened(NamedTuple):
-    """A capture, a decoder, and the events that the decoder needs from where it stands on.
+    """A capture, and a decoder that stands at its beginning or at a checkpoint.
 
     `note` is a sentence for the user, "" if there is none. `after` is the checkpoint that the
     decoder has gone on from, None at the beginning.
@@ -26,15 +26,20 @@ class Opened(NamedTuple):
 
     capture: Capture
     decoder: StreamDecoder
-    events: Callable[[], Iterator[Chunk | Line]]
     note: str = ""
     after: StoredCheckpoint | None = None
 
+    def events(self) -> Iterator[Chunk | Line]:
+        """The events from there on, one by one."""
+        return self.capture.events(self.after)
+
+    def batches(self) -> Iterator[Events]:
+        """The events from there on, as arrays."""
+        return self.capture.batches(self.after)
+
     def recorded(self) -> Iterator[Recorded]:
         """All that was recorded from there on and not decoded from the bytes."""
-        if isinstance(self.capture, IndexedCapture):
-            return self.capture.recorded(self.after)
-        return self.capture.recorded()
+        return self.capture.recorded(self.after)
 
 
 def opened_at(
@@ -57,11 +62,11 @@ def opened_at(
             f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
             "which is slow in a long capture"
         )
-    return Opened(capture, capture_decoder(capture, protocol, timeout), capture.events, note)
+    return Opened(capture, capture_decoder(capture, protocol, timeout), note)
 
 
 def _from_checkpoint(
-    capture: IndexedCapture, protocol: Protocol, start: int, timeout: int | None
+    capture: Capture, protocol: Protocol, start: int, timeout: int | None
 ) -> Opened | None:
     stored = capture.checkpoint_before(start, protocol.sha256)
     if stored is None:
@@ -74,4 +79,4 @@ def _from_checkpoint(
         decoder.resume(state)
     except ValueError:  # it was saved with other settings
         return None
-    return Opened(capture, decoder, lambda: capture.events(stored), after=stored)
+    return Opened(capture, decoder, after=stored)

@@ -252,7 +252,7 @@ class Browser(App[str | None]):
         filtering = self.filtering
         if filtering and filtering.ended:
             self.filtering = None
-            if not filtering.cancelled:
+            if not filtering.cancelled.is_set():
                 self.filter_text = filtering.text
                 self.frames.look_at(filtering.view)
                 self._show_row()
@@ -397,7 +397,7 @@ class Browser(App[str | None]):
             self.filtering.cancel()
         self.said = ""
         self.filtering = Filtering(self._recording, text, test)
-        self.filtering.join(0.05)  # mostly it is done by then, and shown at once
+        self.filtering.thread.join(0.05)  # mostly it is done by then, and shown at once
         self.tick()
 
     def action_fault(self, step: int) -> None:
@@ -512,11 +512,7 @@ class Browser(App[str | None]):
         if not (self.feed.keeps and self._recording.rows):
             self.exit(None)
             return
-        answers = {
-            "y": "yes, save it",
-            "n": "no, discard it",
-            "Esc": "go back to the screen",
-        }
+        answers = {"y": "yes, save it", "n": "no, discard it", "Esc": "go back to the screen"}
 
         def answer(key: str | None) -> None:
             if key == "y":

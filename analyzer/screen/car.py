@@ -9,6 +9,7 @@ from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion, wheels
 from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.tables import MOTIONS
 
 WIDTH = 26
 ROWS = 8
@@ -24,11 +25,12 @@ def car(protocol: Protocol, state: State, signs: Signs) -> list[Text]:
     moved = MotionState(motion, state.speed, state.steering, state.led)
     left, right = wheels(moved, full)
     colour = "bold green" if state.moving else "dim"
+    sign = signs.motions[MOTIONS.index(motion)]
     front, side, back = signs.body
     axle = (_turning(left, signs), _turning(right, signs))
     return [
         Text(front.join(axle).center(WIDTH)),
-        Text.assemble(f"{side:>9}   ", (signs.motions[motion], colour), f"   {side}"),
+        Text.assemble(f"{side:>9}   ", (sign, colour), f"   {side}"),
         Text(back.join(axle).center(WIDTH)),
         Text(_caption(state).center(WIDTH), colour),
         Text(f"wheels {left:+d} {right:+d}".center(WIDTH), "dim"),

@@ -11,7 +11,7 @@ from textual.message import Message
 from textual.widget import Widget
 
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.screen.details import Detail, details, record_bytes
+from bilprov.analyzer.screen.details import Detail, covers, details, record_bytes
 from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import Signs
 from bilprov.captures.text import escape_controls
@@ -59,11 +59,9 @@ class FieldTree(Rows):
         """Choose the line about a bit (counted from 0 at the right end) of a byte."""
         for at, shown in enumerate(self._shown):
             group = shown.detail.group
-            if group and group.byte <= byte < group.byte + group.size:
-                place = bit + 8 * (group.byte + group.size - 1 - byte)
-                if group.low <= place <= group.high:
-                    self.choose(at)
-                    return
+            if group and covers(group, byte, bit):
+                self.choose(at)
+                return
 
     def action_enter(self) -> None:
         """Fold or unfold the lines of the chosen heading."""
@@ -181,8 +179,4 @@ class HexPane(Widget):
             self.post_message(self.Clicked(byte, max(0, 7 - place.x % _CELL)))
 
     def _chosen(self, byte: int, bit: int) -> bool:
-        group = self._group
-        if group is None or not group.byte <= byte < group.byte + group.size:
-            return False
-        place = bit + 8 * (group.byte + group.size - 1 - byte)
-        return group.low <= place <= group.high
+        return self._group is not None and covers(self._group, byte, bit)

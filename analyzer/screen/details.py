@@ -56,6 +56,12 @@ def record_bytes(record: Record) -> bytes:
     return bytes([record.byte]) if isinstance(record, DeviceRecord) else b""
 
 
+def covers(group: BitGroup, byte: int, bit: int) -> bool:
+    """Whether a bit (counted from 0 at the right end) of a byte of the record is in a group."""
+    place = bit + 8 * (group.byte + group.size - 1 - byte)
+    return group.byte <= byte < group.byte + group.size and group.low <= place <= group.high
+
+
 def bit_picture(group: BitGroup) -> str:
     """The bits of a group in their places, dots for the others: `.... 0001`."""
     width = 8 * group.size

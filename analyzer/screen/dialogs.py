@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from rich.table import Table
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
+from textual.events import Key
 from textual.screen import ModalScreen
 from textual.widgets import Input, OptionList, Static
 from textual.widgets.option_list import Option
@@ -18,17 +19,21 @@ from bilprov.analyzer.screen.rows import Rows
 from bilprov.analyzer.screen.signs import Signs
 from bilprov.captures.text import escape_controls
 
+Answer = TypeVar("Answer")
 
-class Dialog(ModalScreen[str | None]):
+
+class Dialog(ModalScreen[Answer | None]):
     """A question over the screen; its result is None where it is left by Esc."""
 
     DEFAULT_CSS = """
     Dialog { align: center middle; }
-    Dialog > Vertical, Dialog > VerticalScroll {
+    Dialog > Vertical, Dialog > VerticalScroll, Dialog > Rows {
         border: round ansi_blue; background: ansi_default;
         width: 64; max-width: 100%; height: auto; max-height: 100%; padding: 0 1;
     }
-    Dialog.plain > Vertical, Dialog.plain > VerticalScroll { border: ascii ansi_blue; }
+    Dialog.plain > Vertical, Dialog.plain > VerticalScroll, Dialog.plain > Rows {
+        border: ascii ansi_blue;
+    }
     Dialog Input, Dialog OptionList {
         border: none; height: auto; padding: 0; background: ansi_default;
     }
@@ -41,7 +46,7 @@ class Dialog(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class Help(Dialog):
+class Help(Dialog[str]):
     """The keys and what they do."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("q,question_mark", "leave", show=False)]
@@ -64,7 +69,7 @@ class Help(Dialog):
             yield Static(Text(f"\n{self._about}", "dim"))
 
 
-class AskName(Dialog):
+class AskName(Dialog[str]):
     """Asks for the name of a file; `refusal` says why a name will not do, "" if it will."""
 
     def __init__(self, question: str, name: str, refusal: Callable[[str], str]) -> None:
@@ -90,7 +95,7 @@ class AskName(Dialog):
             self.dismiss(name)
 
 
-class Choice(Dialog):
+class Choice(Dialog[str]):
     """Asks to choose one of some answers, by arrows, mouse or the first letter."""
 
     def __init__(self, question: str, answers: Mapping[str, str]) -> None:
@@ -112,34 +117,16 @@ class Choice(Dialog):
         """Give the answer."""
         self.dismiss(event.option_id)
 
-    def key_y(self) -> None:
-        """Answer yes, where that is an answer."""
-        self._answer("y")
-
-    def key_n(self) -> None:
-        """Answer no, where that is an answer."""
-        self._answer("n")
-
-    def _answer(self, key: str) -> None:
-        if key in self._answers:
-            self.dismiss(key)
+    def on_key(self, event: Key) -> None:
+        """Give the answer of a key, if it has one."""
+        if event.key in self._answers:
+            self.dismiss(event.key)
 
 
-class ColumnChoice(ModalScreen[list[str] | None]):
+class ColumnChoice(Dialog[list[str]]):
     """Asks which columns are shown; the result is their names, None where nothing is changed."""
 
-    DEFAULT_CSS = """
-    ColumnChoice { align: center middle; }
-    ColumnChoice Rows {
-        width: 64; max-width: 100%; height: auto; max-height: 100%;
-        border: round ansi_blue; background: ansi_default;
-    }
-    ColumnChoice.plain Rows { border: ascii ansi_blue; }
-    """
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape", "leave", show=False),
-        Binding("c", "take", show=False),
-    ]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("c", "take", show=False)]
 
     def __init__(self, columns: Mapping[str, str], chosen: Iterable[str], signs: Signs) -> None:
         super().__init__()
@@ -157,10 +144,6 @@ class ColumnChoice(ModalScreen[list[str] | None]):
     def action_take(self) -> None:
         """Give the names of the chosen columns, in the order of the list."""
         self.dismiss(self._listed.chosen)
-
-    def action_leave(self) -> None:
-        """Leave without a change."""
-        self.dismiss(None)
 
 
 class _Columns(Rows):

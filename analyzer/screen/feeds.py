@@ -10,11 +10,10 @@ from contextlib import contextmanager
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from bilprov.analyzer.columns.decoder import Part, Records
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_parts import WHOLE
-from bilprov.analyzer.replay.playback import batches
 from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.replay.spool import Spool
@@ -120,35 +119,35 @@ def capture_feed(
         rows = kind(RecordingOutput(feed.recording), test, count, window)
         length = max(1, opened.capture.contents.last - opened.capture.start)
         feed.progress = 0.0
-        for batch in batches(opened.events(), at_once=True):
+        for events in opened.batches():
             if feed.stopped.is_set():
                 return
-            if rows.full or (window.after is not None and batch[0].t >= window.after):
+            if rows.full or (window.after is not None and events.t[0] >= window.after):
                 break
-            for part in opened.decoder.feed(batch):
-                rows.show(part)
-            feed.progress = min(1.0, batch[-1].t / length)
+            for batch in opened.decoder.decode(events):
+                rows.show(batch)
+            feed.progress = min(1.0, int(events.t[-1]) / length)
             time.sleep(0)  # whoever waits for the interpreter gets it now
-        for part in opened.decoder.finish():
-            rows.show(part)
+        for batch in opened.decoder.finish():
+            rows.show(batch)
         feed.progress = None
 
     return Feed(Recording(protocol), read, stays=True)
 
 
 class RecordingOutput(NoOutput):
-    """Adds decoded parts to a recording."""
+    """Adds decoded batches to a recording."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def show(self, part: Part) -> None:
-        """Add a part."""
-        self._recording.add(part)
+    def show(self, batch: Batch) -> None:
+        """Add a batch."""
+        self._recording.add(batch)
 
 
 class ScreenOutput(RecordingOutput):
-    """Adds decoded parts to the recording of a feed, and takes the rates ten times a second.
+    """Adds decoded batches to the recording of a feed, and takes the rates ten times a second.
 
     Rows are let go that are older than what a spool still has, and where the recording takes more
     than `most` bytes of memory.
@@ -194,14 +193,15 @@ class AllShown(Shown):
     The frames that pass the filter are counted as by any `Shown`.
     """
 
-    def show(self, part: Part) -> Part:
-        """Show a part, and return what was shown of it."""
+    def show(self, batch: Batch) -> Batch:
+        """Show a batch, and return what was shown of it."""
         if self.left is not None:
-            deque(self._passing(part), maxlen=0)
-        if not self.window.covers(part):
-            part = Records([record for record in part.records() if self.window.has(record.t)])
-        self.output.show(part)
-        return part
+            deque(self._counted(batch.records(self._chosen(batch))), maxlen=0)
+        inside = batch.inside(self.window.first, self.window.after)
+        if not inside.everything:
+            batch = Records(batch.records(inside))
+        self.output.show(batch)
+        return batch
 
 
 @contextmanager

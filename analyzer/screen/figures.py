@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from rich.text import Text
 
-from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.output.statistics import Rates
 from bilprov.analyzer.screen.signs import Signs
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.text import printable, quantity
 
 

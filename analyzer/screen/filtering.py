@@ -12,17 +12,18 @@ if TYPE_CHECKING:
 
 
 class Filtering:
-    """A new `view` of a recording that fills; `text` is the filter as it was typed."""
+    """A new `view` of a recording that fills in a `thread` until it is `cancelled`.
+
+    `text` is the filter as it was typed.
+    """
 
     def __init__(self, recording: Recording, text: str, test: Filter | None) -> None:
         self.view = View(recording, test)
         self.text = text
         self._recording = recording
-        self._cancelled = Event()
-        self._thread = Thread(
-            target=self.view.catch_up, args=(self._cancelled,), name="filter", daemon=True
-        )
-        self._thread.start()
+        self.cancelled = Event()
+        self.thread = Thread(target=self.view.catch_up, args=(self.cancelled,), daemon=True)
+        self.thread.start()
 
     @property
     def doing(self) -> str:
@@ -32,17 +33,8 @@ class Filtering:
     @property
     def ended(self) -> bool:
         """Whether nothing more is looked at."""
-        return not self._thread.is_alive()
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether it was told to stop."""
-        return self._cancelled.is_set()
+        return not self.thread.is_alive()
 
     def cancel(self) -> None:
         """Stop early; returns at once."""
-        self._cancelled.set()
-
-    def join(self, seconds: float) -> None:
-        """Wait for the end, at most so long."""
-        self._thread.join(seconds)
+        self.cancelled.set()

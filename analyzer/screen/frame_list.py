@@ -27,7 +27,6 @@ WHAT = Column("what", "what", 30, "the frame in words, or the answer and its lat
 _USUAL = (TIME, COLUMNS["hex"], WHAT, COLUMNS["reason"])
 _NARROW = 60  # columns, under which the bytes are left to the pane of bytes
 _FRONT = 3  # columns before the first cell: a sign, the direction, a space
-_SIGNED = "!"
 _BUNCH = 64  # rows that are looked at together
 
 
@@ -135,10 +134,11 @@ class FrameList(Rows):
         severity = severity_of(record)
         serious = severity is not None and severity > Severity.INFO
         style = _style(record, severity)
-        mark = self.signs.mark if row in self.marks else _SIGNED if serious else " "
+        mark = self.signs.mark if row in self.marks else "!" if serious else " "
         text = Text(no_wrap=True)
         text.append(mark, f"bold {style}" if serious else "bold")
-        text.append(self._direction(record) + " ", "bold cyan" if _is_host(record) else "bold")
+        direction = self._direction(record)
+        text.append(f"{direction} ", "bold cyan" if direction == self.signs.to_device else "bold")
         line = json_line(record)
         if line is None:
             assert isinstance(record, LineRecord)
@@ -151,7 +151,7 @@ class FrameList(Rows):
         return text
 
     def _direction(self, record: Record) -> str:
-        if _is_host(record):
+        if isinstance(record, HostRecord):
             return self.signs.to_device
         return self.signs.to_host if isinstance(record, DeviceRecord) else "-"
 
@@ -218,10 +218,6 @@ def _fault_line(record: Record) -> Text:
     colour = f"bold {SEVERITY_COLOURS[fault.severity]}"
     line = Text.assemble((f"{fault.t / 1e9:12.6f} ", "dim"), (printable(fault.kind), colour))
     return line.append(f"  {printable(fault.reason)}")
-
-
-def _is_host(record: Record) -> bool:
-    return isinstance(record, HostRecord)
 
 
 def _style(record: Record, severity: Severity | None) -> str:

@@ -1,279 +1,70 @@
-"""Parts of a recording, packed to about a tenth of their size; each gives its rows as a page.
-
-A stretch keeps its bytes and times; frames, verdicts and states are looked up again. Records are
-compressed.
-"""
+"""Decoded batches, packed to about a tenth of the size of their records."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+import pickle
+from io import BytesIO
+from typing import Any
 
-import msgspec
-import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.columns.stretch import Decoding, Stretch
-from bilprov.analyzer.decode.records import (
-    Anomaly,
-    DeviceRecord,
-    FaultRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-    Severity,
-)
-from bilprov.analyzer.screen.pages import SIDES, Order, RecordsPage, StretchPage
-from bilprov.captures.schemas import Line, State
-from bilprov.spec.motion import is_moving
-from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Steps
+from bilprov.analyzer.decode.batch import Batch
+from bilprov.analyzer.decode.regular import Decoding
+from bilprov.spec.protocol import InstructionSpec, ResponseSpec
 
 _LEVEL = 1  # of zstd
+_SHARED = (Decoding, InstructionSpec, ResponseSpec)
 
 
-class Numbers(NamedTuple):
-    """Numbers that hardly ever decrease: what is to be added to `base`, each for `runs` rows."""
+class PackedBatch:
+    """A batch as compressed bytes; what it rests on, its grammar and tables, is left out."""
 
-    base: int
-    more: NDArray[np.unsignedinteger]
-    runs: NDArray[np.unsignedinteger] | None
+    def __init__(self, batch: Batch) -> None:
+        self._shared: list[Any] = []
+        file = BytesIO()
+        _Packer(file, self._shared).dump(batch)
+        self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
-    @classmethod
-    def of(cls, values: NDArray[np.int64]) -> Numbers:
-        """Pack numbers; neighbours that are equal become one where that takes less room."""
-        if not len(values):
-            return cls(0, np.empty(0, np.uint8), None)
-        base = int(values.min())
-        more = (values - base).astype(np.min_scalar_type(int(values.max()) - base))
-        first = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
-        if 2 * len(first) > len(values):
-            return cls(base, more, None)
-        return cls(base, more[first], _small(np.diff(first, append=len(values))))
-
-    def unpacked(self) -> NDArray[np.int64]:
-        """The numbers."""
-        values = self.more.astype(np.int64)
-        values += self.base
-        return values if self.runs is None else np.repeat(values, self.runs)
+    def batch(self) -> Batch:
+        """The batch again."""
+        file = BytesIO(zstandard.ZstdDecompressor().decompress(self._packed))
+        batch: Batch = _Unpacker(file, self._shared).load()
+        return batch
 
     @property
     def nbytes(self) -> int:
-        """How much memory they take, in bytes."""
-        return self.more.nbytes + (0 if self.runs is None else self.runs.nbytes)
+        """How much memory it takes, in bytes."""
+        return len(self._packed)
 
 
-@dataclass(frozen=True, slots=True)
-class PackedStretch:
-    """A Stretch without what can be worked out again.
-
-    `sides` and `counts` have the sides and the numbers of rows of its spans.
-    """
-
-    decoding: Decoding
-    data: bytes
-    sizes: NDArray[np.unsignedinteger]
-    carried: int
-    sequence: int
-    start: Numbers
-    end: Numbers
-    byte: bytes
-    t: Numbers
-    before: State
-    last: State
-    lines: tuple[Line, ...]
-    sides: bytes
-    counts: NDArray[np.unsignedinteger]
-
-    @classmethod
-    def of(cls, stretch: Stretch) -> PackedStretch:
-        """Pack a stretch."""
-        offset, size = stretch.frames.offset, stretch.size
-        low, high = (int(offset[0]), int(offset[-1] + size[-1])) if len(offset) else (0, 0)
-        counts = np.array([span.stop - span.start for span in stretch.spans], np.int64)
-        return cls(
-            decoding=stretch.decoding,
-            data=stretch.data[low:high].tobytes(),
-            sizes=_small(size),
-            carried=stretch.carried,
-            sequence=stretch.sequence,
-            start=Numbers.of(stretch.start),
-            end=Numbers.of(stretch.end),
-            byte=stretch.byte.tobytes(),
-            t=Numbers.of(stretch.t),
-            before=stretch.before,
-            last=stretch.last,
-            lines=stretch.lines,
-            sides=bytes(SIDES.index(span.side) for span in stretch.spans),
-            counts=_small(counts),
-        )
-
-    @property
-    def order(self) -> Order:
-        """The spans of the stretch."""
-        return Order(self.sides, self.counts, self.carried)
-
-    def page(self, protocol: Protocol) -> StretchPage:
-        """The rows of the stretch."""
-        data, order = np.frombuffer(self.data, np.uint8), self.order
-        offset = np.cumsum(self.sizes, dtype=np.int64) - self.sizes
-        stretch = Stretch(
-            decoding=self.decoding,
-            data=data,
-            frames=self.decoding.tables.frames(data, offset),
-            carried=self.carried,
-            sequence=self.sequence,
-            start=self.start.unpacked(),
-            end=self.end.unpacked(),
-            byte=np.frombuffer(self.byte, np.uint8),
-            t=self.t.unpacked(),
-            before=self.before,
-            last=self.last,
-            lines=self.lines,
-            spans=order,
-        )
-        return StretchPage(stretch, order)
-
-    @property
-    def nbytes(self) -> int:
-        """How much memory it takes, in bytes, lines and objects left out."""
-        arrays = self.sizes.nbytes + self.counts.nbytes + len(self.data) + len(self.byte)
-        times = self.start.nbytes + self.end.nbytes + self.t.nbytes
-        return arrays + times + len(self.sides)
+def _shared(place: int) -> Any:
+    """The name under which a packed batch asks for what it shares; see `_Unpacker`."""
+    raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True)
-class PackedRecords:
-    """Records as compressed MessagePack."""
+class _Packer(pickle.Pickler):
+    """Puts what is shared into a list, and its place there into the file."""
 
-    packed: bytes
+    def __init__(self, file: BytesIO, shared: list[Any]) -> None:
+        super().__init__(file, pickle.HIGHEST_PROTOCOL)
+        self._shared = shared
 
-    @classmethod
-    def of(cls, records: Records) -> PackedRecords:
-        """Pack records. Raises OverflowError for times that only a forged file has."""
-        rows = [_ROWS[type(record)](record) for record in records.listed]
-        compress = zstandard.ZstdCompressor(_LEVEL).compress
-        return cls(compress(msgspec.msgpack.encode(rows)))
-
-    def page(self, protocol: Protocol) -> RecordsPage:
-        """The rows of the records."""
-        rows = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(self.packed))
-        steps = Steps(protocol)
-        return RecordsPage([_MAKERS[kind](protocol, steps, *values) for kind, *values in rows])
-
-    @property
-    def nbytes(self) -> int:
-        """How much memory they take, in bytes."""
-        return len(self.packed)
+    def reducer_override(self, value: Any) -> Any:
+        """How a value is packed; asked once for each object of a class."""
+        if not isinstance(value, _SHARED):
+            return NotImplemented
+        self._shared.append(value)
+        return _shared, (len(self._shared) - 1,)
 
 
-Packed: TypeAlias = PackedStretch | PackedRecords | RecordsPage
-"""A part as it is kept, which gives its `page`."""
+class _Unpacker(pickle.Unpickler):
+    """Takes what is shared out of the list again."""
 
+    def __init__(self, file: BytesIO, shared: list[Any]) -> None:
+        super().__init__(file)
+        self._shared = shared
 
-def packed(part: Part) -> Packed:
-    """Pack a part."""
-    if isinstance(part, Stretch):
-        return PackedStretch.of(part)
-    try:
-        return PackedRecords.of(part)
-    except OverflowError:
-        return RecordsPage(part.listed)
-
-
-def _small(values: NDArray[Any]) -> NDArray[np.unsignedinteger]:
-    """Numbers from 0 up in as few bytes as they need."""
-    most = int(values.max()) if len(values) else 0
-    return values.astype(np.min_scalar_type(most))
-
-
-def _host_row(r: HostRecord) -> tuple[Any, ...]:
-    return 0, r.t, r.end, r.known, r.kind, r.data, r.sequence, _state_row(r.state), r.note
-
-
-def _host(
-    protocol: Protocol,
-    steps: Steps,
-    t: int,
-    end: int,
-    known: int,
-    kind: Any,
-    data: bytes,
-    sequence: int | None,
-    state: list[Any],
-    note: str,
-) -> Record:
-    judgement = None if sequence is None else steps[data].judgement
-    return HostRecord(t, end, known, kind, data, judgement, sequence, _state(state), note)
-
-
-def _device_row(r: DeviceRecord) -> tuple[Any, ...]:
-    frame = r.answered.frame if r.answered else None
-    state, faults = _state_row(r.state), _fault_rows(r)
-    return 1, r.t, r.byte, frame, r.instruction, r.latency, r.agrees, state, faults
-
-
-def _device(
-    protocol: Protocol,
-    steps: Steps,
-    t: int,
-    byte: int,
-    frame: bytes | None,
-    instruction: int | None,
-    latency: int | None,
-    agrees: bool | None,
-    state: list[Any],
-    faults: list[Any],
-) -> Record:
-    answered = None if frame is None else steps[frame].judgement
-    answer = protocol.codes.get(byte)
-    return DeviceRecord(
-        t, byte, answer, answered, instruction, latency, agrees, _state(state), _faults(faults)
-    )
-
-
-def _line_row(r: LineRecord) -> tuple[Any, ...]:
-    return 2, msgspec.structs.astuple(r.value), r.lost, _state_row(r.state), _fault_rows(r)
-
-
-def _line(
-    protocol: Protocol, steps: Steps, line: list[Any], lost: bool, state: Any, faults: Any
-) -> Record:
-    return LineRecord(Line(*line), lost, _state(state), _faults(faults))
-
-
-def _fault_row(r: FaultRecord) -> tuple[Any, ...]:
-    return 3, _fault_rows(r), _state_row(r.state)
-
-
-def _fault(protocol: Protocol, steps: Steps, faults: list[Any], state: list[Any]) -> Record:
-    (anomaly,) = _faults(faults)
-    return FaultRecord(anomaly, _state(state))
-
-
-_ROWS: dict[type[Record], Any] = {
-    HostRecord: _host_row,
-    DeviceRecord: _device_row,
-    LineRecord: _line_row,
-    FaultRecord: _fault_row,
-}
-_MAKERS = (_host, _device, _line, _fault)
-
-
-def _state_row(state: State) -> tuple[Any, ...]:
-    return state.motion, state.speed, state.steering, state.led
-
-
-def _state(row: list[Any]) -> State:
-    motion, speed, steering, led = row
-    return State(motion, speed, steering, led, is_moving(motion, speed))
-
-
-def _fault_rows(record: Record) -> list[tuple[Any, ...]]:
-    return [(f.t, f.kind, int(f.severity), f.reason, f.instruction) for f in record.faults]
-
-
-def _faults(rows: list[Any]) -> tuple[Anomaly, ...]:
-    return tuple(Anomaly(t, kind, Severity(s), why, about) for t, kind, s, why, about in rows)
+    def find_class(self, module: str, name: str) -> Any:
+        """What a name stands for."""
+        found = super().find_class(module, name)
+        return self._shared.__getitem__ if found is _shared else found

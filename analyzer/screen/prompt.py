@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from os.path import commonprefix
 from typing import ClassVar
 
 from rich.text import Text
@@ -155,9 +156,4 @@ class FilterPrompt(Vertical):
 
 def _common(words: list[str]) -> str:
     """What all words begin with, in any case."""
-    first = words[0]
-    size = len(first)
-    for word in words[1:]:
-        while not word.lower().startswith(first[:size].lower()):
-            size -= 1
-    return first[:size]
+    return words[0][: len(commonprefix([word.lower() for word in words]))]  # noqa: RUF071 - no paths

@@ -1,6 +1,6 @@
-"""All rows of a recording as packed parts, and the view of those that pass a filter.
+"""All rows of a recording as packed batches, and the view of those that pass a filter.
 
-One thread adds parts while others read: what is added is there as a whole or not at all.
+One thread adds batches while others read: what is added is there as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -8,105 +8,86 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from threading import Event, RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.columns.totals import Totals
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.screen.packed import Packed, PackedStretch, packed
-from bilprov.analyzer.screen.pages import Page, RecordsPage, StretchPage
+from bilprov.analyzer.screen.packed import PackedBatch
 from bilprov.analyzer.screen.row_set import RowSet
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
-TOGETHER = 4096  # records that are packed together
-_PAGES = 4  # that stay unpacked
+TOGETHER = 1024  # rows; smaller batches are packed together
+_UNPACKED = 4  # batches that stay unpacked
 
 
+@dataclass(slots=True)
 class _Block:
-    """Neighbouring rows that are packed together.
+    """Neighbouring rows that are packed together, None while more may come.
 
     The first of them has the number `first`, and none of them is older than `t` (ns).
     """
 
-    __slots__ = ("first", "part", "rows", "t")
-
-    def __init__(self, first: int, rows: int, part: Packed, t: int) -> None:
-        self.first = first
-        self.t = t
-        self.rows = rows
-        self.part = part
+    first: int
+    t: int
+    packed: PackedBatch | None
 
 
 class Recording:
     """The rows of a recording, counted from 0 in the order of the records.
 
     `rows` counts all that came; those before `first` were let go. `faults` are the rows with an
-    anomaly, `totals` what was counted so far, let go or not. `nbytes` is the memory that the packed
-    rows take, in bytes.
+    anomaly, `totals` what was counted so far, let go or not.
     """
 
     def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol
         self.rows = 0
         self.first = 0
-        self.nbytes = 0
         self.lock = RLock()
         self.faults = RowSet(self.lock)
         self.totals = Totals(protocol)
         self._blocks: list[_Block] = []
-        self._firsts: list[int] = []
-        self._open: _Block | None = None  # of the records `_listed`, which are not packed yet
-        self._listed: list[Record] = []
-        self._pages: OrderedDict[int, Page] = OrderedDict()
+        self._listed: list[Record] = []  # the rows of the last block, where it is not packed yet
+        self._unpacked: OrderedDict[int, Batch] = OrderedDict()
 
-    def add(self, part: Part) -> None:
-        """Add a part, which follows those before it."""
-        if not part.rows:
-            return
-        self.totals.add(part)
-        if isinstance(part, Records):
-            for at in range(0, part.rows, TOGETHER):
-                self._add_records(part.listed[at : at + TOGETHER])
-            return
-        whole = PackedStretch.of(part)
-        faulty = StretchPage(part, whole.order).faulty()
+    @property
+    def nbytes(self) -> int:
+        """The memory that the packed rows take, in bytes."""
         with self.lock:
-            self._close_block()
-            self.nbytes += whole.nbytes
-            self._append(_Block(self.rows, part.rows, whole, part.earliest))
-            self.faults.append(faulty)
-            self.rows += part.rows
+            return sum(block.packed.nbytes for block in self._blocks if block.packed)
 
-    def _add_records(self, records: list[Record]) -> None:
-        faulty = RecordsPage(records).faulty()
+    def add(self, batch: Batch) -> None:
+        """Add a batch, which follows those before it."""
+        if not len(batch):
+            return
+        self.totals.add(batch)
+        faulty = batch.in_order(batch.serious)
+        earliest = np.concatenate([batch.hosts.t, batch.devices.t, batch.others.t]).min()
+        packed = PackedBatch(batch) if len(batch) >= TOGETHER else None
         with self.lock:
-            if self._open is None:
-                self._open = _Block(self.rows, 0, RecordsPage([]), records[0].t)
-                self._append(self._open)
-            self._listed += records
-            self._open.rows += len(records)
+            if packed or not self._listed:
+                self._close_block()
+                self._blocks.append(_Block(self.rows, int(earliest), packed))
+            if not packed:
+                self._listed += batch.records()
             self.faults.append(faulty)
-            self.rows += len(records)
-            if self._open.rows >= TOGETHER:
+            self.rows += len(batch)
+            if len(self._listed) >= TOGETHER:
                 self._close_block()
 
     def _close_block(self) -> None:
-        if self._open is not None:
-            self._open.part = packed(Records(self._listed))
-            self.nbytes += self._open.part.nbytes
+        if self._listed:
+            self._blocks[-1].packed = PackedBatch(Records(self._listed))
             self._listed = []
-            self._open = None
-
-    def _append(self, block: _Block) -> None:
-        self._blocks.append(block)
-        self._firsts.append(block.first)
 
     def records(self, rows: Sequence[int]) -> list[Record]:
         """The records of some rows, which increase; none of those that were let go."""
@@ -114,18 +95,28 @@ class Recording:
         with self.lock:
             there = (row for row in rows if self.first <= row < self.rows)
             for block, some in groupby(there, self._block_of):
-                found += self._page(block).records([row - block.first for row in some])
+                places = [row - block.first for row in some]
+                if block.packed is None:
+                    found += [self._listed[place] for place in places]
+                    continue
+                batch = self._batch(block.first, block.packed)
+                chosen = np.zeros(len(batch), np.bool_)
+                chosen[places] = True
+                found += batch.records(batch.selection(chosen))
         return found
 
-    def pages(self, row: int) -> Iterator[tuple[Page, int]]:
-        """Yield the pages of the rows from `row` on, each with the row's place in it."""
+    def batches(self, row: int) -> Iterator[tuple[int, Batch]]:
+        """Yield the batches of the rows from `row` on, each with the number of its first row."""
         while row < self.rows:
             with self.lock:
                 row = max(row, self.first)
                 block = self._block_of(row)
-                page, stop = self._page(block), block.first + block.rows
-            yield page, row - block.first
-            row = stop
+                if block.packed is None:
+                    found: tuple[int, Batch] = row, Records(self._listed[row - block.first :])
+                else:
+                    found = block.first, self._batch(block.first, block.packed)
+            yield found
+            row = found[0] + len(found[1])
 
     def let_go_older(self, t: int) -> None:
         """Forget the blocks whose records are all older than `t` (ns)."""
@@ -138,26 +129,20 @@ class Recording:
         with self.lock:
             if len(self._blocks) < 2:
                 return False
-            self.nbytes -= self._blocks[0].part.nbytes
-            self._pages.pop(self._blocks[0].first, None)
-            del self._blocks[0], self._firsts[0]
-            self.first = self._firsts[0]
+            self._unpacked.pop(self._blocks.pop(0).first, None)
+            self.first = self._blocks[0].first
             return True
 
     def _block_of(self, row: int) -> _Block:
-        return self._blocks[bisect_right(self._firsts, row) - 1]
+        return self._blocks[bisect_right(self._blocks, row, key=lambda block: block.first) - 1]
 
-    def _page(self, block: _Block) -> Page:
-        """The unpacked rows of a block; the last ones are kept."""
-        if block is self._open:
-            return RecordsPage(self._listed[:])
-        page = self._pages.pop(block.first, None)
-        if page is None:
-            page = block.part.page(self.protocol)
-        self._pages[block.first] = page
-        while len(self._pages) > _PAGES:
-            self._pages.popitem(last=False)
-        return page
+    def _batch(self, first: int, packed: PackedBatch) -> Batch:
+        """The rows of a block, unpacked; the last ones are kept."""
+        batch = self._unpacked.pop(first, None) or packed.batch()
+        self._unpacked[first] = batch
+        if len(self._unpacked) > _UNPACKED:
+            self._unpacked.popitem(last=False)
+        return batch
 
 
 class View:
@@ -196,13 +181,11 @@ class View:
         if self._passing is None or self.test is None:
             return
         passing = self._passing
-        gone = self._recording.first - passing.rows
-        if gone > 0:
-            passing.append(np.zeros(gone, np.bool_))
-        for page, place in self._recording.pages(passing.rows):
+        for first, batch in self._recording.batches(passing.rows):
             if cancelled is not None and cancelled.is_set():
                 return
-            passing.append(page.passing(self.test, place))
+            passing.append(np.zeros(max(0, first - passing.rows), np.bool_))  # were let go
+            passing.append(batch.in_order(self.test.selection(batch))[passing.rows - first :])
 
     def rows(self, first: int, stop: int) -> list[int]:
         """The row numbers at the positions from `first` to before `stop`."""

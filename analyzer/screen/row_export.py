@@ -101,7 +101,7 @@ class RowExport:
             if self._cancelled.is_set():
                 return
             rows = self._view.rows(at, min(at + _TOGETHER, self._count))
-            text = form.records(self._recording.records(rows))
+            text = form.text(self._recording.records(rows))
             write(text)
             self._written += text.count("\n")  # events of the line are rows only on the screen
             self._done += len(rows)

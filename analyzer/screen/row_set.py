@@ -15,7 +15,7 @@ PAGE = 1 << 16  # rows of a page
 
 
 class RowSet:
-    """For each row, in order, whether it is a member.
+    """For each row, in order, whether it is one of the `members`, which are so many.
 
     Sets that are asked about each other share a `lock`.
     """
@@ -26,17 +26,12 @@ class RowSet:
         self._upto = [0]  # members before each page and the open one
         self._open = np.zeros(PAGE, np.bool_)
         self._filled = 0
-        self._members = 0
+        self.members = 0
 
     @property
     def rows(self) -> int:
         """How many rows are known."""
         return len(self._pages) * PAGE + self._filled
-
-    @property
-    def members(self) -> int:
-        """How many of them are members."""
-        return self._members
 
     def append(self, mask: NDArray[np.bool_]) -> None:
         """Add the next rows: whether each of them is a member."""
@@ -46,11 +41,11 @@ class RowSet:
                 part = mask[at : at + PAGE - self._filled]
                 self._open[self._filled : self._filled + len(part)] = part
                 self._filled += len(part)
-                self._members += int(np.count_nonzero(part))
+                self.members += int(np.count_nonzero(part))
                 at += len(part)
                 if self._filled == PAGE:
                     self._pages.append(np.packbits(self._open))
-                    self._upto.append(self._members)
+                    self._upto.append(self.members)
                     self._open[:] = False
                     self._filled = 0
 
@@ -59,7 +54,7 @@ class RowSet:
         with self._lock:
             page = row // PAGE
             if page > len(self._pages):
-                return self._members
+                return self.members
             return self._upto[page] + int(np.count_nonzero(self._bits(page)[: row % PAGE]))
 
     def slice(self, first: int, stop: int) -> list[int]:
@@ -67,7 +62,7 @@ class RowSet:
         found: list[int] = []
         with self._lock:
             page = bisect_right(self._upto, first) - 1
-            while first < min(stop, self._members):
+            while first < min(stop, self.members):
                 members = np.flatnonzero(self._bits(page))
                 base = self._upto[page]
                 chosen = members[first - base : stop - base] + page * PAGE

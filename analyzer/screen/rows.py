@@ -52,11 +52,6 @@ class Rows(Widget, can_focus=True):
             super().__init__()
             self.rows = rows
 
-        @property
-        def control(self) -> Rows:
-            """The pane."""
-            return self.rows
-
     class Entered(Chosen):
         """Enter was pressed on the chosen line."""
 
@@ -136,14 +131,6 @@ class Rows(Widget, can_focus=True):
     def _choose_by_hand(self, line: int) -> None:
         self.choose(line)
         self.post_message(self.Chosen(self))
-
-    def on_focus(self) -> None:
-        """Show that keys are for this pane."""
-        self.refresh()
-
-    def on_blur(self) -> None:
-        """Show that keys are for another pane."""
-        self.refresh()
 
     def on_resize(self) -> None:
         """Keep the chosen line on the screen."""

@@ -2,64 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
-from bilprov.spec.motion import Motion
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class Signs:
-    """One set of signs."""
+class Signs(NamedTuple):
+    """One set of signs; `motions` has one for each Motion, in their order."""
 
-    to_device: str
-    to_host: str
-    mark: str
-    cut: str
-    folded: str
-    unfolded: str
-    bar: str
-    bar_rest: str
-    track: str
-    track_middle: str
-    knob: str
-    lit: str
-    unlit: str
-    wheel_forward: str
-    wheel_backward: str
-    wheel_still: str
-    body: tuple[str, str, str]
-    scroll: str
-    motions: Mapping[Motion, str]
+    to_device: str = "→"
+    to_host: str = "←"
+    mark: str = "◆"
+    cut: str = "…"
+    folded: str = "▸"
+    unfolded: str = "▾"
+    bar: str = "█"
+    bar_rest: str = "░"
+    track: str = "─"
+    track_middle: str = "┼"
+    knob: str = "●"
+    lit: str = "●"
+    unlit: str = "○"
+    wheel_forward: str = "▲"
+    wheel_backward: str = "▼"
+    wheel_still: str = "▪"
+    body: tuple[str, str, str] = ("┌───────┐", "│", "└───────┘")
+    scroll: str = "█"
+    motions: str = "■▲▼↻↺"
 
 
-FINE = Signs(
-    to_device="→",
-    to_host="←",
-    mark="◆",
-    cut="…",
-    folded="▸",
-    unfolded="▾",
-    bar="█",
-    bar_rest="░",
-    track="─",
-    track_middle="┼",
-    knob="●",
-    lit="●",
-    unlit="○",
-    wheel_forward="▲",
-    wheel_backward="▼",
-    wheel_still="▪",
-    body=("┌───────┐", "│", "└───────┘"),
-    scroll="█",
-    motions={
-        Motion.STOPPED: "■",
-        Motion.FORWARD: "▲",
-        Motion.BACKWARD: "▼",
-        Motion.ROTATE_RIGHT: "↻",
-        Motion.ROTATE_LEFT: "↺",
-    },
-)
+FINE = Signs()
 PLAIN = Signs(
     to_device=">",
     to_host="<",
@@ -79,13 +49,7 @@ PLAIN = Signs(
     wheel_still=".",
     body=("+-------+", "|", "+-------+"),
     scroll="#",
-    motions={
-        Motion.STOPPED: "x",
-        Motion.FORWARD: "^",
-        Motion.BACKWARD: "v",
-        Motion.ROTATE_RIGHT: ")",
-        Motion.ROTATE_LEFT: "(",
-    },
+    motions="x^v)(",
 )
 
 

@@ -1,12 +1,11 @@
 """Damages capture files deep inside: chunks are unpacked, changed and packed again.
 
-Lengths, checksums, the index and the seal are put right afterwards, most of the time: what only
+Lengths, checksums and the index are put right afterwards, most of the time: what only
 breaks a checksum gets no further than the reader's first look.
 """
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from random import Random
@@ -18,7 +17,6 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from benchmarks.fuzz.mutators import HOSTILE, damaged, json_mutator
-from bilprov.captures.chunked_file import SEAL_BYTES, SEAL_HASH, SEAL_NAME
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
 from bilprov.captures.topics import CHANNEL_START_KEY, METADATA_NAME, START_KEY, TOPICS
@@ -36,7 +34,6 @@ _WORDS = tuple(
             START_KEY,
             CHANNEL_START_KEY,
             METADATA_NAME,
-            SEAL_NAME,
             "bilprov ",
             "zstd",
             "lz4",
@@ -149,9 +146,9 @@ def _changed_message(random: Random, content: bytes, pool: Sequence[bytes]) -> b
 def _unpacked(content: bytes) -> bytes | None:
     """The records in a chunk; None if it cannot be unpacked, or holds too much."""
     try:
-        size, _, compression, start = records.chunk_fields(content)
-        packed = content[start:]
-        if size > _LARGEST:
+        fields = records.chunk_fields(content)
+        packed, compression = content[fields.start :], fields.compression
+        if fields.size > _LARGEST:
             return None
         if compression == "zstd":
             return zstandard.ZstdDecompressor().decompress(packed, max_output_size=_LARGEST)
@@ -185,7 +182,7 @@ def _bytes(found: Iterable[Record]) -> bytes:
 
 
 def _joined(found: list[Record], right: bool) -> bytes:
-    """The file of these records; if `right`, with a seal, an index and checksums that fit."""
+    """The file of these records; if `right`, with an index and checksums that fit."""
     if not right:
         return MAGIC + _bytes(found)
     out = bytearray(MAGIC)
@@ -196,12 +193,11 @@ def _joined(found: list[Record], right: bool) -> bytes:
         try:
             if opcode == records.CHUNK:
                 chunks.append((at, len(content) + RECORD_HEAD.size))
-            elif opcode == records.METADATA and SEAL_NAME.encode() in content:
-                content[:] = _seal(bytes(out))
             elif opcode == records.ATTACHMENT:
                 pack_into("<I", content, len(content) - 4, zlib.crc32(content[:-4]))
             elif opcode == records.DATA_END:
                 summary = at + RECORD_HEAD.size + len(content)
+                pack_into("<I", content, 0, zlib.crc32(out))
             elif opcode == _CHUNK_INDEX and entry < len(chunks):
                 pack_into("<QQ", content, 16, *chunks[entry])
                 entry += 1
@@ -215,9 +211,3 @@ def _joined(found: list[Record], right: bool) -> bytes:
             pass  # it is too short for its fields, and stays so
         out += RECORD_HEAD.pack(opcode, len(content)) + content
     return bytes(out)
-
-
-def _seal(before: bytes) -> bytes:
-    texts = (SEAL_HASH, hashlib.sha256(before).hexdigest(), SEAL_BYTES, str(len(before)))
-    pairs = b"".join(pack("<I", len(text)) + text.encode() for text in texts)
-    return pack("<I", len(SEAL_NAME)) + SEAL_NAME.encode() + pack("<I", len(pairs)) + pairs

@@ -24,8 +24,6 @@ from benchmarks.fuzz.traffic import (
     records_one_by_one,
     tape_of,
 )
-from bilprov.analyzer.columns.timeline import Timeline
-from bilprov.analyzer.columns.totals import Totals
 from bilprov.analyzer.decode.checkpoint import encoded
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
@@ -39,15 +37,16 @@ from bilprov.analyzer.output.capture_info import summarized
 from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
-from bilprov.analyzer.replay.capture_parts import decoded_parts
+from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.replay.seek import opened_at
+from bilprov.analyzer.totals.timeline import Timeline
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Asked, CaseMark, Checkpoint, Chunk, Look, Resumption
 from bilprov.captures.storage.records import MAGIC
 
@@ -95,10 +94,10 @@ def examined(path: Path) -> Hashable:
         if after is not None:
             list(indexed.recorded(after))
     try:
-        sealed = open_evidence(path, attached).sealed
+        sound = not open_evidence(path, attached).capture.unfinished
     except CaptureError:
-        sealed = None
-    return _seen(capture), indexed is None, sealed, len(held).bit_length()
+        sound = None
+    return _seen(capture), indexed is None, sound, len(held).bit_length()
 
 
 def _seen(capture: Capture) -> Hashable:
@@ -162,9 +161,9 @@ def exporting() -> Test:
             for chosen in (None, faulty.started(capture.start)):
                 _export(capture, chosen)
             totals, timeline = Totals(protocol), Timeline(protocol)
-            for part in decoded_parts(capture, protocol, lambda count: None):
-                totals.add(part)
-                timeline.add(part)
+            for batch in decoded_batches(capture, protocol, lambda count: None):
+                totals.add(batch)
+                timeline.add(batch)
         stats = file_stats(capture, totals, capture_line(capture, protocol))
         msgspec.json.encode(stats)
         require("</html>" in plot_page(capture, protocol, timeline, stats, "0"), "half a page")

@@ -11,13 +11,12 @@ import msgspec
 
 from benchmarks.fuzz.engine import Target, Test, require
 from benchmarks.fuzz.mutators import json_mutator, mutated_bytes
-from bilprov.analyzer.columns import decoder as columns
-from bilprov.analyzer.columns.decoder import StreamDecoder
-from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode import checkpoint, stream
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import SKEW, Session, SessionSettings
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.codec import judge, nearest
@@ -214,12 +213,11 @@ def _bytes_of(played: Sequence[Event], side: Direction) -> bytes:
 @contextmanager
 def columns_at_once() -> Iterator[None]:
     """Decode little traffic into columns too, which is otherwise left to a Session."""
-    before = columns.LEAST, columns.FIRST
-    columns.LEAST = columns.FIRST = 0
+    before, stream.LEAST = stream.LEAST, 0
     try:
         yield
     finally:
-        columns.LEAST, columns.FIRST = before
+        stream.LEAST = before
 
 
 def in_columns(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cache
 from random import Random
 from typing import Any
@@ -11,14 +11,12 @@ import click
 
 from benchmarks.fuzz.engine import Target, Test, encoded, require
 from benchmarks.fuzz.mutators import words_mutator
-from benchmarks.fuzz.traffic import columns_at_once
 from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, bytes_or_pause
-from bilprov.analyzer.columns.decoder import StreamDecoder
-from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.decode.batch import Batch, Records
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import compile_filter
@@ -28,6 +26,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns, columns_of
 from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.streams import parse_address
+from bilprov.captures.events import Events
 from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.conformance.cases.selection import shard_named
 from bilprov.conformance.oracle.choices import parse_allowed
@@ -47,10 +46,10 @@ def text_of(data: bytes) -> str:
 
 
 @cache
-def _stretches() -> list[tuple[Stretch, list[JsonLine], list[JsonLine]]]:
-    """Some traffic with answers of all kinds, as columns and as the JSON lines of each side."""
+def _batches() -> list[tuple[Records, Sequence[Batch]]]:
+    """Some traffic with answers of all kinds: as decoded one by one, and as decoded as arrays."""
     protocol = load_protocol()
-    found = []
+    found: list[tuple[Records, Sequence[Batch]]] = []
     for heard in (_BOTH, frozenset[Direction]({"device"})):
         random, t, played = Random(2), 0, []
         for _ in range(24):
@@ -61,23 +60,17 @@ def _stretches() -> list[tuple[Stretch, list[JsonLine], list[JsonLine]]]:
             late = random.choice((1000, MS, 150 * MS))
             played += [Chunk(t, "host", frame), Chunk(t + late, "device", bytes([answer]))]
             t += 200 * MS
-        with columns_at_once():
-            parts = StreamDecoder(protocol, heard=heard).feed(played)
-        for part in parts:
-            if isinstance(part, Stretch):
-                sides: tuple[list[JsonLine], list[JsonLine]] = ([], [])
-                for record in part.records():
-                    line = json_line(record)
-                    if line is not None and isinstance(record, HostRecord | DeviceRecord):
-                        sides[isinstance(record, DeviceRecord)].append(line)
-                found.append((part, *sides))
+        session = Session(protocol, heard=heard)
+        records = [record for event in played for record in session.feed(event)]
+        batches = StreamDecoder(protocol, heard=heard).decode(Events.of(played))
+        found.append((Records(records), batches))
     return found
 
 
 def filters() -> Test:
-    """A filter is refused, or its mask over columns holds where it lets the JSON line pass."""
+    """A filter is refused, or selects the same rows whoever decoded them."""
     protocol = load_protocol()
-    stretches = _stretches()
+    batches = _batches()
 
     def test(data: bytes) -> Hashable:
         text = text_of(data)
@@ -86,12 +79,11 @@ def filters() -> Test:
         plain = compile_filter(text, protocol)
         passing = 0
         for test in (plain.started(_WALL), plain):
-            for stretch, host, device in stretches:
-                masks = test.masks(stretch)
-                for mask, lines in zip(masks, (host, device), strict=True):
-                    passes = [test(line) for line in lines]
-                    require(mask.tolist() == passes, "columns and lines differ")
-                    passing += sum(passes)
+            for one_by_one, arrays in batches:
+                chosen = [batch.in_order(test.selection(batch)) for batch in (one_by_one, *arrays)]
+                selected = [row for rows in chosen[1:] for row in rows.tolist()]
+                require(chosen[0].tolist() == selected, "records and arrays differ")
+                passing += sum(selected)
         return passing, len(text).bit_length()
 
     return test
@@ -211,7 +203,7 @@ _VALUES = encoded(
 TARGETS = (
     Target(
         "filter",
-        "filters: lines and columns agree",
+        "filters: records and arrays agree",
         filters,
         (FilterError,),
         lambda: _FILTERS,

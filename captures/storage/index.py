@@ -25,7 +25,7 @@ SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 _CHUNK_INDEX: Final = 0x08
 _PASSED: Final = {records.SCHEMA, 0x0A, 0x0D, 0x0E}  # indexes of attachments and metadata, offsets
 
-_DATA_END = RECORD_HEAD.pack(records.DATA_END, records.DATA_END_BYTES) + bytes(4)
+_DATA_END = Struct("<BQI")  # opcode, length; CRC over all data, 0 for none
 _FOOTER = Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
 _END = _FOOTER.size + len(MAGIC)
 _ENTRY = Struct("<BQQQQQI")  # opcode, length; times, offset and length of the chunk; map's length
@@ -33,40 +33,33 @@ _MAP_ITEM = Struct("<H8x")  # a channel that the chunk has messages of, and wher
 
 
 @dataclass(frozen=True, slots=True)
-class IndexedChunk:
-    """A chunk as the index describes it: its first log time (ns), offset and size in the file."""
-
-    first: int
-    offset: int
-    size: int
-
-
-@dataclass(frozen=True, slots=True)
 class Index:
     """The contents of a file as its index tells them, without bytes by topic; and its chunks.
 
-    `data_end` is the offset after the last chunk and attachment.
+    `data_end` is the offset after the last chunk and attachment; `data_crc` is the checksum of all
+    before, 0 if there is none.
     """
 
     contents: Contents
     data_end: int
+    data_crc: int
     summary: bytes = field(repr=False)
     entries: list[int] = field(repr=False)  # the offset of each chunk's entry in the summary
 
-    def chunks_before(self, time: int, channel: int) -> Iterator[IndexedChunk]:
-        """Yield the chunks with messages on `channel` that begin before the log time `time` (ns).
+    def chunks_before(self, time: int, channel: int) -> Iterator[int]:
+        """Yield the offsets of the chunks with messages on `channel` that begin before `time` (ns).
 
         The last one in the file comes first.
         """
         for at in reversed(self.entries):
-            _, length, first, _, offset, size, map_length = _ENTRY.unpack_from(self.summary, at)
+            _, length, first, _, offset, _, map_length = _ENTRY.unpack_from(self.summary, at)
             start = at + _ENTRY.size
             if first >= time or start + map_length > at + RECORD_HEAD.size + length:
                 continue
             if map_length % 10 == 0 and channel in {
                 of for (of,) in _MAP_ITEM.iter_unpack(self.summary[start : start + map_length])
             }:
-                yield IndexedChunk(first, offset, size)
+                yield offset
 
 
 def read_index(file: BufferedReader, size: int) -> Index | None:
@@ -82,13 +75,13 @@ def read_index(file: BufferedReader, size: int) -> Index | None:
 
 def _read_index(file: BufferedReader, size: int) -> Index:
     library, metadata, data_start = _front(file, size)
-    summary_start, summary = _end(file, size)
+    summary_start, summary, data_crc = _end(file, size)
     stated: Statistics | None = None
     channels: list[records.ChannelRecord] = []
     entries: list[int] = []
     firsts: list[int] = []
     latest = 0
-    data_end = summary_start - len(_DATA_END)
+    data_end = summary_start - _DATA_END.size
     at, end, reached = 0, len(summary) - _END, data_start
     entry = _ENTRY.unpack_from
     while at < end:
@@ -133,6 +126,7 @@ def _read_index(file: BufferedReader, size: int) -> Index:
         size=size,
         regions=((len(MAGIC), size),),
         own=True,
+        in_order=True,
         counted=True,
         library=library,
         metadata=metadata,
@@ -145,7 +139,7 @@ def _read_index(file: BufferedReader, size: int) -> Index:
         unfinished=False,
         damage=(),
     )
-    return Index(contents, data_end, summary, entries)
+    return Index(contents, data_end, data_crc, summary, entries)
 
 
 def _front(file: BufferedReader, size: int) -> tuple[str, dict[str, str], int]:
@@ -163,21 +157,28 @@ def _front(file: BufferedReader, size: int) -> tuple[str, dict[str, str], int]:
     return library, metadata, about.end
 
 
-def _end(file: BufferedReader, size: int) -> tuple[int, bytes]:
-    """Where the summary begins, and its bytes with the footer and the magic. Raises Damaged."""
+def _end(file: BufferedReader, size: int) -> tuple[int, bytes, int]:
+    """Where the summary begins, its bytes with the footer and the magic, and the CRC of all data.
+
+    Raises Damaged.
+    """
     file.seek(max(0, size - _END))
     footer = file.read(_END)
     opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
     if (opcode, length, footer[-len(MAGIC) :]) != (records.FOOTER, records.FOOTER_BYTES, MAGIC):
         raise Damaged("the file is not finished")
-    data_end = start - len(_DATA_END)
+    data_end = start - _DATA_END.size
     if not len(MAGIC) <= data_end <= size - _END or size - data_end > SUMMARY_BYTES:
         raise Damaged("the summary does not begin where it can")
     file.seek(data_end)
     content = file.read(size - data_end)
-    covered = memoryview(content)[len(_DATA_END) : 4 - _END + 21]
-    if len(content) != size - data_end or not content.startswith(_DATA_END):
+    covered = memoryview(content)[_DATA_END.size : 4 - _END + 21]
+    kind, size_of_it, data_crc = _DATA_END.unpack_from(content)
+    if len(content) != size - data_end or (kind, size_of_it) != (
+        records.DATA_END,
+        records.DATA_END_BYTES,
+    ):
         raise Damaged("the data do not end before the summary")
     if zlib.crc32(covered) != crc:
         raise Damaged("the summary's checksum is wrong")
-    return start, content[len(_DATA_END) :]
+    return start, content[_DATA_END.size :], data_crc

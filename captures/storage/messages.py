@@ -6,22 +6,26 @@ Those of foreign writers are sorted by time, with a bounded number of them held 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BufferedReader
+from itertools import chain
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
+import numpy as np
+
 from bilprov.captures.storage import records
+from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
 from bilprov.captures.storage.records import (
-    ATTACHMENT_BYTES,
     MAGIC,
     MESSAGE_BYTES,
-    RECORD_HEAD,
     AttachmentRecord,
     Damaged,
 )
-from bilprov.captures.storage.recovery import SKIPPED, RecordFile
+from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
 
+_WITH_MESSAGES = {records.CHUNK, records.MESSAGE}
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
 WINDOW_BYTES = 16 * 1024 * 1024  # of the messages held back
 
@@ -34,7 +38,8 @@ class Contents:
 
     `size` is the file's size in bytes; `regions` are its ranges of complete records, as the first
     byte and the byte after the last. `own` is true if bilprov recorded the file, so that the order
-    in the file is the order of events; `counted` is true if no other program rewrote it since, so
+    in the file is the order of events; `in_order` is true if the messages of another program's file
+    stand in order of time; `counted` is true if no other program rewrote it since, so
     that a jump of `sequence` is a loss. `starts` are the file's statements of its start (digits,
     ns), the best protected one first. `channels` maps channel ids to topic and encoding; `counts`
     and `sizes` are messages and bytes by topic.
@@ -43,6 +48,7 @@ class Contents:
     size: int
     regions: tuple[tuple[int, int], ...]
     own: bool
+    in_order: bool
     counted: bool
     library: str
     metadata: dict[str, str]
@@ -78,6 +84,15 @@ class TimeWindow(Generic[Item]):
         while len(self._held) > WINDOW_MESSAGES or self._bytes > WINDOW_BYTES:
             yield self._pop()
 
+    def pass_over(self, times: list[int]) -> None:
+        """Let messages through that no message before is later than, and after which a window's
+        worth of later ones comes, so that all before them goes too.
+        """
+        if times:
+            for _ in self.rest():
+                pass
+            self._latest = times[-1]
+
     def rest(self) -> Iterator[Item]:
         """Yield all messages that are still held."""
         while self._held:
@@ -92,16 +107,6 @@ class TimeWindow(Generic[Item]):
         return item
 
 
-class Stored(NamedTuple):
-    """A message as stored in the file; `lost` says what is missing before it, "" for nothing."""
-
-    log_time: int
-    sequence: int
-    channel: int
-    data: bytes
-    lost: str
-
-
 @dataclass(slots=True)
 class Order:
     """Where reading stands among the sequence numbers, which go on from one file to the next.
@@ -114,19 +119,40 @@ class Order:
     missing: str = ""
 
 
-def stored_messages(file: BufferedReader, contents: Contents, order: Order) -> Iterator[Stored]:
+Part: TypeAlias = Messages | Stored
+"""Messages before and between which nothing is missing, or a single one."""
+
+
+def stored_parts(file: BufferedReader, contents: Contents, order: Order) -> Iterator[Part]:
     """Yield the messages of an open file: of our own files in file order, of others by time.
 
     Raises Damaged if the file has changed since the survey.
     """
-    in_file_order = _in_file_order(_spans(file, contents), contents.counted, order)
-    if contents.own:
-        yield from in_file_order
+    parts = _in_file_order(_pieces(file, contents), contents.counted, order)
+    if contents.own or contents.in_order:
+        yield from parts
         return
     window: TimeWindow[Stored] = TimeWindow()
-    for message in in_file_order:
+    for message in single(parts):
         yield from window.push(message.log_time, len(message.data), message)
     yield from window.rest()
+
+
+def single(parts: Iterable[Part]) -> Iterator[Stored]:
+    """Yield the messages one by one."""
+    for part in parts:
+        if isinstance(part, Stored):
+            yield part
+        else:
+            yield from part.single()
+
+
+def split(parts: Iterator[Part]) -> tuple[Stored | None, Iterator[Part]]:
+    """The first message, None if there is none, and the rest."""
+    begin = next(parts, None)
+    if isinstance(begin, Messages):
+        return next(begin.single()), chain([begin.rows(slice(1, None))], parts)
+    return begin, parts
 
 
 class Place(NamedTuple):
@@ -137,104 +163,141 @@ class Place(NamedTuple):
     sequence: int
 
 
-def messages_after(
+def parts_after(
     file: BufferedReader, contents: Contents, order: Order, place: Place | None
-) -> Iterator[Stored]:
+) -> Iterator[Part]:
     """Yield the messages of an own file that was not surveyed, in file order, after that `place`.
 
     None stands for the start. A damaged part of the file is left out, as a survey would do.
     """
     if place is not None:
         order.expected = place.sequence + 1
-    return _in_file_order(_spans_after(file, contents, place), counted=True, order=order)
+    return _in_file_order(_pieces_after(file, contents, place), counted=True, order=order)
 
 
-_Spans: TypeAlias = tuple[bytes, list[tuple[int, int]], str]
-"""A chunk's bytes, where the content of each message starts and ends, and what is lost before."""
+def messages_before(
+    file: BufferedReader, contents: Contents, chunks: Iterable[int], channel: int
+) -> Iterator[tuple[Stored, Place]]:
+    """Yield the messages on a channel of the chunks at some offsets; of each the last one first."""
+    source = RecordFile(file, contents.size)
+    source.own = True
+    for offset in chunks:
+        try:
+            found = source.record(offset)
+            starts, _ = message_starts(found.content)
+        except Damaged:
+            continue
+        if found.opcode == records.CHUNK:
+            block = Messages.at(found.content, starts)
+            block = block.rows(block.channel == channel)
+            places = [Place(offset, end, 0) for end in block.end.tolist()]
+            for message, place in reversed(list(zip(block.single(), places, strict=True))):
+                yield message, place._replace(sequence=message.sequence)
 
 
-def _in_file_order(chunks: Iterator[_Spans], counted: bool, order: Order) -> Iterator[Stored]:
-    unpack = records.MESSAGE_HEAD.unpack_from
-    head = records.MESSAGE_HEAD.size
-    lost = order.missing
-    begun = False
-    expected = 0
-    for content, spans, where in chunks:
-        if where:
-            lost = lost or where
-        if spans and not begun:
-            begun = True
-            sequence = unpack(content, spans[0][0])[1]
-            # A part that was written anew, by an edit, counts from 0 again.
-            expected = sequence if order.expected is None or sequence == 0 else order.expected
-        for start, end in spans:
-            data = content[start + head : end]
-            if len(data) > MESSAGE_BYTES:
+def _in_file_order(pieces: Iterator[Piece], counted: bool, order: Order) -> Iterator[Part]:
+    reading = _Reading(order, counted)
+    for block, where in blocks_of(pieces):
+        if not len(block):
+            reading.lost = reading.lost or where
+        elif reading.is_straight(block, where):
+            yield block
+        else:
+            yield from reading.singly(block, where)
+    reading.finish()
+
+
+class _Reading:
+    """Where reading stands among the sequence numbers of one file, and what is lost up to there."""
+
+    def __init__(self, order: Order, counted: bool) -> None:
+        self.lost = order.missing
+        self._order = order
+        self._counted = counted
+        self._expected: int | None = None  # None before the first message
+
+    def is_straight(self, block: Messages, where: str) -> bool:
+        """Whether nothing is missing or left out before and in a block; then it counts as read."""
+        self._begin(block)
+        sequence = block.sequence
+        if (
+            self.lost
+            or where
+            or self._order.missing
+            or int((block.end - block.start).max()) > MESSAGE_BYTES
+            or (
+                self._counted
+                and (int(sequence[0]) != self._expected or (np.diff(sequence) != 1).any())
+            )
+        ):
+            return False
+        self._expected = (int(sequence[-1]) + 1) & 0xFFFF_FFFF
+        return True
+
+    def singly(self, block: Messages, where: str) -> Iterator[Stored]:
+        """Yield the messages of a block that are to be read, with what is lost before each."""
+        self._begin(block)
+        expected = self._expected or 0
+        order = self._order
+        lost = self.lost or where
+        for message in block.single():
+            if len(message.data) > MESSAGE_BYTES:
                 lost = "a message that is too long is left out here"
                 continue
-            channel, sequence, log_time, _ = unpack(content, start)
-            if counted:
-                missing = (sequence - expected) & 0xFFFF_FFFF
+            if self._counted:
+                missing = (message.sequence - expected) & 0xFFFF_FFFF
                 if missing >> 31:
                     continue  # it came before: a chunk that stands in the file a second time
-                expected = (sequence + 1) & 0xFFFF_FFFF
+                expected = (message.sequence + 1) & 0xFFFF_FFFF
                 if missing:
                     why = order.missing or "the file is damaged"
                     lost = f"{missing} messages are lost here, {why}"
                 else:
                     lost = order.missing
-            yield Stored(log_time, sequence, channel, data, lost)
+            yield message._replace(lost=lost) if lost else message
             if lost:
                 lost = order.missing = ""
-    if begun:
-        order.expected = expected if counted else None
+        self.lost, self._expected = lost, expected
+
+    def finish(self) -> None:
+        """Say what the next file has to begin with."""
+        if self._expected is not None:
+            self._order.expected = self._expected if self._counted else None
+
+    def _begin(self, block: Messages) -> None:
+        if self._expected is None:
+            first, expected = int(block.sequence[0]), self._order.expected
+            # A part that was written anew, by an edit, counts from 0 again.
+            self._expected = first if expected is None or first == 0 else expected
 
 
-def _spans_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[_Spans]:
+def _pieces_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
     source = RecordFile(file, contents.size)
     source.own = True
-    offset = len(MAGIC) if place is None else place.chunk
-    passed = 0 if place is None else place.end
-    while offset < contents.size:
-        try:
-            found = source.record(offset)
+    start, passed = (len(MAGIC), 0) if place is None else (place.chunk, place.end)
+    for found in source.walk(start, contents.size):
+        if isinstance(found, Found):
             if found.opcode == records.CHUNK:
-                spans = records.messages_in(found.content)
-                source.count_messages(len(spans))
-                yield found.content, [span for span in spans if span[0] >= passed], ""
-        except Damaged:
-            resumed = source.next_chunk(offset + 1)
-            if resumed is None:
+                yield Piece(found.content, found.starts[found.starts >= passed], "")
+            elif found.opcode == records.DATA_END:
                 return
-            offset, passed = resumed, 0
-            continue
-        if found.opcode == records.DATA_END:
-            return
-        offset, passed = found.end, 0
+        passed = 0
 
 
-def _spans(file: BufferedReader, contents: Contents) -> Iterator[_Spans]:
+def _pieces(file: BufferedReader, contents: Contents) -> Iterator[Piece]:
     # The survey has checked each record of these regions; here they only must still be complete.
     source = RecordFile(file, contents.size)
-    source.past_data = True
     where = ""
-    for at, region_end in contents.regions:
-        offset = at
-        while offset < region_end:
-            found = source.record(offset)
-            offset = found.end
-            if found.opcode == records.CHUNK:
-                spans = records.messages_in(found.content)
-                yield found.content, spans, where
-                if spans:
+    for start, end in contents.regions:
+        for found in source.walk(start, end, only=_WITH_MESSAGES):
+            if isinstance(found, Lost):
+                raise found.damage
+            if found.opcode in _WITH_MESSAGES:
+                yield Piece(found.content, found.starts, where)
+                if len(found.starts):
                     where = ""
-            elif found.opcode == records.MESSAGE:
-                yield found.content, [(0, len(found.content))], where
-                where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"
-            elif found.opcode == records.FOOTER:
-                return
         where = "the file is damaged here"
 
 
@@ -243,19 +306,14 @@ def attachments(file: BufferedReader, contents: Contents) -> Iterator[Attachment
 
     Raises Damaged if the file has changed since the survey.
     """
-    for at, region_end in contents.regions:
-        offset = at
-        while offset < region_end:
-            file.seek(offset)
-            head = file.read(RECORD_HEAD.size)
-            if len(head) < RECORD_HEAD.size:
-                raise Damaged("it has another size")
-            opcode, length = RECORD_HEAD.unpack(head)
-            offset += RECORD_HEAD.size + length
-            if opcode == records.FOOTER:
-                return
-            if opcode == records.ATTACHMENT and length <= ATTACHMENT_BYTES + MESSAGE_BYTES:
-                try:
-                    yield records.attachment_record(file.read(length), contents.own)
-                except Damaged:  # nobody looked at those of foreign files
-                    continue
+    source = RecordFile(file, contents.size)
+    source.own = contents.own
+    for start, end in contents.regions:
+        for found in source.walk(start, end, only=()):
+            if isinstance(found, Lost):
+                raise found.damage
+            if found.opcode == records.ATTACHMENT:
+                with suppress(Damaged):  # nobody looked at those of foreign files
+                    content = source.record(start, {records.ATTACHMENT}).content
+                    yield records.attachment_record(content, contents.own)
+            start = found.end

@@ -6,7 +6,9 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
+
+import msgspec
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
@@ -40,7 +42,11 @@ CHANNELS: Final = 64  # in one file
 PAIRS: Final = 4096  # of one map of strings
 DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas and channels
 
+JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
+"""Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
+
 _COUNTS = struct.Struct("<QHIIIIQQI")
+_CHUNK = struct.Struct("<16xQII")  # times; size, CRC, length of the compression's name
 _COUNT = struct.Struct("<HQ")
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
@@ -208,27 +214,30 @@ def statistics_record(content: bytes, own: bool = False) -> Statistics:
     return Statistics(messages, channels, chunks, first, last, counts)
 
 
-def chunk_fields(content: bytes) -> tuple[int, int, str, int]:
-    """Parse a chunk, or its front: unpacked size, CRC, compression, offset of the packed bytes.
-
-    The packed length that the chunk announces is in the 8 bytes before the packed ones.
+class ChunkFields(NamedTuple):
+    """The front of a chunk: unpacked size, CRC, compression, where the packed bytes start, and how
+    many they are.
     """
-    cursor = Cursor(content)
-    cursor.block(16)
-    size = cursor.number(_U64)
-    crc = cursor.number(_U32)
-    length = cursor.number(_U32)
-    if length > 16:
-        raise Damaged("the name of a chunk's compression is too long")
-    compression = cursor.block(length).decode("ascii", "backslashreplace")
-    cursor.number(_U64)
-    return size, crc, compression, cursor.at
+
+    size: int
+    crc: int
+    compression: str
+    start: int
+    packed: int
 
 
-def packed_length(content: bytes, start: int) -> int:
-    """The length of the packed bytes that a chunk announces before `start`."""
-    length: int = _U64.unpack_from(content, start - 8)[0]
-    return length
+def chunk_fields(content: bytes) -> ChunkFields:
+    """Parse a chunk, or its front."""
+    try:
+        size, crc, length = _CHUNK.unpack_from(content)
+        if length > 16:
+            raise Damaged("the name of a chunk's compression is too long")
+        start = _CHUNK.size + length + _U64.size
+        compression = content[_CHUNK.size : _CHUNK.size + length].decode("ascii", "replace")
+        packed: int = _U64.unpack_from(content, start - _U64.size)[0]
+    except struct.error as error:
+        raise Damaged("a record is shorter than its fields") from error
+    return ChunkFields(size, crc, compression, start, packed)
 
 
 def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
@@ -258,25 +267,6 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
-
-
-def messages_in(content: bytes) -> list[tuple[int, int]]:
-    """The start and the end of the content of each message in a chunk's unpacked bytes.
-
-    Raises Damaged if a record is inconsistent.
-    """
-    return [(start, end) for opcode, start, end in records_in(content) if opcode == MESSAGE]
-
-
-def sequences_from(content: bytes, start: int, expected: int) -> int:
-    """How many sequence numbers lie between the expected one and that of a message.
-
-    `start` is where the content of the message starts. A negative number means that it was met
-    before; sequences have 32 bits and begin anew after the last.
-    """
-    sequence = MESSAGE_HEAD.unpack_from(content, start)[1]
-    ahead: int = (sequence - expected) & 0xFFFF_FFFF
-    return ahead if ahead < 1 << 31 else ahead - (1 << 32)
 
 
 def _ends(cursor: Cursor, own: bool) -> None:

@@ -5,15 +5,25 @@ from __future__ import annotations
 import io
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Sequence
 from io import BufferedReader
-from typing import Final, NamedTuple
+from struct import Struct
+from typing import Final, NamedTuple, TypeAlias
 
 import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.records import CHUNK_BYTES, CutOff, Damaged
+from bilprov.captures.storage.blocks import message_starts
+from bilprov.captures.storage.records import (
+    CHUNK_BYTES,
+    ChannelRecord,
+    ChunkFields,
+    CutOff,
+    Damaged,
+)
 
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
@@ -42,6 +52,7 @@ CHUNK_FRONT = re.compile(
 ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 """Largest size in bytes of an attachment record, its names included."""
 
+_INDEX_FRONT = Struct("<BQHI")  # opcode, length, channel, bytes of the entries
 INDEX_RECORDS = {0x08, 0x0A, records.STATISTICS, 0x0D, 0x0E, records.FOOTER}
 
 CHECKS: dict[int, Callable[[bytes, bool], object]] = {
@@ -55,10 +66,16 @@ CHECKS: dict[int, Callable[[bytes, bool], object]] = {
 }
 
 
+NOTHING: Final = np.zeros(0, np.int64)
+ONE: Final = np.zeros(1, np.int64)
+
+
 class Found(NamedTuple):
     """A complete record: its opcode, the offset of its end, its content (unpacked for a chunk).
 
-    `verified` is true if a checksum covers the content; `note` says why a record was skipped.
+    `verified` is true if a checksum covers the content; `note` says why a record was skipped. Of a
+    chunk that `walk` gives, `starts` are where its messages begin, `channels` the channels that it
+    describes, and its end is behind its message indexes.
     """
 
     opcode: int
@@ -66,6 +83,20 @@ class Found(NamedTuple):
     content: bytes = b""
     verified: bool = False
     note: str = ""
+    starts: NDArray[np.int64] = NOTHING
+    channels: Sequence[ChannelRecord] = ()
+
+
+class Lost(NamedTuple):
+    """Bytes from `start` to `end` that are damaged; `whole_again` is false if no chunk follows."""
+
+    start: int
+    end: int
+    damage: Damaged
+    whole_again: bool
+
+
+Walk: TypeAlias = Iterator[Found | Lost]
 
 
 class RecordFile:
@@ -89,9 +120,10 @@ class RecordFile:
         self._unpacked = UNPACKED_FREE + UNPACKED_SHARE * size
         self._messages = MESSAGES_FREE + size // 2
         self._loose = LOOSE_RECORDS
+        self._expected: int | None = None  # the sequence number of a file's next message
 
-    def record(self, offset: int) -> Found:
-        """Read the record at `offset`.
+    def record(self, offset: int, only: Collection[int] | None = None) -> Found:
+        """Read the record at `offset`, without its content if it is none of `only`.
 
         Raises Damaged if it is inconsistent, CutOff if the file ends before the record.
         """
@@ -103,11 +135,78 @@ class RecordFile:
         end = offset + records.RECORD_HEAD.size + length
         if end > self.size:
             raise CutOff("a record ends after the file")
+        if only is not None and opcode not in only:
+            return Found(opcode, end)
         if opcode == records.CHUNK:
             return self._chunk(offset, length, end)
         if opcode == records.MESSAGE:
             return self._message(length, end)
-        return self._other(opcode, length, end)
+        return self._other(opcode, length, end, bool(only))
+
+    def walk(self, start: int, end: int, only: Collection[int] | None = None) -> Walk:
+        """Yield the records that begin from `start` up to `end`, up to and with a footer.
+
+        What is damaged is left out up to the next intact chunk. With `only`, other records than
+        these are passed without their content.
+        """
+        offset = start
+        while offset < end:
+            try:
+                found = self.record(offset, only)
+                if found.opcode == records.CHUNK and (only is None or records.CHUNK in only):
+                    found = self._examined(found)
+            except Damaged as damage:
+                at = self.next_chunk(offset + 1)
+                yield Lost(offset, self.size if at is None else at, damage, at is not None)
+                offset = self.size if at is None else at
+                continue
+            offset = found.end
+            if found.opcode == records.DATA_END:
+                self.past_data = True
+            yield found
+            if found.opcode == records.FOOTER:
+                return
+
+    def _examined(self, chunk: Found) -> Found:
+        """The chunk with what is in it. Raises Damaged if it is inconsistent or a second copy."""
+        content = chunk.content
+        index, end = self._index(chunk.end, len(content))
+        starts, others = message_starts(content, index)
+        channels = [
+            records.channel_record(content[start:stop])
+            for opcode, start, stop in others
+            if opcode == records.CHANNEL
+        ]
+        if len(starts):
+            first, last = _sequence(content, starts[0]), _sequence(content, starts[-1])
+            # Two copies of a chunk are what a repair by a file system, or a careless tool, leaves.
+            before = first if self._expected is None else self._expected
+            if self.own and (first - before) & 0xFFFF_FFFF >= 1 << 31:
+                raise Damaged("a chunk stands in the file a second time")
+        self._messages -= len(starts)
+        if self._messages < 0:
+            raise self._ended(f"more than {MESSAGES_FREE} messages, and more than one in 2 bytes")
+        if len(starts):
+            self._expected = last + 1
+        return Found(records.CHUNK, end, content, chunk.verified, "", starts, channels)
+
+    def _index(self, offset: int, most: int) -> tuple[bytes, int]:
+        """The entries of the message indexes that stand at `offset`, and where these end."""
+        entries = []
+        self._file.seek(offset)
+        while True:
+            head = self._file.read(_INDEX_FRONT.size)
+            if len(head) < _INDEX_FRONT.size:
+                break
+            opcode, length, _, size = _INDEX_FRONT.unpack(head)
+            if opcode != records.MESSAGE_INDEX or size + 6 != length or size > most:
+                break
+            entry = self._file.read(size)
+            if size % 16 or len(entry) < size:
+                break
+            entries.append(entry)
+            offset += _INDEX_FRONT.size + size
+        return b"".join(entries), offset
 
     def next_chunk(self, offset: int, until: int | None = None) -> int | None:
         """Find the start of the next chunk with a correct checksum, at `offset` or later, or None.
@@ -133,12 +232,6 @@ class RecordFile:
             offset += WINDOW
         return None
 
-    def count_messages(self, count: int) -> None:
-        """Count messages found in a chunk. Raises Damaged if the file has more than allowed."""
-        self._messages -= count
-        if self._messages < 0:
-            raise self._ended(f"more than {MESSAGES_FREE} messages, and more than one in 2 bytes")
-
     def _ended(self, why: str) -> Damaged:
         """The error after which no further chunk is found: the work for this file is done."""
         self._patience = 0
@@ -155,11 +248,11 @@ class RecordFile:
 
     def _chunk(self, offset: int, length: int, end: int) -> Found:
         front = self._content(min(length, HEAD_ROOM))
-        size, _, _, start = records.chunk_fields(front)
-        packed = records.packed_length(front, start)
-        if start + packed != length:
+        fields = records.chunk_fields(front)
+        size = fields.size
+        if fields.start + fields.packed != length:
             raise Damaged("a chunk's length does not fit its content")
-        if max(size, packed) > CHUNK_BYTES:
+        if max(size, fields.packed) > CHUNK_BYTES:
             if self.own:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
@@ -168,7 +261,8 @@ class RecordFile:
         if self._unpacked < 0:
             free = UNPACKED_FREE >> 20
             raise self._ended(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
-        content, verified = _unpacked_chunk(front + self._content(length - len(front)), self.own)
+        content = front + self._content(length - len(front))
+        content, verified = _unpacked_chunk(fields, memoryview(content)[fields.start :], self.own)
         return Found(records.CHUNK, end, content, verified)
 
     def _message(self, length: int, end: int) -> Found:
@@ -179,9 +273,10 @@ class RecordFile:
         if length - records.MESSAGE_HEAD.size > records.MESSAGE_BYTES:
             note = f"a message holds {length} bytes, allowed are {records.MESSAGE_BYTES}: left out"
             return Found(SKIPPED, end, note=note)
-        return Found(records.MESSAGE, end, self._content(length))
+        content = records.RECORD_HEAD.pack(records.MESSAGE, length) + self._content(length)
+        return Found(records.MESSAGE, end, content, starts=ONE)
 
-    def _other(self, opcode: int, length: int, end: int) -> Found:
+    def _other(self, opcode: int, length: int, end: int, only: bool) -> Found:
         if not self.past_data and opcode != records.MESSAGE_INDEX:
             self._loose -= 1
             if self._loose < 0:
@@ -194,8 +289,8 @@ class RecordFile:
             raise Damaged("a footer stands before the end")
         if opcode in INDEX_RECORDS and not self.past_data:
             raise Damaged("a record of the index stands before the end of the data")
-        # Foreign attachments are skipped, since none of their content is used.
-        if opcode in CHECKS and (self.own or opcode != records.ATTACHMENT):
+        # Foreign attachments are read only where they are asked for.
+        if opcode in CHECKS and (self.own or only or opcode != records.ATTACHMENT):
             most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES
             if length > most:
                 raise Damaged(f"a record is larger than the {most} bytes allowed")
@@ -215,19 +310,23 @@ class RecordFile:
         return content
 
 
-def _unpacked_chunk(content: bytes, own: bool) -> tuple[bytes, bool]:
+def _sequence(content: bytes, start: int) -> int:
+    number: int = records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
+    return number
+
+
+def _unpacked_chunk(fields: ChunkFields, packed: memoryview, own: bool) -> tuple[bytes, bool]:
     """Unpack the records of a chunk; also return whether a checksum covers them.
 
     A CRC of 0 means that there is none, which is accepted from foreign writers only. Raises Damaged
     if anything is not as declared.
     """
-    size, crc, compression, start = records.chunk_fields(content)
-    data = _unpacked(memoryview(content)[start:], compression, size)
-    if len(data) != size:
+    data = _unpacked(packed, fields.compression, fields.size)
+    if len(data) != fields.size:
         raise Damaged("a chunk does not unpack to the size that it declares")
-    if crc == 0 and not own:
+    if fields.crc == 0 and not own:
         return data, False
-    if zlib.crc32(data) != crc:
+    if zlib.crc32(data) != fields.crc:
         raise Damaged("a chunk's checksum is wrong")
     return data, True
 
@@ -237,7 +336,8 @@ def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
         if compression == "zstd":
             return _zstd(packed, size)
         if compression == "lz4":
-            return _lz4(packed, size)
+            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+            return data
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
     if compression == "":
@@ -246,13 +346,9 @@ def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
 
 
 def _zstd(packed: memoryview, size: int) -> bytes:
-    # Streamed, because the one-call function allocates what the *frame* declares.
     decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
-    source = io.BytesIO(packed)
-    with decompressor.stream_reader(source, read_across_frames=True) as reader:
+    if zstandard.frame_content_size(packed) == size:  # so much is allocated
+        return decompressor.decompress(packed, allow_extra_data=False)
+    # What the frame declares is not to be allocated: unpacked piece by piece.
+    with decompressor.stream_reader(io.BytesIO(packed), read_across_frames=True) as reader:
         return reader.read(size + 1)
-
-
-def _lz4(packed: memoryview, size: int) -> bytes:
-    data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-    return data

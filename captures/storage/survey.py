@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Final
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from bilprov.captures import topics
 from bilprov.captures.schemas import Line
 from bilprov.captures.storage import records
-from bilprov.captures.storage.messages import Contents, TimeWindow
-from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff, Damaged
-from bilprov.captures.storage.recovery import SKIPPED, Found, RecordFile
+from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
+from bilprov.captures.storage.messages import WINDOW_MESSAGES, Contents, TimeWindow
+from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff
+from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
-JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
-"""Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
 
 
 def surveyed(file: BufferedReader, size: int, damage: str = "") -> Contents:
@@ -31,40 +31,6 @@ def surveyed(file: BufferedReader, size: int, damage: str = "") -> Contents:
     survey = _Survey(file, size, damage)
     survey.walk()
     return survey.contents()
-
-
-@dataclass(slots=True)
-class _Tally:
-    """Counts of messages and bytes by channel id, and the times, of one chunk or of a file."""
-
-    counts: Counter[int] = field(default_factory=Counter)
-    sizes: Counter[int] = field(default_factory=Counter)
-    times: list[int] = field(default_factory=list)  # first, earliest, latest
-    too_long: int = 0
-    bad_lines: int = 0
-
-    def message(self, channel: int, time: int, size: int) -> None:
-        """Count one message."""
-        self.counts[channel] += 1
-        self.sizes[channel] += size
-        if not self.times:
-            self.times = [time, time, time]
-        elif time > self.times[2]:
-            self.times[2] = time
-        elif time < self.times[1]:
-            self.times[1] = time
-
-    def add(self, other: _Tally) -> None:
-        """Add the counts of another tally, whose messages come later in the file."""
-        self.counts.update(other.counts)
-        self.sizes.update(other.sizes)
-        if not self.times:
-            self.times = other.times
-        elif other.times:
-            self.times[1] = min(self.times[1], other.times[1])
-            self.times[2] = max(self.times[2], other.times[2])
-        self.too_long += other.too_long
-        self.bad_lines += other.bad_lines
 
 
 class _Survey:
@@ -79,42 +45,49 @@ class _Survey:
         self._guarded_start: str | None = None
         self._channels: dict[int, ChannelRecord] = {}
         self._verified: set[int] = set()
-        self._tally = _Tally()
+        self._counts: Counter[int] = Counter()
+        self._sizes: Counter[int] = Counter()
+        self._times: list[int] = []  # first, earliest, latest
+        self._too_long = 0
+        self._bad_lines = 0
         self._order: TimeWindow[None] = TimeWindow()
+        self._in_order = True
         self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
         self._left_out = False  # whether a note tells of records that are not read
         self._stated: int | None = None  # messages that the file's statistics count
-        self._expected: int | None = None  # the sequence of the next message of our own files
 
     def walk(self) -> None:
-        offset = len(MAGIC)
-        while offset < self._size:
-            start = offset
-            try:
-                found = self._records.record(offset)
+        for block, _ in blocks_of(self._pieces()):
+            self._count(block)
+
+    def _pieces(self) -> Iterator[Piece]:
+        """Yield the messages of the file, and take in all else."""
+        start = len(MAGIC)
+        for found in self._records.walk(start, self._size):
+            if isinstance(found, Lost):
+                self._note_loss(found)
+            else:
                 self._take(found)
-            except Damaged as damage:
-                offset = self._resumed(offset, damage)
-                continue
-            offset = found.end
-            if found.opcode == records.FOOTER:
-                offset = self._size
-            self._extend(start, offset)
+                if len(found.starts):
+                    yield Piece(found.content, found.starts, "")
+                if found.opcode == records.FOOTER:
+                    self._extend(start, self._size)
+                else:
+                    self._extend(start, found.end)
+            start = found.end
 
     def contents(self) -> Contents:
         channels = self._table()
-        unknown = sum(n for channel, n in self._tally.counts.items() if channel not in channels)
-        if self._tally.too_long:
+        unknown = sum(n for channel, n in self._counts.items() if channel not in channels)
+        if self._too_long:
             self._note(
-                f"{self._tally.too_long} messages hold more than the {records.MESSAGE_BYTES} bytes "
+                f"{self._too_long} messages hold more than the {records.MESSAGE_BYTES} bytes "
                 "allowed and are left out"
             )
-        if self._tally.bad_lines:
-            self._note(
-                f"{self._tally.bad_lines} messages on /line cannot be decoded and are left out"
-            )
+        if self._bad_lines:
+            self._note(f"{self._bad_lines} messages on /line cannot be decoded and are left out")
         if unknown:
             self._note(f"{unknown} messages are on channels that the file does not describe")
         for _ in self._order.rest():
@@ -123,18 +96,19 @@ class _Survey:
             self._note(
                 f"{self._order.late} messages stand too far out of time order to be put right"
             )
-        held = self._tally.counts.total() + self._tally.too_long
+        held = self._counts.total() + self._too_long
         if not self._left_out and self._stated not in (None, held):
             # Whole records went or came, of which the rest of the file tells nothing.
             self._note(f"{held} messages are there, the file's statistics count {self._stated}")
         if self._more_notes:
             self._notes.append(f"{self._more_notes} further places are damaged")
         own = self._records.own
-        first, earliest, last = self._tally.times or (0, 0, 0)
+        first, earliest, last = self._times or (0, 0, 0)
         return Contents(
             size=self._size,
             regions=tuple(self._regions),
             own=own,
+            in_order=self._in_order,
             counted=self._library.startswith(records.OWN_LIBRARY),
             library=self._library,
             metadata=self._metadata,
@@ -142,8 +116,8 @@ class _Survey:
             channels=channels,
             first=first if own else earliest,
             last=last,
-            counts=_by_topic(self._tally.counts, channels),
-            sizes=_by_topic(self._tally.sizes, channels),
+            counts=_by_topic(self._counts, channels),
+            sizes=_by_topic(self._sizes, channels),
             unfinished=not self._finished,
             damage=tuple(self._notes),
         )
@@ -167,9 +141,8 @@ class _Survey:
 
     def _take(self, found: Found) -> None:
         if found.opcode == records.CHUNK:
-            self._take_chunk(found)
-        elif found.opcode == records.MESSAGE:
-            self._count(self._tally, found.content, 0, len(found.content), self._lines)
+            for channel in found.channels:
+                self._learn(channel, found.verified)
         elif found.opcode == records.HEADER:
             self._library = records.header_library(found.content)
             self._records.own = self._library.startswith(records.OWN_LIBRARY)
@@ -181,65 +154,50 @@ class _Survey:
             name, pairs = records.metadata_record(found.content)
             if name == topics.METADATA_NAME and not self._seen_metadata:
                 self._metadata, self._seen_metadata = pairs, True
-        elif found.opcode == records.DATA_END:
-            self._records.past_data = True
         elif found.opcode == records.STATISTICS:
             self._stated = records.statistics_record(found.content).messages
         elif found.opcode == SKIPPED:
             self._left_out = True
             self._note(found.note)
 
-    def _take_chunk(self, found: Found) -> None:
-        # The chunk has a tally of its own at first, since a damaged chunk is left out as a whole.
-        content = found.content
-        tally = _Tally()
-        channels: list[ChannelRecord] = []
-        lines = set(self._lines)
-        last: int | None = None
-        for opcode, start, end in records.records_in(content):
-            if opcode == records.MESSAGE:
-                if last is None:
-                    self._require_new(content, start)
-                last = start
-                self._count(tally, content, start, end, lines)
-            elif opcode == records.CHANNEL and len(channels) <= records.CHANNELS:
-                channel = records.channel_record(content[start:end])
-                channels.append(channel)
-                if channel.topic == topics.LINE:
-                    lines.add(channel.id)
-        self._records.count_messages(tally.counts.total() + tally.too_long)
-        for channel in channels:
-            self._learn(channel, found.verified)
-        if last is not None:
-            self._expected = records.MESSAGE_HEAD.unpack_from(content, last)[1] + 1
-        self._tally.add(tally)
-
-    def _require_new(self, content: bytes, start: int) -> None:
-        """Raise Damaged for a chunk of ours whose first message was in the file before.
-
-        Two copies of a chunk are what a repair by a file system, or a careless tool, may leave.
-        """
-        if not self._records.own or self._expected is None:
-            return
-        if records.sequences_from(content, start, self._expected) < 0:
-            raise Damaged("a chunk stands in the file a second time")
-
-    def _count(self, tally: _Tally, content: bytes, start: int, end: int, lines: set[int]) -> None:
-        channel, _, time, _ = records.MESSAGE_HEAD.unpack_from(content, start)
-        start += records.MESSAGE_HEAD.size
-        size = end - start
-        if size > records.MESSAGE_BYTES:
-            tally.too_long += 1
-            return
-        tally.message(channel, time, size)
+    def _count(self, block: Messages) -> None:
+        sizes = block.end - block.start
+        if int(sizes.max()) > records.MESSAGE_BYTES:
+            fits = sizes <= records.MESSAGE_BYTES
+            self._too_long += int(np.count_nonzero(~fits))
+            block, sizes = block.rows(fits), sizes[fits]
+            if not len(block):
+                return
+        channels, places = np.unique(block.channel, return_inverse=True)
+        counts = np.bincount(places)
+        held = np.bincount(places, sizes)
+        for channel, count, size in zip(channels.tolist(), counts, held, strict=True):
+            self._counts[channel] += int(count)
+            self._sizes[channel] += int(size)
+        times = block.log_time
+        first, earliest, latest = int(times[0]), int(times.min()), int(times.max())
+        before = self._times or [first, earliest, earliest]
         if not self._records.own:
+            self._put_in_order(times, sizes, before[2])
+        self._times = [before[0], min(before[1], earliest), max(before[2], latest)]
+        for line in block.rows(np.isin(block.channel, list(self._lines))).single():
+            try:
+                msgspec.json.decode(line.data, type=Line)
+            except records.JSON_ERRORS:
+                self._bad_lines += 1
+
+    def _put_in_order(
+        self, times: NDArray[np.uint64], sizes: NDArray[np.int64], latest: int
+    ) -> None:
+        """Pass the messages of a block through the window that puts them in order of time."""
+        if int(times[0]) >= latest and bool((times[1:] >= times[:-1]).all()):
+            self._order.pass_over(times[:-WINDOW_MESSAGES].tolist())
+            times, sizes = times[-WINDOW_MESSAGES:], sizes[-WINDOW_MESSAGES:]
+        else:
+            self._in_order = False
+        for time, size in zip(times.tolist(), sizes.tolist(), strict=True):
             for _ in self._order.push(time, size, None):
                 pass
-        if channel in lines:
-            try:
-                msgspec.json.decode(content[start:end], type=Line)
-            except JSON_ERRORS:
-                tally.bad_lines += 1
 
     def _learn(self, channel: ChannelRecord, verified: bool) -> None:
         known = self._channels.get(channel.id)
@@ -260,20 +218,17 @@ class _Survey:
                 self._guarded_start = start
                 self._records.own = True
 
-    def _resumed(self, offset: int, damage: Damaged) -> int:
+    def _note_loss(self, lost: Lost) -> None:
         self._left_out = True
-        at = self._records.next_chunk(offset + 1)
-        if at is not None:
-            self._note(f"bytes {offset} to {at} are damaged and left out ({damage})")
-            return at
-        if self._finished or not isinstance(damage, CutOff):
+        if lost.whole_again:
+            self._note(f"bytes {lost.start} to {lost.end} are damaged and left out ({lost.damage})")
+        elif self._finished or not isinstance(lost.damage, CutOff):
             where = (
                 "the index at the end is"
                 if self._records.past_data
-                else f"all from byte {offset} on is"
+                else f"all from byte {lost.start} on is"
             )
-            self._note(f"{where} damaged and left out ({damage})")
-        return self._size
+            self._note(f"{where} damaged and left out ({lost.damage})")
 
     def _extend(self, start: int, end: int) -> None:
         if self._regions and self._regions[-1][1] == start:

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.parquet import NoPyarrow, write_parquet
 from bilprov.analyzer.export.text import write_csv, write_jsonl
 from bilprov.analyzer.output.json_text import JsonText

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from bilprov.analyzer.totals.decoder import Part, Records, StreamDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import Part, Records, StreamDecoder
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.json_text import JsonText

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -16,9 +17,8 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.indexed import open_indexed
 from bilprov.captures.parts import part_path, part_paths, require_new, said_of_parts
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.storage.survey import surveyed
 from bilprov.captures.writer import CaptureWriter
@@ -168,13 +168,19 @@ def test_older_parts_may_be_gone(tmp_path: Path) -> None:
         assert capture.metadata[topics.CUT_START] == str(80 * SECOND)
 
 
+def _data_end(data: bytes) -> int:
+    """Where the data of a finished file end."""
+    summary: int = struct.unpack_from("<Q", data, len(data) - 28)[0]
+    return summary - 13
+
+
 def test_what_a_part_lost_at_its_end_is_a_gap_at_the_seam(tmp_path: Path) -> None:
     path = parts(tmp_path, 3)
     middle = part_path(path, 2)
     data = middle.read_bytes()
     with middle.open("rb") as file:
         assert surveyed(file, len(data)).counts["/host/raw"] == EVENTS
-    middle.write_bytes(data[: data.index(b"bilprov.seal") - 1_000])  # in its last chunk
+    middle.write_bytes(data[: _data_end(data) - 1_000])  # in its last chunk
     capture = open_capture(path)
     assert open_indexed(path) is None
     assert capture.unfinished
@@ -238,7 +244,7 @@ def test_evidence_is_one_file(tmp_path: Path) -> None:
     path = parts(tmp_path, 2)
     with pytest.raises(CaptureError, match=r"is kept in parts, .* like .*drive\.00001\.mcap"):
         open_evidence(path, ())
-    assert open_evidence(part_path(path, 2), ()).sealed
+    assert not open_evidence(part_path(path, 2), ()).capture.unfinished
 
 
 def test_a_name_is_new_if_neither_a_file_nor_a_part_has_it(tmp_path: Path) -> None:

@@ -15,7 +15,14 @@ from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import VARIABLES, State
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.tables import MOTIONS, OUTCOMES, FrameTables, frame_tables
+from bilprov.spec.tables import (
+    MOTIONS,
+    OUTCOMES,
+    FrameTables,
+    field_values,
+    frame_tables,
+    values_of,
+)
 
 BLOCK = 1 << 16  # how many bytes are tokenized at once: lengths around it are tried
 
@@ -59,7 +66,7 @@ def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_gramma
 
     offsets, end = tables.offsets(data)
     columns = tables.frames(data, offsets)
-    states = tables.states(data, columns, [getattr(before, name) for name in VARIABLES])
+    states = [tables.state(name, data, columns, values_of(before)) for name in VARIABLES]
 
     starts = np.cumsum([0, *(len(frame) for frame in frames)])
     assert (offsets.tolist(), end) == (starts[:-1].tolist(), starts[-1])
@@ -90,13 +97,12 @@ def test_the_last_state_is_the_last_of_all_states(
     tables = frame_tables(each_protocol)
     array = np.frombuffer(stream, np.uint8)
     columns = tables.frames(array, tables.offsets(array)[0])
-    before = ("forward", 5, -6, 1)
+    before = (MOTIONS.index("forward"), 5, -6, 1)
 
-    states = tables.states(array, columns, before)
+    states = [tables.state(name, array, columns, before) for name in VARIABLES]
 
     last = tables.last_state(array, columns, before)
-    first = MOTIONS.index("forward"), *before[1:]
-    assert last == (tuple(int(column[-1]) for column in states) if len(columns.key) else first)
+    assert last == (tuple(int(column[-1]) for column in states) if len(columns.key) else before)
 
 
 def test_a_state_that_was_set_long_before_is_kept(each_protocol: Protocol) -> None:
@@ -108,12 +114,14 @@ def test_a_state_that_was_set_long_before_is_kept(each_protocol: Protocol) -> No
     stream = np.frombuffer(b"".join(sets) + bytes([each_protocol.pad_byte]) * 5000, np.uint8)
     columns = tables.frames(stream, tables.offsets(stream)[0])
 
-    states = tables.states(stream, columns, ("stopped", 0, 0, 0))
+    before = values_of(State())
 
-    assert states.led[-1]
-    assert states.speed[-1]
-    last = tables.last_state(stream, columns, ("stopped", 0, 0, 0))
-    assert last == tuple(int(column[-1]) for column in states)
+    states = {name: tables.state(name, stream, columns, before) for name in VARIABLES}
+
+    assert states["led"][-1]
+    assert states["speed"][-1]
+    last = tables.last_state(stream, columns, before)
+    assert last == tuple(int(column[-1]) for column in states.values())
 
 
 @given(data=st.data())
@@ -131,7 +139,7 @@ def test_every_field_of_every_frame_has_the_value_that_the_grammar_parses(
         array = np.frombuffer(b"".join(bytes([header]) + frame for frame in frames), np.uint8)
         offsets, _ = tables.offsets(array)
         for part in spec.fields:
-            values = tables.field(part, array, offsets).tolist()
+            values = field_values(part, array, offsets).tolist()
             assert values == [spec.decode(frame)[part.name] for frame in frames]
 
 
@@ -245,8 +253,7 @@ def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> No
     tables = FrameTables(other)
     stop = np.array([other.pad_byte], np.uint8)
 
-    states = tables.states(
-        stop, tables.frames(stop, tables.offsets(stop)[0]), ("stopped", 0, 0, led)
-    )
+    frames = tables.frames(stop, tables.offsets(stop)[0])
+    state = tables.state("led", stop, frames, values_of(other.power_on))
 
-    assert states.led.tolist() == [led]
+    assert state.tolist() == [led]

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from textual.pilot import Pilot
 
-from bilprov.analyzer.columns.decoder import Part
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.recording import Recording
@@ -31,7 +31,7 @@ NO_TMUX = "apt-get install tmux"
 
 def browser(
     protocol: Protocol,
-    parts: Sequence[Part],
+    batches: Sequence[Batch],
     *,
     live: bool = False,
     signs: Signs = FINE,
@@ -40,8 +40,8 @@ def browser(
     """The screen over a recording that is complete; `told` are fields of a Told."""
 
     def add(feed: Feed[None]) -> None:
-        for part in parts:
-            feed.recording.add(part)
+        for batch in batches:
+            feed.recording.add(batch)
 
     feed = Feed(Recording(protocol), add, live=live, stays=True)
     return Browser(feed, Told("a test", 0, 86_805, **told), signs)

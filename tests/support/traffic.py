@@ -10,9 +10,10 @@ from typing import Any, Literal, NamedTuple
 
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import SKEW, Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge, nearest
 from bilprov.spec.protocol import Protocol
@@ -162,7 +163,7 @@ def told(
     batches: Sequence[int] = (1,),
     looks: frozenset[int] = frozenset(),
 ) -> list[Any]:
-    """Feed a Session (which gives records) or a StreamDecoder (which gives parts) to the end.
+    """Feed a Session (which gives records) or a StreamDecoder (which gives batches) to the end.
 
     The events come in batches of these sizes. `looks` are numbers of events right before which
     the time is told.
@@ -186,6 +187,6 @@ def told(
     return given + source.finish()
 
 
-def records_of(parts: Iterable[Part]) -> list[Record]:
-    """The records of all parts in order."""
-    return [record for part in parts for record in part.records()]
+def records_of(batches: Iterable[Batch]) -> list[Record]:
+    """The records of all batches in order."""
+    return [record for batch in batches for record in batch.records()]

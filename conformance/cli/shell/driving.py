@@ -8,7 +8,6 @@ from functools import partial
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
-from bilprov.analyzer.columns.decoder import Records
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import StreamOutput, write_out
@@ -135,7 +134,7 @@ class Driving(Closing):
             self._unasked += 1
             if self._unasked > FLOOD:
                 return
-        self._output.show(Records([record]))
+        self._output.records([record])
 
     def _action(self, item: str) -> Callable[[], object]:
         """What an item of a line stands for. Raises ValueError if it stands for nothing."""

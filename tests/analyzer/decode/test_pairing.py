@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
-from random import Random
-
 import pytest
 
-from bilprov.analyzer.decode.checkpoint import GROUP
-from bilprov.analyzer.decode.pairing import MOST, Waiting, WaitingGroups
+from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
@@ -243,35 +239,13 @@ def waiting(protocol: Protocol, number: int, end: int, frame: bytes) -> Waiting:
     return Waiting(number, end, end + 1000 * MS, judge(protocol, frame))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_groups_that_are_kept_are_those_that_are_made_anew(protocol: Protocol, seed: int) -> None:
-    draw, queue, kept = Random(seed), deque[Waiting](), WaitingGroups()
-    number = end = 0
-    for _ in range(300):
-        for _ in range(draw.choice((0, 1, 1, 40))):
-            end += draw.choice((0, 0, 0, MS))
-            frame = draw.choice((b"\x20", b"\x11\x05", b"\x9f" + bytes(15), b"\x11"))
-            queue.append(waiting(protocol, number, end, frame))
-            number += 1
-        for _ in range(min(len(queue), draw.choice((0, 1, 1, 40)))):
-            queue.popleft()
-        if not draw.randrange(40):
-            queue.clear()
-        if draw.randrange(4):
-            assert kept.of(queue) == WaitingGroups().of(queue)
-            frames = b"".join(group.frames for group in kept.of(queue))
-            assert frames == b"".join(one.judgement.frame for one in queue)
+def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
+    protocol: Protocol,
+) -> None:
+    frames = [b"\x20", b"\x11\x05", b"\x11", b"\x20", b"\x20"]
+    queue = [waiting(protocol, n, MS * (n > 3), frame) for n, frame in enumerate(frames)]
 
+    groups = waiting_frames(queue)
 
-def test_what_waits_already_is_not_copied_for_one_more(protocol: Protocol) -> None:
-    queue, kept = deque[Waiting](), WaitingGroups()
-    for number in range(2 * GROUP):
-        queue.append(waiting(protocol, number, 0, b"\x20"))
-    first, second = kept.of(queue)
-    queue.append(waiting(protocol, 2 * GROUP, 0, b"\x20"))
-
-    groups = kept.of(queue)
-
-    assert groups[0] is first
-    assert groups[1] is second
-    assert [len(group.frames) for group in groups] == [GROUP, GROUP, 1]
+    assert [group.frames for group in groups] == [b"\x20\x11\x05\x11", b"\x20", b"\x20"]
+    assert [group.end for group in groups] == [0, 0, MS]

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record, Severity
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds

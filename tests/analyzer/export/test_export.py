@@ -235,7 +235,7 @@ def test_without_pyarrow_the_line_that_brings_it_is_told(
 
 def test_hostile_words_of_a_capture_stay_in_their_cell(tmp_path: Path) -> None:
     hostile = '=cmd|"/c calc"!A1\r\n@x,\x1b[2J\u202e'
-    events = [
+    events: list[Event] = [
         Line(0, hostile, "", hostile),
         Line(MS, "break", "", "+1"),
         Chunk(MS, "host", b"\0"),

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.export.pcapng import write_pcapng
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
@@ -121,23 +121,21 @@ def test_a_filter_and_a_window_choose_as_elsewhere_and_an_instruction_brings_its
 
     found = packets(exported(path, protocol, expression, window))
 
-    test = compile_filter(expression, protocol)
     capture = open_capture(path)
-
-    def passes(record: Record) -> bool:
-        line = json_line(record)
-        return window.has(record.t) and line is not None and test(line)
-
+    batch = Records(decoded(capture_session(capture, protocol), capture.events()))
+    inside = batch.inside(first, after)
+    passing = inside & compile_filter(expression, protocol).selection(batch)
     asked: set[int | None] = set()
     expected: list[tuple[bytes, bool]] = []
     paired = chosen["heard"] >= {"host", "device"}
-    for record in decoded(capture_session(capture, protocol), capture.events()):
-        if isinstance(record, HostRecord) and passes(record):
+    rows = zip(batch.records(), batch.in_order(inside), batch.in_order(passing), strict=True)
+    for record, is_inside, passes in rows:
+        if isinstance(record, HostRecord) and passes:
             asked |= {record.sequence} - {None}
             expected.append((record.data, record.sequence is None))
         elif isinstance(record, DeviceRecord):
-            brought = window.has(record.t) and record.instruction in asked
-            if brought or passes(record):
+            brought = is_inside and record.instruction in asked
+            if brought or passes:
                 expected.append((bytes([record.byte]), paired and not brought))
     assert sorted((p.data, p.event in (TX_END, RX_END)) for p in found if p.data) == sorted(
         expected

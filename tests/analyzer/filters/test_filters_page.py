@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
@@ -54,13 +55,17 @@ def utc() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def lines(protocol: Protocol) -> list[JsonLine]:
+def recording(protocol: Protocol) -> Records:
     events = [
         Chunk(round(float(t) * 1000) * MS, "host" if side == "host" else "device", bytes.fromhex(b))
         for _, t, side, b, _ in ([cell.strip("`") for cell in row] for row in ROWS)
     ]
-    found = [json_line(record) for record in decoded(Session(protocol), events)]
-    return [line for line in found if line is not None]
+    return Records(decoded(Session(protocol), events))
+
+
+@pytest.fixture(scope="module")
+def lines(recording: Records) -> list[JsonLine]:
+    return [line for line in map(json_line, recording.records()) if line is not None]
 
 
 def test_the_recording_is_what_the_page_says(lines: list[JsonLine]) -> None:
@@ -73,11 +78,12 @@ def test_the_recording_is_what_the_page_says(lines: list[JsonLine]) -> None:
 
 @pytest.mark.parametrize(("text", "rows"), EXAMPLES)
 def test_an_example_selects_the_rows_that_it_says(
-    protocol: Protocol, lines: list[JsonLine], text: str, rows: str
+    protocol: Protocol, recording: Records, text: str, rows: str
 ) -> None:
     test = compile_filter(text, protocol).started(START * 10**9)
 
-    assert " ".join(str(n) for n, line in enumerate(lines, 1) if test(line)) == rows
+    passing = recording.in_order(test.selection(recording)).tolist()
+    assert " ".join(str(row) for row, passes in enumerate(passing, 1) if passes) == rows
 
 
 @pytest.mark.parametrize(("text", "column", "sentence"), MISTAKES)

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.columns import timeline
 from bilprov.analyzer.decode.records import Record, serious_faults
 from bilprov.analyzer.replay.capture_session import capture_session
+from bilprov.analyzer.totals import timeline
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter

@@ -21,8 +21,7 @@ from bilprov.analyzer.replay.recorder import (
     session_metadata,
 )
 from bilprov.analyzer.replay.throttle import RESUMED, SECOND, STOPPED, Throttle
-from bilprov.captures.indexed import open_indexed
-from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.reader import Message, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol

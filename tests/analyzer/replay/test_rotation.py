@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import settings as limits
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
@@ -24,9 +24,8 @@ from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation, rotation_at
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
-from bilprov.captures.indexed import StoredCheckpoint, open_indexed
 from bilprov.captures.parts import part_path, part_paths
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import NoOutput, Shown, StreamOutput, Window

@@ -12,8 +12,9 @@ from textual import events
 from textual.pilot import Pilot
 from textual.widgets import Input
 
-from bilprov.analyzer.columns.decoder import Part, StreamDecoder
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.row_columns import TimeStyle
 from bilprov.analyzer.screen.arrangement import arranged
@@ -45,7 +46,7 @@ def drive(count: int = 60) -> list[Event]:
     return events
 
 
-def decoded(protocol: Protocol, events: list[Event]) -> list[Part]:
+def decoded(protocol: Protocol, events: list[Event]) -> list[Batch]:
     return told(StreamDecoder(protocol), events, [len(events)])
 
 
@@ -254,8 +255,8 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         assert screen.frames.row == 120  # a live view follows
         await pilot.press("space")
-        for part in decoded(protocol, drive(10)):
-            screen.feed.recording.add(part)
+        for batch in decoded(protocol, drive(10)):
+            screen.feed.recording.add(batch)
         screen.show_rows()
         await pilot.pause()
         assert "paused, 21 waiting" in text_of(screen)[0]
@@ -336,8 +337,8 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
     screen = browser(protocol, decoded(protocol, drive()), live=True)
 
     def more() -> None:
-        for part in decoded(protocol, drive(1)):
-            screen.feed.recording.add(part)
+        for batch in decoded(protocol, drive(1)):
+            screen.feed.recording.add(batch)
         screen.show_rows()
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
@@ -571,7 +572,7 @@ def test_a_long_filter_can_be_stopped(screen: Browser, protocol: Protocol) -> No
             await pilot.pause()
             assert "Esc stops it" in text_of(screen)[-1]
             await pilot.press("escape")
-        assert screen.filtering is None or screen.filtering.cancelled
+        assert screen.filtering is None or screen.filtering.cancelled.is_set()
         while screen.filtering:
             await pilot.pause(0.01)
             screen.tick()
@@ -629,8 +630,8 @@ def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         async def come(count: int, rows: int) -> None:
-            for part in decoded(protocol, drive(count)) if count else ():
-                screen.feed.recording.add(part)
+            for batch in decoded(protocol, drive(count)) if count else ():
+                screen.feed.recording.add(batch)
             give_up = time.monotonic() + PATIENCE
             while screen.frames.count < rows and time.monotonic() < give_up:
                 screen.tick()

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
-from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import Record, is_frame
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import Times
@@ -55,8 +55,8 @@ def status_of(feed: Feed[None]) -> str:
 def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) -> None:
     feed = fed(protocol)
     output = ScreenOutput(feed, Statistics(), most=20_000)
-    for part in conversation(protocol, 12_000):
-        output.show(part)
+    for batch in conversation(protocol, 12_000):
+        output.show(batch)
     assert (feed.recording.nbytes > 20_000, status_of(feed).split()[0]) == (True, "?")
 
     output.tick(0)
@@ -86,8 +86,8 @@ def test_rows_go_that_a_spool_no_longer_has(
             time.sleep(0.01)
         assert spool.bytes < 12 * MOST  # a part grows by what waits to be written
         output = ScreenOutput(feed, Statistics(), spool)
-        for part in conversation(protocol, 12_000):
-            output.show(part)
+        for batch in conversation(protocol, 12_000):
+            output.show(batch)
         output.tick(0)
         assert (feed.keeps, feed.let_go) == (True, True)
         (oldest,) = feed.recording.records([feed.recording.first])
@@ -104,8 +104,8 @@ def test_the_screen_gets_what_a_filter_hides_and_nothing_outside_the_window(
     feed = fed(protocol)
     test = compile_filter("direction == device", protocol)
     shown = AllShown(ScreenOutput(feed, Statistics()), test, 500, Window(10 * MS, 20 * MS))
-    for part in conversation(protocol, 1000):
-        shown.show(part)
+    for batch in conversation(protocol, 1000):
+        shown.show(batch)
     assert feed.recording.rows == 20
     assert shown.left == 490
 
@@ -128,15 +128,14 @@ def test_the_screen_has_all_of_a_capture_or_the_part_that_is_asked_for(protocol:
     assert 0 < len(inside) < len(whole)
     assert sum(map(is_frame, rows_of(protocol, count=5))) == 5
     first = rows_of(protocol, count=3, test=faulty)
-    lines = [line for record in first if (line := json_line(record))]
-    assert len(lines) == len(first) == 3
-    assert all(map(faulty, lines))
+    assert len(first) == 3
+    assert faulty.selection(Records(first)).everything
 
 
 def exported(protocol: Protocol, path: Path) -> RowExport:
     recording = Recording(protocol)
-    for part in conversation(protocol, 6000):
-        recording.add(part)
+    for batch in conversation(protocol, 6000):
+        recording.add(batch)
     return RowExport(recording, View(recording), str(path), None, Times())
 
 
@@ -155,8 +154,8 @@ def test_a_file_that_appears_meanwhile_is_not_overwritten(
 def test_an_export_that_is_stopped_leaves_no_file(protocol: Protocol, tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     recording = Recording(protocol)
-    for part in conversation(protocol, 6000):
-        recording.add(part)
+    for batch in conversation(protocol, 6000):
+        recording.add(batch)
     with recording.lock:  # so that it gets nowhere
         export = RowExport(recording, View(recording), str(path), None, Times())
         export._cancelled.set()
@@ -174,8 +173,8 @@ def test_a_full_disk_is_one_sentence(protocol: Protocol) -> None:
 
 def test_figures_tell_the_sides_apart(protocol: Protocol) -> None:
     recording = Recording(protocol)
-    for part in conversation(protocol, 1001):
-        recording.add(part)
+    for batch in conversation(protocol, 1001):
+        recording.add(batch)
     lines = [line.plain for line in figures(recording.totals, None, 86_805, PLAIN)]
     assert lines[:5] == [
         "frames  1,001 >",

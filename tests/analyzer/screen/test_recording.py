@@ -11,40 +11,42 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns.decoder import Records, StreamDecoder
-from bilprov.analyzer.decode.json_lines import json_line
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.records import serious_faults
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen import recording as recordings
 from bilprov.analyzer.screen import row_set
-from bilprov.analyzer.screen.packed import PackedRecords, PackedStretch, packed
+from bilprov.analyzer.screen.packed import PackedBatch
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_set import RowSet
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
+from tests.support.decoding import MS
+from tests.support.decoding import conversation as exchanges
 from tests.support.expressions import expressions
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
 
-def parts_of(
+def decoded(
     protocol: Protocol, acts: list[Act], batches: list[int], chosen: dict[str, Any]
-) -> list[Any]:
+) -> list[Batch]:
     return told(StreamDecoder(protocol, **chosen), played(protocol, acts), batches)
 
 
-def recorded(protocol: Protocol, parts: list[Any]) -> Recording:
+def recorded(protocol: Protocol, batches: list[Batch]) -> Recording:
     recording = Recording(protocol)
-    for part in parts:
-        recording.add(part)
+    for batch in batches:
+        recording.add(batch)
     return recording
 
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=60)
-@given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 4096]))
+@given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 1024]))
 def test_rows_are_the_records_in_order(
     each_protocol: Protocol,
     acts: list[Act],
@@ -52,12 +54,12 @@ def test_rows_are_the_records_in_order(
     chosen: dict[str, Any],
     together: int,
 ) -> None:
-    parts = parts_of(each_protocol, acts, batches, chosen)
+    given_batches = decoded(each_protocol, acts, batches, chosen)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recordings, "TOGETHER", together)
-        recording = recorded(each_protocol, parts)
+        recording = recorded(each_protocol, given_batches)
 
-    records = records_of(parts)
+    records = records_of(given_batches)
     assert recording.rows == len(records)
     assert recording.records(range(len(records))) == records
     assert recording.records(range(1, len(records), 3)) == records[1::3]
@@ -77,21 +79,22 @@ def test_a_view_has_the_rows_whose_lines_pass(
     chosen: dict[str, Any],
 ) -> None:
     test = compile_filter(data.draw(expressions(each_protocol)), each_protocol)
-    parts = parts_of(each_protocol, acts, batches, chosen)
+    given_batches = decoded(each_protocol, acts, batches, chosen)
     recording = Recording(each_protocol)
     view = View(recording, test)
-    for part in parts:  # it grows while it is looked at
-        recording.add(part)
+    for batch in given_batches:  # it grows while it is looked at
+        recording.add(batch)
         if data.draw(st.booleans()):
             view.catch_up()
     view.catch_up()
 
-    lines = [json_line(record) for record in records_of(parts)]
-    rows = [row for row, line in enumerate(lines) if line is not None and test(line)]
-    assert view.rows(0, len(lines)) == rows
+    whole = Records(records_of(given_batches))
+    count = len(whole)
+    rows = np.flatnonzero(whole.in_order(test.selection(whole))).tolist()
+    assert view.rows(0, count) == rows
     assert (view.count, view.behind) == (len(rows), 0)
-    faulty = [row for row in rows if row in set(recording.faults.slice(0, len(lines)))]
-    at = data.draw(st.integers(0, len(lines)))
+    faulty = [row for row in rows if row in set(recording.faults.slice(0, count))]
+    at = data.draw(st.integers(0, count))
     assert view.next_fault(at) == min((row for row in faulty if row > at), default=None)
     assert view.fault_before(at) == max((row for row in faulty if row < at), default=None)
     assert view.position(at) == sum(row < at for row in rows)
@@ -105,23 +108,12 @@ def conversation(protocol: Protocol, count: int) -> list[Any]:
     return told(StreamDecoder(protocol), events, [512])
 
 
-def test_a_frame_with_its_answer_takes_few_bytes(protocol: Protocol) -> None:
-    events = [
-        event
-        for at in range(20_000)
-        for event in (
-            Chunk(at * 1_000_000, "host", b"\x11\x05"),
-            Chunk(at * 1_000_000 + 900_000, "device", b"\0"),
-        )
-    ]
-    decoded = told(StreamDecoder(protocol), events, [len(events)])
-    wholes = [packed(stretch) for stretch in decoded]
-    one_by_one = packed(Records(records_of(decoded)))
+def test_a_packed_frame_with_its_answer_takes_few_bytes(protocol: Protocol) -> None:
+    events = exchanges([(b"\x11\x05", b"\0")] * 20_000, MS, MS // 2)
+    batches = told(StreamDecoder(protocol), events, [len(events)])
 
-    assert all(isinstance(whole, PackedStretch) for whole in wholes)
-    assert sum(whole.nbytes for whole in wholes if isinstance(whole, PackedStretch)) < 600_000
-    assert isinstance(one_by_one, PackedRecords)
-    assert one_by_one.nbytes < 600_000
+    for batch in (*batches, Records(records_of(batches))):
+        assert PackedBatch(batch).nbytes < 15 * len(batch) + 1000
 
 
 def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
@@ -147,14 +139,20 @@ def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
     assert view.fault_before(recording.first) is None
 
 
-def test_a_part_of_many_records_is_packed_in_blocks_that_are_read_quickly(
-    protocol: Protocol,
-) -> None:
-    records = records_of(conversation(protocol, 6000))
-    recording = recorded(protocol, [Records(records)])
+def test_rows_that_go_while_a_filter_looks_are_none_of_its_rows(protocol: Protocol) -> None:
+    recording = recorded(protocol, conversation(protocol, 3000))
+    view = View(recording, compile_filter("direction == 'device'", protocol))
+    whole = View(recording, view.test)
+    whole.catch_up()
 
-    pages = [page for page, _ in recording.pages(0)]
-    assert [len(page.faulty()) for page in pages] == [4096, 4096, len(records) - 2 * 4096]
+    class LettingGo(Flag):
+        def is_set(self) -> bool:
+            recording.let_go_oldest()
+            return not recording.let_go_oldest()
+
+    view.catch_up(LettingGo())
+    view.catch_up()
+    assert view.rows(view.first, view.count) == whole.rows(whole.first, whole.count)
 
 
 def test_filtering_can_be_cancelled(protocol: Protocol) -> None:

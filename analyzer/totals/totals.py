@@ -1,44 +1,34 @@
-"""Counts over a whole recording, kept up to date part by part; memory does not grow with it."""
+"""Counts over a whole recording, kept up to date batch by batch; memory does not grow with it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import compress
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
-from bilprov.analyzer.columns.latencies import Latencies, Spread
-from bilprov.analyzer.columns.moving import MovingTime
-from bilprov.analyzer.columns.rates import SECOND, Rates
-from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.records import (
-    DeviceRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-    serious_faults,
+from bilprov.analyzer.decode.batch import (
+    KINDS,
+    NO_VERDICT,
+    Batch,
+    DeviceRows,
+    HostRows,
+    Kinds,
+    Mask,
+    OtherRows,
+    Selection,
 )
+from bilprov.analyzer.decode.records import LineRecord, serious_faults
+from bilprov.analyzer.totals.latencies import Latencies, Spread
+from bilprov.analyzer.totals.moving import MovingTime
+from bilprov.analyzer.totals.rates import SECOND, Rates
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import OUTCOMES
 
-_LATEST = 1 << 62  # ns; a time or a latency beyond it can only be forged
 SERIES = ("frames", "faults", "host_bytes", "device_bytes")
 """What is counted by time, each frame when it ended."""
-
-Mask: TypeAlias = NDArray[np.bool_]
-
-
-class Chosen(NamedTuple):
-    """Which new host rows, device rows and line events of a Stretch are counted."""
-
-    host: Mask
-    device: Mask
-    lines: Sequence[bool]
 
 
 class Instruction(NamedTuple):
@@ -55,7 +45,7 @@ class Instruction(NamedTuple):
 
 
 class Totals:
-    """Counts the parts of a recording.
+    """Counts the batches of a recording.
 
     `kinds` counts host records (`instruction`, `truncated`, `garbage`), `host_bytes` and
     `device_bytes` their bytes. `first` and `last` are the times (ns) of the first and the last
@@ -87,22 +77,14 @@ class Totals:
         self.moving = 0
         self.peak = 0
 
-    def add(self, part: Part, chosen: Chosen | Sequence[bool] | None = None) -> None:
-        """Count a part, which follows those before it.
-
-        Only what is `chosen` of a Stretch, or of the records in their order; None for all.
-        """
-        if isinstance(part, Records):
-            assert not isinstance(chosen, Chosen)
-            records = part.listed if chosen is None else list(compress(part.listed, chosen))
-            heard = self._add_records(records)
-            hosts = [record for record in part.listed if isinstance(record, HostRecord)]
-            t = np.array([min(record.known, _LATEST) for record in hosts], np.int64)
-            self._follow(t, np.array([record.state.moving for record in hosts], np.bool_), heard)
-        else:
-            assert chosen is None or isinstance(chosen, Chosen)
-            heard = self._add_stretch(part, chosen)
-            self._follow(part.end[part.carried :], part.moving, heard)
+    def add(self, batch: Batch, chosen: Selection | None = None) -> None:
+        """Count the chosen rows (None: all) of a batch, which follows those before it."""
+        self._add_others(batch.others, None if chosen is None else chosen.other)
+        heard = [
+            *self._add_hosts(batch.hosts, None if chosen is None else chosen.host),
+            *self._add_devices(batch.devices, None if chosen is None else chosen.device),
+        ]
+        self._follow(batch.hosts, heard)
 
     def merge(self, other: Totals) -> None:
         """Count another recording, of the same protocol; times and rates have no meaning then."""
@@ -191,95 +173,92 @@ class Totals:
                 counts[kind] += count
         return counts
 
-    # -- a stretch ---------------------------------------------------------------------------------
-
-    def _add_stretch(self, stretch: Stretch, chosen: Chosen | None) -> list[int]:
-        """Count what is chosen of a stretch; returns the times (ns) of its ends."""
-        # None of their states is asked for, so that no state is ever worked out.
-        lines = [
-            stretch.line(at, stretch.carried)
-            for at in range(len(stretch.lines))
-            if chosen is None or chosen.lines[at]
-        ]
-        heard = self._add_records(lines)
-        heard += self._add_hosts(stretch, None if chosen is None else np.flatnonzero(chosen.host))
-        heard += self._add_devices(
-            stretch, None if chosen is None else np.flatnonzero(chosen.device)
-        )
-        return heard
-
-    def _add_hosts(self, stretch: Stretch, rows: NDArray[np.int64] | None) -> list[int]:
-        header, verdict, kinds = stretch.new.key >> 8, stretch.new.verdict, host_kinds(stretch)
-        start, end = stretch.start, stretch.end[stretch.carried :]
-        size = stretch.size[stretch.carried :]
-        if rows is not None:
-            header, verdict, size = header[rows], verdict[rows], size[rows]
-            start, end, kinds = start[rows], end[rows], kinds._replace(code=kinds.code[rows])
-        if not len(header):
+    def _add_hosts(self, hosts: HostRows, mask: Mask | None) -> list[int]:
+        """Count rows of the host; returns the times (ns) of the first and the last byte."""
+        rows = slice(None) if mask is None else mask
+        end, size = hosts.end[rows], hosts.size[rows]
+        verdict, kind = hosts.verdict[rows], hosts.kind[rows]
+        if not len(end):
             return []
+        header = hosts.header[rows]
+        for place, amount in enumerate(np.bincount(kind, minlength=len(KINDS)).tolist()):
+            if amount:
+                self.kinds[KINDS[place]] += amount
+        self.host_bytes += int(size.sum())
+        self.rates.count("host_bytes", end, size)
+        self._add_kinds("host", hosts.faults.of(mask), hosts.known[rows], header)
+        start, last = int(hosts.t[rows].min()), int(end.max())
+        if self.kinds["garbage"]:
+            frames = verdict != NO_VERDICT
+            header, verdict, end = header[frames], verdict[frames], end[frames]
         self._headers += np.bincount(header, minlength=256)
         self._verdicts += [np.count_nonzero(verdict == place) for place in range(len(OUTCOMES))]
-        self.kinds["instruction"] += len(header)
-        self.host_bytes += int(size.sum())
         self.rates.count("frames", end)
-        self.rates.count("host_bytes", end, size)
         self._ended(end)
-        self._add_kinds("host", kinds, end, header)
-        return [int(start[0]), int(end[-1])]
+        return [start, last]
 
-    def _add_devices(self, stretch: Stretch, rows: NDArray[np.int64] | None) -> list[int]:
-        byte, t, kinds = stretch.byte, stretch.t, device_kinds(stretch)
-        chosen: slice | NDArray[np.int64] = slice(None) if rows is None else rows
-        if rows is not None:
-            byte, t, kinds = byte[rows], t[rows], kinds._replace(code=kinds.code[rows])
+    def _add_devices(self, devices: DeviceRows, mask: Mask | None) -> list[int]:
+        """Count rows of the device; returns the times (ns) of the first and the last."""
+        rows = slice(None) if mask is None else mask
+        byte, t, agrees = devices.byte[rows], devices.t[rows], devices.agrees[rows]
         if not len(byte):
             return []
         self.rates.count("device_bytes", t)
-        if not stretch.decoding.paired:
-            # Then nothing is expected, but an unused code is never right.
-            self._answers += np.bincount(byte, minlength=256)
-            self.disagreeing += int(np.count_nonzero(~stretch.fits[chosen]))
-            self._add_kinds("device", kinds, t, None)
-            return [int(t[0]), int(t[-1])]
-        agreeing = int(np.count_nonzero(stretch.agrees[chosen]))
-        self.agreeing += agreeing
-        self.disagreeing += len(byte) - agreeing
-        header = stretch.frames.key[: len(stretch.byte)][chosen] >> 8
+        self.agreeing += int(np.count_nonzero(agrees == 1))
+        self.disagreeing += int(np.count_nonzero(agrees == 0))
+        self._answers += np.bincount(byte, minlength=256)
+        answering = devices.answering[rows]
+        header, latency = devices.header[rows], devices.latency[rows]
+        self._add_kinds("device", devices.faults.of(mask), t, header, answering)
+        if not answering.all():
+            header, byte, latency = header[answering], byte[answering], latency[answering]
         answered = self._ids.take(header)
         pairs = np.bincount(answered << 8 | byte, minlength=self._paired.size)
-        pairs = pairs.reshape(self._paired.shape)
-        self._paired += pairs
-        self._answers += pairs.sum(axis=0)
-        self._latencies.add(stretch.latency[chosen], answered)
-        self._add_kinds("device", kinds, t, header)
-        return [int(t[0]), int(t[-1])]
+        self._paired += pairs.reshape(self._paired.shape)
+        self._latencies.add(latency, answered)
+        return [int(t.min()), int(t.max())]
+
+    def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
+        for place, record in enumerate(others.listed):
+            if mask is None or mask[place]:
+                for fault in serious_faults(record) if record.faults else ():
+                    side = record.value.tap if isinstance(record, LineRecord) else ""
+                    self._faults[side, None, fault.kind] += 1
+                    self.rates.count("faults", others.t[place : place + 1])
 
     def _add_kinds(
         self,
         direction: str,
         found: Kinds,
         t: NDArray[np.int64],
-        header: NDArray[np.int64] | None,
+        header: NDArray[np.uint8],
+        about: Mask | None = None,
     ) -> None:
-        """Count the anomalies of rows at these times (ns), of or about frames with a header."""
-        amounts = np.array([len(kinds) for kinds in found.kinds], np.int64)
-        if not amounts.any():
-            return
+        """Count the anomalies of rows at these times (ns).
+
+        They are of or about frames with a header, or where `about` is false about none.
+        """
+        amounts = found.amounts
         rows = np.flatnonzero(found.code)  # the first code stands for none
+        if not len(rows) or not amounts.any():
+            return
         code = found.code[rows].astype(np.int64)
         self.rates.count("faults", t[rows], amounts[code])
-        many = len(self._protocol.ids)
-        pairs = code * many
-        if header is not None:
-            pairs += self._ids.take(header[rows])
-        counts = np.bincount(pairs)
+        many = len(self._protocol.ids) + 1  # the last stands for no instruction
+        identity = self._ids.take(header[rows])
+        if about is not None:
+            identity = np.where(about[rows], identity, many - 1)
+        counts = np.bincount(code * many + identity)
         for pair in np.flatnonzero(counts).tolist():
-            about = None if header is None else pair % many
+            one: int | None = pair % many
             for kind in found.kinds[pair // many]:
-                self._faults[direction, about, kind] += int(counts[pair])
+                key = direction, None if one == many - 1 or kind == "garbage" else one, kind
+                self._faults[key] += int(counts[pair])
 
     def _ended(self, end: NDArray[np.int64]) -> None:
         """Count frames that ended at these times, which increase."""
+        if not len(end):
+            return
         if end[0] // SECOND == end[-1] // SECOND:
             self._seconds([(int(end[0]) // SECOND, len(end))])
             return
@@ -295,66 +274,16 @@ class Totals:
             self._in_second += count
             self.peak = max(self.peak, self._in_second)
 
-    def _follow(self, t: NDArray[np.int64], moving: Mask, heard: list[int]) -> None:
+    def _follow(self, hosts: HostRows, heard: list[int]) -> None:
         """Add up for how long the car moves; `heard` are times (ns) of bytes that were counted."""
+        t, moving = hosts.known, hosts.states.moving
         if not heard:
             self._moving.follow(t, moving)
             return
         first, last = min(heard), max(heard)
-        moved = self._moving.follow(t, moving, (min(first, _LATEST), min(last, _LATEST)))
+        moved = self._moving.follow(t, moving, (first, last))
         if self._moved_before is None:
             self._moved_before = moved[0]
         self.moving = max(self.moving, moved[1] - self._moved_before)
         self.first = first if self.first is None else min(self.first, first)
         self.last = last if self.last is None else max(self.last, last)
-
-    # -- records -----------------------------------------------------------------------------------
-
-    def _add_records(self, records: Sequence[Record]) -> list[int]:
-        """Count records; returns the times (ns) of their bytes."""
-        heard: list[int] = []
-        latencies: list[int] = []
-        answered: list[int] = []
-        for record in records:
-            self._add_faults(record)
-            if isinstance(record, HostRecord):
-                heard += record.t, record.end
-                self._add_host(record)
-            elif isinstance(record, DeviceRecord):
-                heard.append(record.t)
-                self.rates.add("device_bytes", record.t)
-                self._answers[record.byte] += 1
-                self.agreeing += record.agrees is True
-                self.disagreeing += record.agrees is False
-                if record.latency is not None and record.answered is not None:
-                    latencies.append(min(max(record.latency, -_LATEST), _LATEST))
-                    answered.append(record.answered.id)
-                    self._paired[record.answered.id, record.byte] += 1
-        self._latencies.add(latencies, answered)
-        return heard
-
-    def _add_host(self, record: HostRecord) -> None:
-        self.kinds[record.kind] += 1
-        self.host_bytes += len(record.data)
-        self.rates.add("host_bytes", record.end, len(record.data))
-        if record.judgement:
-            self._headers[record.data[0]] += 1
-            self._verdicts[OUTCOMES.index(record.judgement.outcome)] += 1
-            self.rates.add("frames", record.end)
-            self._seconds([(record.end // SECOND, 1)])
-
-    def _add_faults(self, record: Record) -> None:
-        faults = serious_faults(record) if record.faults else ()
-        direction, identity = _about(record) if faults else ("", None)
-        for fault in faults:
-            self._faults[direction, identity, fault.kind] += 1
-            self.rates.add("faults", fault.t)
-
-
-def _about(record: Record) -> tuple[str, int | None]:
-    """The direction of a record's anomalies, and the ID of the instruction that they are about."""
-    if isinstance(record, HostRecord):
-        return "host", record.judgement.id if record.judgement else None
-    if isinstance(record, DeviceRecord):
-        return "device", record.answered.id if record.answered else None
-    return (record.value.tap if isinstance(record, LineRecord) else ""), None

@@ -12,9 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.columns import timeline
-from bilprov.analyzer.columns.decoder import StreamDecoder
-from bilprov.analyzer.columns.timeline import Timeline
 from bilprov.analyzer.decode.records import (
     HostRecord,
     Record,
@@ -22,6 +19,9 @@ from bilprov.analyzer.decode.records import (
     serious_faults,
     written_state,
 )
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.totals import timeline
+from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

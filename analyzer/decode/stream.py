@@ -1,78 +1,46 @@
-"""Decodes a stream of events: much regular traffic at once into columns, all else by a Session.
+"""Decodes a stream of events: much regular traffic at once, all else by a Session.
 
-The records are those of one Session from the first event to the last, in the same order: each part
-goes on from the state in which the part before it has ended. numpy is loaded when there is much.
+The rows are those of one Session from the first event to the last, in the same order: each batch
+goes on from the state in which the one before it has ended. numpy is loaded with the first events.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode.checkpoint import DecoderState
-from bilprov.analyzer.decode.records import HostRecord, Record
+from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.columns.regular import Carry, RegularDecoder
-    from bilprov.analyzer.columns.stretch import Stretch
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.decode.regular import Carry, RegularDecoder
+    from bilprov.captures.events import Events
 
 LEAST = 512
-"""Bytes from which on events are decoded into columns; fewer are decoded faster by a Session."""
-
-FIRST = 1 << 17
-"""Bytes that a Session decodes before columns are used: to load numpy takes as long as that."""
+"""Bytes from which on single events are decoded as arrays; fewer are decoded faster one by one."""
 
 # After an event that is not regular, so many go through the Session; more and more if none of
 # those that follow is regular, so that an irregular line costs little more than a Session alone.
 _FEWEST, _MOST = 1, 1024
+_BYTES = 1 << 18  # bytes that are decoded at once, so that their arrays fit into a cache
 _SHORTEST = 64  # events tried at once after an irregular one
 
 
-@dataclass(frozen=True, slots=True)
-class Records:
-    """Records that a Session decoded one by one."""
-
-    listed: list[Record]
-
-    @property
-    def host_rows(self) -> int:
-        """How many host frames there are."""
-        return sum(1 for record in self.listed if type(record) is HostRecord)
-
-    @property
-    def rows(self) -> int:
-        """How many records there are."""
-        return len(self.listed)
-
-    def records(self) -> Iterator[Record]:
-        """Yield them in order."""
-        return iter(self.listed)
-
-
-Part: TypeAlias = "Stretch | Records"
-"""Some of the decoded traffic: `records()` yields the records, `host_rows` counts the frames."""
-
-
-_preloaded = False
-
-
 def preload(protocol: Protocol) -> None:
-    """Load now what columns need, and not in the first busy moment of a line."""
-    global _preloaded
-    from bilprov.analyzer.columns.regular import prepare
+    """Make now what decoding needs, and not in the first busy moment of a line."""
+    from bilprov.analyzer.decode.regular import prepare
 
     prepare(protocol)
-    _preloaded = True
 
 
 class StreamDecoder:
-    """Decodes one recording from its first event to its last, in parts.
+    """Decodes one recording from its first event to its last, in batches.
 
-    The settings are those of a Session, whose records the parts have.
+    The settings are those of a Session, whose records the batches have.
     """
 
     def __init__(
@@ -93,10 +61,9 @@ class StreamDecoder:
         self._settings = timeout, skew, heard >= BOTH
         self._regular: RegularDecoder | None = None
         self._unfit = False  # whether this protocol's state does not fit into columns
-        self._carry: Carry | None = None  # what the last stretch left, while the Session rests
+        self._carry: Carry | None = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
-        self._fed = FIRST if _preloaded else 0
 
     @property
     def deadline(self) -> int | None:
@@ -105,43 +72,49 @@ class StreamDecoder:
             return self._regular.deadline(self._carry)
         return self._session.deadline
 
-    def feed(self, events: Sequence[Chunk | Line]) -> list[Part]:
+    def feed(self, events: Sequence[Chunk | Line]) -> list[Batch]:
+        """Take the next events, one by one as they are, and return what they complete."""
+        if sum([len(event.data) for event in events if type(event) is Chunk]) >= LEAST:
+            from bilprov.captures.events import Events
+
+            return self.decode(Events.of(events))
+        batches: list[Batch] = []
+        self._feed_session(events, batches)
+        return batches
+
+    def decode(self, events: Events) -> list[Batch]:
         """Take the next events and return what they complete."""
-        parts: list[Part] = []
-        size = sum(len(event.data) for event in events if type(event) is Chunk)
-        self._fed += size
-        if size < LEAST or self._fed < FIRST:
-            self._feed_session(events, parts)
-            return parts
+        batches: list[Batch] = []
         at = 0
         while at < len(events):
             direct = self._direct
             if self._enter_columns():
-                window = events[at : at + self._window]
-                used = self._feed_columns(window, parts)
+                window = events.part(at, self._stop(events, at))
+                used = self._feed_columns(window, batches)
                 at += used
                 if used == len(window):
                     self._direct, self._window = _FEWEST, self._window * 2
                     continue
                 self._window = max(_SHORTEST, 2 * used)
             self._direct = min(_MOST, 2 * direct)
-            self._feed_session(events[at : at + direct], parts)
-            at += direct
+            after = min(at + direct, len(events))
+            self._feed_session(list(events.part(at, after).single()), batches)
+            at = after
         self._window = max(self._window, _MOST)
-        return parts
+        return batches
 
-    def advance(self, now: int) -> list[Part]:
+    def advance(self, now: int) -> list[Batch]:
         """Return what falls due up to `now` (ns); no earlier event may follow."""
         due = self.deadline
         if due is None or now < due:
             return []
         records = self._leave_columns().advance(now)
-        return [Records(records)] if records else []
+        return _batch(records)
 
-    def finish(self, t: int | None = None) -> list[Part]:
+    def finish(self, t: int | None = None) -> list[Batch]:
         """End the recording, at `t` (ns) or with its last event, and return what is left."""
         records = self._leave_columns().finish(t)
-        return [Records(records)] if records else []
+        return _batch(records)
 
     def saved(self) -> DecoderState | None:
         """All that is needed to go on from here; None while frame boundaries are looked for."""
@@ -154,22 +127,24 @@ class StreamDecoder:
         self._session.resume(state)
         self._carry = None
 
-    def _feed_session(self, events: Sequence[Chunk | Line], parts: list[Part]) -> None:
+    def _stop(self, events: Events, at: int) -> int:
+        """The end of the events from `at` on that are decoded at once."""
+        begun = int(events.end[at - 1]) if at else 0
+        fit = int(events.end.searchsorted(begun + _BYTES, "right"))
+        return min(at + self._window, max(fit, at + 1))
+
+    def _feed_session(self, events: Sequence[Chunk | Line], batches: list[Batch]) -> None:
         session = self._leave_columns()
         records = [record for event in events for record in session.feed(event)]
-        if records:
-            parts.append(Records(records))
+        batches += _batch(records)
 
-    def _feed_columns(self, events: Sequence[Chunk | Line], parts: list[Part]) -> int:
+    def _feed_columns(self, events: Events, batches: list[Batch]) -> int:
         """Decode the first events into columns; returns how many are regular."""
         assert self._regular is not None
         assert self._carry is not None
-        try:
-            stretch, used, self._carry = self._regular.decode(self._carry, events)
-        except OverflowError:  # an event with a time that only a forged file has
-            return 0
+        batch, used, self._carry = self._regular.decode(self._carry, events)
         if used:
-            parts.append(stretch)
+            batches.append(batch)
         return used
 
     def _enter_columns(self) -> bool:
@@ -182,16 +157,13 @@ class StreamDecoder:
         regular = self._load()
         if regular is None or state is None:
             return False
-        try:
-            self._carry = regular.carry(state)
-        except OverflowError:
-            return False
+        self._carry = regular.carry(state)
         return True
 
     def _load(self) -> RegularDecoder | None:
         """Make the decoder into columns; None for a protocol that does not fit into them."""
         if self._regular is None and not self._unfit:
-            from bilprov.analyzer.columns.regular import RegularDecoder
+            from bilprov.analyzer.decode.regular import RegularDecoder
 
             timeout, skew, paired = self._settings
             try:
@@ -208,3 +180,10 @@ class StreamDecoder:
             self._session.resume(self._regular.state(self._carry))
             self._carry = None
         return self._session
+
+
+def _batch(records: list[Record]) -> list[Batch]:
+    """The batch of records that were decoded one by one; none of no records."""
+    from bilprov.analyzer.decode.batch import Records
+
+    return [Records(records)] if records else []

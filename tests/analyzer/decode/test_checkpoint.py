@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bilprov.analyzer.columns.decoder import StreamDecoder
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames, decoded, encoded
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol
@@ -89,7 +89,7 @@ def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: P
     assert decoder.deadline == 57 * MS
     assert decoder.advance(57 * MS - 1) == []
     (part,) = decoder.advance(57 * MS)
-    assert part.host_rows == 1
+    assert part.host_count == 1
 
 
 def some_state(protocol: Protocol) -> DecoderState:

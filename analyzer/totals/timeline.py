@@ -6,7 +6,7 @@ exact; after that a row holds what was in one step of time, whose width doubles 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple, TypeAlias
@@ -14,21 +14,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.columns.decoder import Part, Records
-from bilprov.analyzer.columns.kinds import Kinds, device_kinds, host_kinds
-from bilprov.analyzer.columns.stretch import Stretch
-from bilprov.analyzer.decode.records import (
-    DeviceRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-    is_frame,
-    serious_faults,
-    written_state,
-)
+from bilprov.analyzer.decode.batch import Batch, Selection
+from bilprov.analyzer.decode.records import Record, serious_faults, written_state
 from bilprov.captures.schemas import State
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import coded, moving
+from bilprov.spec.tables import coded
 
 MOST = 1 << 14
 """Rows of states, and of latencies, at most."""
@@ -36,7 +26,6 @@ MOST = 1 << 14
 MOST_MARKS = 1000
 """Marks of anomalies at most."""
 
-_LATEST = 1 << 62  # ns; a time beyond it can only be forged
 _FINEST = 1000  # ns of the narrowest step
 
 Table: TypeAlias = NDArray[np.int64]
@@ -88,7 +77,7 @@ class Mark(NamedTuple):
 
 
 class Timeline:
-    """Takes the parts of a recording in order, and gives `states`, `latencies` and `marks`.
+    """Takes the batches of a recording in order, and gives `states`, `latencies` and `marks`.
 
     `begin` and `end` are the times (ns) of the first and the last byte or anomaly; those of
     severity info are left out.
@@ -109,14 +98,17 @@ class Timeline:
         """The time (ns) of the last byte or anomaly."""
         return self.begin if self._end is None else self._end
 
-    def add(self, part: Part) -> None:
-        """Take the next part."""
-        if isinstance(part, Records):
-            shown = [record for record in part.listed if is_frame(record) or serious_faults(record)]
-            self._reach(_times(t for record in shown for t in (record.t, _end(record))))
-            self._add_records(shown)
-        else:
-            self._add_stretch(part)
+    def add(self, batch: Batch) -> None:
+        """Take the next batch."""
+        hosts, devices, serious = batch.hosts, batch.devices, batch.serious
+        odd = batch.others.t[serious.other]
+        ends = [(t.min(), t.max()) for t in (hosts.t, hosts.end, devices.t, odd) if len(t)]
+        self._reach(np.array(ends, np.int64).ravel())
+        code = 2 * hosts.states["motion"].astype(np.int64) + hosts.states.moving
+        self._add_states(hosts.known, code, hosts.states["speed"], hosts.states["steering"])
+        answering = devices.answering
+        self._add_latencies(devices.t[answering], devices.latency[answering])
+        self._add_marks(batch)
 
     def states(self) -> States:
         """The states, from `begin` on."""
@@ -170,64 +162,33 @@ class Timeline:
             table[3:6], table[6:9] = speed, steering
             self._states.add(table.T)
 
-    def _add_stretch(self, stretch: Stretch) -> None:
-        lines = [stretch.line(at, stretch.carried) for at in range(len(stretch.lines))]
-        lines = [line for line in lines if serious_faults(line)]
-        ends = [stretch.start, stretch.end[stretch.carried :], stretch.t]
-        self._reach(
-            np.concatenate(
-                [_times(line.t for line in lines), *(t[[0, -1]] for t in ends if len(t))]
-            )
-        )
-        motion, speed, steering, _ = stretch.states
-        code = 2 * motion.astype(np.int64) + moving(motion, speed)
-        self._add_states(stretch.end[stretch.carried :], code, speed, steering)
-        if stretch.decoding.paired:
-            self._add_latencies(stretch.t, stretch.latency)
-        self._add_marks(stretch, lines)
+    def _add_marks(self, batch: Batch) -> None:
+        sides = (batch.hosts.known, batch.devices.t, batch.others.t)
+        found = [np.flatnonzero(mask) for mask in batch.serious]
+        if not any(map(len, found)):
+            return
+        amounts = [
+            kinds.amounts.take(kinds.code[rows])
+            for kinds, rows in zip((batch.hosts.faults, batch.devices.faults), found, strict=False)
+        ]
+        amounts.append(np.ones(len(found[2]), np.int64))
+        side = np.repeat(np.arange(3), list(map(len, found)))
+        rows = np.concatenate(found)
 
-    def _add_marks(self, stretch: Stretch, lines: list[LineRecord]) -> None:
-        host, device = _odd(host_kinds(stretch)), _odd(device_kinds(stretch))
-        t = [stretch.end[stretch.carried :][host.rows], stretch.t[device.rows]]
-        t.append(_times(line.t for line in lines))
-        amounts = [host.amounts, device.amounts, np.ones(len(lines), np.int64)]
-        bounds = [len(host.rows), len(host.rows) + len(device.rows)]
+        def made(places: NDArray[np.int64]) -> list[Record]:
+            """The records of some of these rows, side by side."""
+            return [
+                record
+                for one in range(3)
+                if len(asked := rows[places[side[places] == one]])
+                for record in batch.records(_only(one, asked, batch))
+            ]
 
-        def made(rows: NDArray[np.int64]) -> list[Record]:
-            """The records of some of the rows, which increase."""
-            hosts, devices = (np.zeros(len(c), np.bool_) for c in (stretch.start, stretch.t))
-            hosts[host.rows[rows[rows < bounds[0]]]] = True
-            devices[device.rows[rows[(rows >= bounds[0]) & (rows < bounds[1])] - bounds[0]]] = True
-            found = list(stretch.chosen(hosts, devices, [False] * len(stretch.lines)))
-            found.sort(key=lambda record: isinstance(record, DeviceRecord))
-            return [*found, *(lines[at - bounds[1]] for at in rows[rows >= bounds[1]])]
-
-        self._marks.add(np.concatenate(t), np.concatenate(amounts), made)
+        t = np.concatenate([of[at] for of, at in zip(sides, found, strict=True)])
+        self._marks.add(t, np.concatenate(amounts), made)
 
     def _add_latencies(self, t: NDArray[np.int64], latency: NDArray[np.int64]) -> None:
         self._latencies.add(np.column_stack([t, latency, latency, np.ones(len(t), np.int64)]))
-
-    def _add_records(self, records: Sequence[Record]) -> None:
-        hosts = [record for record in records if isinstance(record, HostRecord)]
-        self._add_states(
-            _times(record.known for record in hosts),
-            _times(_code(record.state) for record in hosts),
-            _times(record.state.speed for record in hosts),
-            _times(record.state.steering for record in hosts),
-        )
-        answers = [
-            (record.t, record.latency)
-            for record in records
-            if isinstance(record, DeviceRecord) and record.latency is not None
-        ]
-        self._add_latencies(_times(t for t, _ in answers), _times(late for _, late in answers))
-        odd = [record for record in records if record.faults and serious_faults(record)]
-        faults = [serious_faults(record) for record in odd]
-        self._marks.add(
-            _times(found[0].t for found in faults),
-            _times(len(found) for found in faults),
-            lambda rows: [odd[row] for row in rows.tolist()],
-        )
 
 
 class _Rows:
@@ -377,26 +338,14 @@ def _together(marks: list[Mark]) -> Mark:
     return marks[0]._replace(amount=sum(mark.amount for mark in marks))
 
 
-class _Odd(NamedTuple):
-    """Rows with anomalies, and how many each has."""
-
-    rows: NDArray[np.int64]
-    amounts: NDArray[np.int64]
-
-
-def _odd(found: Kinds) -> _Odd:
-    amounts = np.array([len(kinds) for kinds in found.kinds], np.int64)
-    rows = np.flatnonzero(found.code)
-    rows = rows[amounts.take(found.code[rows]) > 0]
-    return _Odd(rows, amounts.take(found.code[rows]))
-
-
-def _times(values: Iterable[int]) -> NDArray[np.int64]:
-    return np.array([min(max(value, -_LATEST), _LATEST) for value in values], np.int64)
-
-
-def _end(record: Record) -> int:
-    return record.end if isinstance(record, HostRecord) else record.t
+def _only(side: int, rows: NDArray[np.int64], batch: Batch) -> Selection:
+    """These rows of a side, and none of the others."""
+    masks = [
+        np.zeros(count, np.bool_)
+        for count in (len(batch.hosts), len(batch.devices), len(batch.others))
+    ]
+    masks[side][rows] = True
+    return Selection(*masks)
 
 
 def _code(state: State) -> int:

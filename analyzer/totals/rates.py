@@ -9,8 +9,6 @@ SECOND = 1_000_000_000  # ns
 BUCKETS = 1024
 """How many buckets there are at most."""
 
-_LATEST = 1 << 62  # ns; a time beyond it can only be forged
-
 
 class Rates:
     """Counts some series in buckets of equal width, which all begin with the first one's second.
@@ -49,20 +47,13 @@ class Rates:
         for place, amount in enumerate(np.diff(upto).tolist(), low):
             self._counts[name][place] += amount
 
-    def add(self, name: str, t: int, amount: int = 1) -> None:
-        """Count one that came at this time (ns)."""
-        place = (t - self.start) // self.width
-        if not 0 <= place < self._used:
-            place = self._reach(t)
-        self._counts[name][place] += amount
-
     def _bucket(self, t: int) -> int:
-        return max(0, min(t, _LATEST) - self.start) // self.width
+        return max(0, t - self.start) // self.width
 
     def _reach(self, t: int) -> int:
         """The bucket of a time, for which the buckets are made wider if they must be."""
         if not self._used:
-            self.start = min(t, _LATEST) // SECOND * SECOND
+            self.start = t // SECOND * SECOND
         while (place := self._bucket(t)) >= BUCKETS:
             for name, counts in self._counts.items():
                 pairs = map(sum, zip(counts[::2], counts[1::2], strict=True))

@@ -1,0 +1,455 @@
+"""Decoded traffic as columns: the one form that everything reads which shows, counts or writes it.
+
+A Batch has the rows of the host, those of the device and the others, each side as arrays, and puts
+them in order. A record (`records`) is one row as an object. Who decoded the rows does not matter.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import compress
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+    serious_faults,
+)
+from bilprov.captures.schemas import FrameKind, State
+from bilprov.spec.motion import VARIABLES, is_moving
+from bilprov.spec.tables import MOTIONS, OUTCOMES, VALID, coded, moving
+
+Mask: TypeAlias = NDArray[np.bool_]
+Integers: TypeAlias = NDArray[np.integer]
+
+KINDS: tuple[FrameKind, ...] = ("instruction", "truncated", "garbage")
+"""The kinds of host rows in the order of their codes."""
+
+INSTRUCTION, TRUNCATED, GARBAGE = range(3)
+
+NO_VERDICT = len(OUTCOMES)
+"""In a column of verdicts (places in `OUTCOMES`): bytes that are no frame."""
+
+LATEST = 1 << 62
+"""The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
+
+
+class Selection(NamedTuple):
+    """Which of the host's, the device's and the other rows of a batch are meant."""
+
+    host: Mask
+    device: Mask
+    other: Mask
+
+    def __and__(self, other: Selection) -> Selection:
+        return Selection(*(mine & its for mine, its in zip(self, other, strict=True)))
+
+    @property
+    def everything(self) -> bool:
+        """Whether all rows are meant."""
+        return all(bool(mask.all()) for mask in self)
+
+
+class Kinds(NamedTuple):
+    """Each row's place in `kinds`, which has the kinds of its anomalies without those of info."""
+
+    code: Integers
+    kinds: Sequence[tuple[str, ...]]
+
+    def of(self, mask: Mask | None) -> Kinds:
+        """Those of some rows."""
+        return self if mask is None else Kinds(self.code[mask], self.kinds)
+
+    @property
+    def amounts(self) -> NDArray[np.int64]:
+        """How many each of `kinds` are."""
+        return np.array([len(kinds) for kinds in self.kinds], np.int64)
+
+    @property
+    def serious(self) -> Mask:
+        """Which rows have one."""
+        return self.amounts.take(self.code) > 0
+
+
+class StateColumns:
+    """The predicted state of rows: `columns[variable]` is an array; a motion is its place."""
+
+    def __init__(self, made: Callable[[str], NDArray[Any]]) -> None:
+        self._made = made
+        self._columns: dict[str, NDArray[Any]] = {}
+
+    def __getitem__(self, variable: str) -> NDArray[Any]:
+        if variable not in self._columns:
+            self._columns[variable] = self._made(variable)
+        return self._columns[variable]
+
+    @property
+    def moving(self) -> Mask:
+        """Whether the wheels turn."""
+        return moving(self["motion"], self["speed"])
+
+    def states(self) -> list[State]:
+        """The state of each row as it is written; neighbours with one state share one object."""
+        columns = [self[variable] for variable in VARIABLES]
+        count = len(columns[0])
+        changed = np.zeros(count, np.bool_)
+        changed[:1] = True
+        for column in columns:
+            changed[1:] |= column[1:] != column[:-1]
+        first = np.flatnonzero(changed)
+        distinct = [
+            written(*row) for row in zip(*(c[first].tolist() for c in columns), strict=True)
+        ]
+        return repeated(distinct, np.diff(first, append=count))
+
+
+@dataclass(frozen=True, eq=False)
+class HostRows:
+    """The host's rows: frames, whole or cut short, and garbage.
+
+    `t`, `end` and `known` (ns) are the times of the first and the last byte, and when it was known
+    that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
+    `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
+    `reasons` gives the reasons why some rows are faulty.
+    """
+
+    t: NDArray[np.int64]
+    end: NDArray[np.int64]
+    known: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    size: NDArray[np.int64]
+    verdict: NDArray[np.uint8]
+    sequence: NDArray[np.int64]
+    states: StateColumns
+    reasons: Callable[[NDArray[np.int64]], Sequence[str]]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def header(self) -> NDArray[np.uint8]:
+        """The first byte of each row."""
+        return self.data.take(self.offset)
+
+    @cached_property
+    def faults(self) -> Kinds:
+        """The anomalies, each of which was found at `known`."""
+        code = np.where(self.verdict == VALID, 0, 1 + self.kind)
+        return Kinds(code, [(), ("faulty instruction",), ("truncated",), ("garbage",)])
+
+    def frames(self, rows: slice | NDArray[Any]) -> list[bytes]:
+        """The bytes of some rows."""
+        start = self.offset[rows]
+        return sliced(self.data, start, start + self.size[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceRows:
+    """The device's rows, one a byte: when it came (`t`, ns), and the instruction that it answers.
+
+    That one's number (`sequence`, -1 where it answers none), header and verdict. `latency` (ns) is
+    from its last byte on, and `agrees` 1 where the answer is the expected one, 0 where not, -1
+    where nothing is expected. `odd` rows have an anomaly: `samples` gives records of some of them
+    (with a state that may be another), and `sort` numbers, which are equal where the kinds of the
+    anomalies are.
+    """
+
+    t: NDArray[np.int64]
+    byte: NDArray[np.uint8]
+    sequence: NDArray[np.int64]
+    header: NDArray[np.uint8]
+    verdict: NDArray[np.uint8]
+    latency: NDArray[np.int64]
+    agrees: NDArray[np.int8]
+    odd: Mask
+    states: StateColumns
+    samples: Callable[[NDArray[np.int64]], Sequence[DeviceRecord]]
+    sort: Callable[[NDArray[np.int64]], Integers]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def answering(self) -> Mask:
+        """Which rows answer an instruction."""
+        return self.sequence >= 0
+
+    @cached_property
+    def faults(self) -> Kinds:
+        """The anomalies, each of which was found at `t`."""
+        odd = np.flatnonzero(self.odd)
+        _, first, place = np.unique(self.sort(odd), return_index=True, return_inverse=True)
+        code = np.zeros(len(self), np.int64)
+        code[odd] = 1 + place
+        order = np.argsort(first)  # records are made in order
+        kinds: list[tuple[str, ...]] = [()] * (len(first) + 1)
+        for at, record in zip(order.tolist(), self.samples(odd[first[order]]), strict=True):
+            kinds[1 + at] = _serious(record)
+        return Kinds(code, kinds)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherRows:
+    """Line events, and anomalies without bytes of their own.
+
+    Before each come so many of the host's rows (`after`) and of the device's (`heard`).
+    """
+
+    listed: Sequence[LineRecord | FaultRecord]
+    after: NDArray[np.int64]
+    heard: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.listed)
+
+    @cached_property
+    def t(self) -> NDArray[np.int64]:
+        """The times (ns)."""
+        return times([record.t for record in self.listed])
+
+
+class Batch(ABC):
+    """Some decoded traffic, in rows."""
+
+    @property
+    @abstractmethod
+    def host_count(self) -> int:
+        """How many rows of the host there are, garbage left out."""
+
+    @property
+    @abstractmethod
+    def device_count(self) -> int:
+        """How many rows of the device there are."""
+
+    @property
+    @abstractmethod
+    def hosts(self) -> HostRows:
+        """The host's rows."""
+
+    @property
+    @abstractmethod
+    def devices(self) -> DeviceRows:
+        """The device's rows."""
+
+    @property
+    @abstractmethod
+    def others(self) -> OtherRows:
+        """The other rows."""
+
+    @property
+    @abstractmethod
+    def after(self) -> NDArray[np.int64]:
+        """How many of the host's rows come before each of the device's."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many rows there are."""
+
+    @abstractmethod
+    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
+        """The rows in order as records; the chosen ones, None for all."""
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The numbers of the host's, the device's and the other rows among all rows in order."""
+        after, others = self.after, self.others
+        host = np.arange(len(self.hosts))
+        device = np.arange(len(after))
+        before = np.searchsorted(after, host, "right") + np.searchsorted(
+            others.after, host, "right"
+        )
+        return (
+            host + before,
+            device + after + np.searchsorted(others.heard, device, "right"),
+            np.arange(len(others)) + others.after + others.heard,
+        )
+
+    def selection(self, rows: Mask) -> Selection:
+        """Some of all rows in order."""
+        return Selection(*(rows[places] for places in self.places))
+
+    def in_order(self, chosen: Selection) -> Mask:
+        """Which of all rows in order are chosen."""
+        rows = np.empty(len(self), np.bool_)
+        for places, mask in zip(self.places, chosen, strict=True):
+            rows[places] = mask
+        return rows
+
+    def inside(self, first: int | None, after: int | None) -> Selection:
+        """The rows with `first <= t < after` (ns; None: no bound)."""
+        low, high = -LATEST if first is None else first, LATEST + 1 if after is None else after
+        sides = (self.hosts.t, self.devices.t, self.others.t)
+        return Selection(*((t >= low) & (t < high) for t in sides))
+
+    @property
+    def fault_count(self) -> int:
+        """How many anomalies there are, without those of severity info."""
+        sides = (self.hosts.faults, self.devices.faults)
+        count = sum(int(kinds.amounts.take(kinds.code).sum()) for kinds in sides)
+        return count + sum(len(serious_faults(record)) for record in self.others.listed)
+
+    @property
+    def serious(self) -> Selection:
+        """The rows with an anomaly that is a warning or an error."""
+        other = [bool(serious_faults(record)) for record in self.others.listed]
+        return Selection(
+            self.hosts.faults.serious, self.devices.faults.serious, np.array(other, np.bool_)
+        )
+
+
+class Records(Batch):
+    """Rows that were decoded one by one."""
+
+    def __init__(self, listed: Sequence[Record]) -> None:
+        self._listed = listed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Records, (self._listed,)  # without what is worked out from them
+
+    def __len__(self) -> int:
+        return len(self._listed)
+
+    @property
+    def host_count(self) -> int:
+        """How many rows of the host there are, garbage left out."""
+        return sum(1 for record in self._listed if type(record) is HostRecord and record.judgement)
+
+    @property
+    def device_count(self) -> int:
+        """How many rows of the device there are."""
+        return sum(1 for record in self._listed if type(record) is DeviceRecord)
+
+    @property
+    def fault_count(self) -> int:
+        """How many anomalies there are, without those of severity info."""
+        return sum(len(serious_faults(record)) for record in self._listed)
+
+    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
+        """The rows in order as records; the chosen ones, None for all."""
+        if chosen is None:
+            return self._listed
+        return list(compress(self._listed, self.in_order(chosen).tolist()))
+
+    @cached_property
+    def hosts(self) -> HostRows:
+        """The host's rows."""
+        listed = [record for record in self._listed if isinstance(record, HostRecord)]
+        size = np.array([len(record.data) for record in listed], np.int64)
+        return HostRows(
+            t=times([record.t for record in listed]),
+            end=times([record.end for record in listed]),
+            known=times([record.known for record in listed]),
+            kind=np.array([KINDS.index(record.kind) for record in listed], np.uint8),
+            data=np.frombuffer(b"".join([record.data for record in listed]), np.uint8),
+            offset=np.cumsum(size) - size,
+            size=size,
+            verdict=np.array([_verdict(record) for record in listed], np.uint8),
+            sequence=_numbers([record.sequence for record in listed]),
+            states=_states_of(listed),
+            reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
+        )
+
+    @cached_property
+    def devices(self) -> DeviceRows:
+        """The device's rows."""
+        listed = [record for record in self._listed if isinstance(record, DeviceRecord)]
+        answered = [record.answered for record in listed]
+        agrees = [-1 if record.agrees is None else int(record.agrees) for record in listed]
+        return DeviceRows(
+            t=times([record.t for record in listed]),
+            byte=np.array([record.byte for record in listed], np.uint8),
+            sequence=_numbers([record.instruction for record in listed]),
+            header=np.array([one.frame[0] if one else 0 for one in answered], np.uint8),
+            verdict=np.array(
+                [OUTCOMES.index(one.outcome) if one else NO_VERDICT for one in answered], np.uint8
+            ),
+            latency=times([record.latency or 0 for record in listed]),
+            agrees=np.array(agrees, np.int8),
+            odd=np.array([bool(record.faults) for record in listed], np.bool_),
+            states=_states_of(listed),
+            samples=lambda rows: [listed[row] for row in rows.tolist()],
+            sort=lambda rows: rows,
+        )
+
+    @cached_property
+    def others(self) -> OtherRows:
+        """The other rows."""
+        listed = self._listed
+        rows = [at for at, one in enumerate(listed) if isinstance(one, LineRecord | FaultRecord)]
+        after = self._before(HostRecord)[rows]
+        heard = self._before(DeviceRecord)[rows]
+        found = [one for one in listed if isinstance(one, LineRecord | FaultRecord)]
+        return OtherRows(found, after, heard)
+
+    @cached_property
+    def after(self) -> NDArray[np.int64]:
+        """How many of the host's rows come before each of the device's."""
+        rows = [isinstance(record, DeviceRecord) for record in self._listed]
+        return self._before(HostRecord)[np.array(rows, np.bool_)]
+
+    def _before(self, kind: type[Record]) -> NDArray[np.int64]:
+        """How many rows of a kind come before each row."""
+        of_it = np.array([isinstance(record, kind) for record in self._listed], np.int64)
+        return np.cumsum(of_it) - of_it
+
+
+def times(values: Sequence[int]) -> NDArray[np.int64]:
+    """Times (ns) as an array; what no clock shows is cut off at `LATEST`."""
+    return np.array([min(max(value, -LATEST), LATEST) for value in values], np.int64)
+
+
+def sliced(
+    data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
+) -> list[bytes]:
+    """The bytes from each start to its end; both increase."""
+    if not len(start):
+        return []
+    low = int(start[0])
+    taken = data[low : int(end[-1])].tobytes()
+    slices = map(slice, (start - low).tolist(), (end - low).tolist())
+    return list(map(taken.__getitem__, slices))
+
+
+def written(*values: int) -> State:
+    """The state with these values of VARIABLES, each as `coded`, as it is written."""
+    named = dict(zip(VARIABLES, values, strict=True))
+    motion = MOTIONS[named.pop("motion")].value
+    return State(motion=motion, moving=is_moving(motion, named["speed"]), **named)
+
+
+def repeated(values: Sequence[Any], counts: NDArray[np.integer]) -> list[Any]:
+    """A list of each value so many times."""
+    array = np.fromiter(values, object, len(values))
+    listed: list[Any] = np.repeat(array, counts).tolist()
+    return listed
+
+
+def _numbers(values: Sequence[int | None]) -> NDArray[np.int64]:
+    return np.array([-1 if value is None else value for value in values], np.int64)
+
+
+def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateColumns:
+    def made(variable: str) -> NDArray[Any]:
+        values = [coded(getattr(record.state, variable)) for record in records]
+        return np.array(values) if values else np.zeros(0, np.int64)
+
+    return StateColumns(made)
+
+
+def _verdict(record: HostRecord) -> int:
+    return OUTCOMES.index(record.judgement.outcome) if record.judgement else NO_VERDICT
+
+
+def _serious(record: Record) -> tuple[str, ...]:
+    return tuple(fault.kind for fault in serious_faults(record))

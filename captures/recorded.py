@@ -1,0 +1,150 @@
+"""The values that stored messages carry: one by one, or as arrays where nothing is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Final
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from bilprov.captures import topics
+from bilprov.captures.events import DEVICE, HOST, LINE, SIDES, Events
+from bilprov.captures.schemas import (
+    Asked,
+    CaseMark,
+    Checkpoint,
+    Chunk,
+    Line,
+    Look,
+    Recorded,
+    Resumption,
+)
+from bilprov.captures.storage.blocks import BLOCK_MESSAGES, Messages
+from bilprov.captures.storage.messages import Part
+from bilprov.captures.storage.records import JSON_ERRORS
+
+LONGEST: Final = 1 << 62  # ns before and after a capture's start; times beyond are taken for this
+
+_RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
+    topics.LINE: Line,
+    topics.LOOKS: Look,
+    topics.CASES: CaseMark,
+    topics.ASKS: Asked,
+    topics.CHECKPOINT: Checkpoint,
+}
+_SIDES = {topics.HOST_RAW: HOST, topics.DEVICE_RAW: DEVICE}
+_OTHER = 255  # the code of a message that is neither of a side nor wanted
+
+
+def recorded_values(
+    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+) -> Iterator[Recorded]:
+    """Yield the raw chunks among single messages, and the values of the topics that are `wanted`.
+
+    `start` is the capture's, `names` are its topics by channel.
+    """
+    for value in _with_resumptions(_recorded(start, names, parts, wanted)):
+        if not isinstance(value, Events):
+            yield value
+
+
+def batches_of(
+    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+) -> Iterator[Events]:
+    """Yield the events among messages as arrays; arguments as in `recorded_values`."""
+    held: list[Events | Chunk | Line] = []
+    rows = 0
+    for value in _with_resumptions(_recorded(start, names, parts, wanted)):
+        if isinstance(value, Events | Chunk | Line):
+            held.append(value)
+            rows += len(value) if isinstance(value, Events) else 1
+            if rows >= BLOCK_MESSAGES:
+                yield Events.joined(held)
+                held, rows = [], 0
+    if held:
+        yield Events.joined(held)
+
+
+def _with_resumptions(values: Iterator[Recorded | Events]) -> Iterator[Recorded | Events]:
+    gap: Line | None = None
+    for value in values:
+        if isinstance(value, Checkpoint) and value.resumes:
+            at = gap or Line(value.t, "gap")
+            silent = gap is None
+            yield Resumption(at.t, at.event, at.tap, at.detail, checkpoint=value, silent=silent)
+            gap = None
+            continue
+        if gap:
+            yield gap
+            gap = None
+        if isinstance(value, Line) and value.event == "gap":
+            gap = value
+        else:
+            yield value
+    if gap:
+        yield gap
+
+
+def _recorded(
+    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+) -> Iterator[Recorded | Events]:
+    """The values of single messages; the raw chunks of whole blocks are arrays."""
+    codes = np.full(1 << 16, _OTHER, np.uint8)
+    for channel, topic in names.items():
+        codes[channel] = _SIDES.get(topic, LINE if topic in wanted else _OTHER)
+    for part in parts:
+        if isinstance(part, Messages):
+            yield from _recorded_block(start, part, names, codes)
+            continue
+        t = _since(start, part.log_time)
+        if part.lost:
+            yield Line(t, "gap", "", part.lost)
+        code = int(codes[part.channel])
+        if code in (HOST, DEVICE):
+            yield Chunk(t, SIDES[code], part.data)
+        elif code == LINE:
+            yield from _decoded(part.data, names[part.channel], t)
+
+
+def _recorded_block(
+    start: int,
+    block: Messages,
+    names: Mapping[int, str],
+    codes: NDArray[np.uint8],
+) -> Iterator[Recorded | Events]:
+    sides = codes[block.channel]
+    raw = np.flatnonzero(sides <= DEVICE)
+    t = _times_since(start, block.log_time)
+    sizes = (block.end - block.start)[raw]
+    chunks = Events(t[raw], sides[raw], sizes, block.data(raw))
+    others = np.flatnonzero(sides == LINE)
+    done = 0
+    for row, before in zip(others.tolist(), np.searchsorted(raw, others).tolist(), strict=True):
+        if before > done:
+            yield chunks.part(done, before)
+            done = before
+        data = block.content[block.start[row] : block.end[row]]
+        yield from _decoded(data, names[int(block.channel[row])], int(t[row]))
+    if done < len(chunks):
+        yield chunks.part(done, len(chunks)) if done else chunks
+
+
+def _decoded(data: bytes, topic: str, t: int) -> Iterator[Recorded]:
+    try:
+        value = msgspec.json.decode(data, type=_RECORDED[topic])
+    except JSON_ERRORS:
+        return
+    yield replace(value, t=t)
+
+
+def _since(start: int, log_time: int) -> int:
+    return min(max(log_time - start, -LONGEST), LONGEST)
+
+
+def _times_since(start: int, log_times: NDArray[np.uint64]) -> NDArray[np.int64]:
+    most = (1 << 64) - 1
+    limits = np.array([start - LONGEST, start + LONGEST], object).clip(0, most).astype(np.uint64)
+    return (log_times.clip(*limits) - np.uint64(start)).view(np.int64)

@@ -1,0 +1,189 @@
+"""Messages as arrays: the heads of all messages of some chunks, and where their data stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.captures.storage import records
+from bilprov.captures.storage.records import Damaged, records_in
+
+BLOCK_MESSAGES: Final = 64 * 1024
+BLOCK_BYTES: Final = 4 * 1024 * 1024
+"""Chunks are joined to blocks of about this size, since small arrays cost as much as large ones."""
+
+_WORTH_AN_INDEX = 64  # messages in a chunk; fewer are found as fast without
+_HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+_FRONT = records.RECORD_HEAD.size
+
+
+class Stored(NamedTuple):
+    """A message as stored in the file; `lost` says what is missing before it, "" for nothing."""
+
+    log_time: int
+    sequence: int
+    channel: int
+    data: bytes
+    lost: str
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """Some messages in file order, one row each.
+
+    `start` and `end` are where the data of each message are in `content`; `log_time` is in ns.
+    """
+
+    content: bytes
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    channel: NDArray[np.uint16]
+    sequence: NDArray[np.uint32]
+    log_time: NDArray[np.uint64]
+
+    @classmethod
+    def at(cls, content: bytes, starts: NDArray[np.int64]) -> Messages:
+        """The messages whose records begin at `starts` in `content`."""
+        heads = _heads(content, starts)
+        start = starts + _HEAD.itemsize
+        end = starts + _FRONT + heads["length"].astype(np.int64)
+        return cls(content, start, end, heads["channel"], heads["sequence"], heads["log_time"])
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def rows(self, rows: slice | NDArray[np.bool_]) -> Messages:
+        """Some of the rows."""
+        return Messages(
+            self.content,
+            self.start[rows],
+            self.end[rows],
+            self.channel[rows],
+            self.sequence[rows],
+            self.log_time[rows],
+        )
+
+    def data(self, rows: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """The data of some rows, joined in order."""
+        start, size = self.start[rows], (self.end - self.start)[rows]
+        before = np.cumsum(size) - size
+        places = np.repeat(start - before, size)
+        places += np.arange(len(places))
+        data: NDArray[np.uint8] = np.frombuffer(self.content, np.uint8)[places]
+        return data
+
+    def single(self) -> Iterator[Stored]:
+        """Yield the rows as single messages, before which nothing is missing."""
+        for channel, sequence, log_time, start, end in zip(
+            self.channel.tolist(),
+            self.sequence.tolist(),
+            self.log_time.tolist(),
+            self.start.tolist(),
+            self.end.tolist(),
+            strict=True,
+        ):
+            yield Stored(log_time, sequence, channel, self.content[start:end], "")
+
+
+class Piece(NamedTuple):
+    """A chunk's unpacked bytes, where its messages begin, and what is lost before it."""
+
+    content: bytes
+    starts: NDArray[np.int64]
+    lost: str
+
+
+def blocks_of(pieces: Iterable[Piece]) -> Iterator[tuple[Messages, str]]:
+    """Join pieces to blocks of messages, each with what is lost before it.
+
+    The first piece comes alone, so that what needs only the first message has it soon.
+    """
+    held: list[Piece] = []
+    messages = size = 0
+    most = 1
+    for piece in pieces:
+        if piece.lost and held:
+            yield _joined(held)
+            held, messages, size = [], 0, 0
+        held.append(piece)
+        messages += len(piece.starts)
+        size += len(piece.content)
+        if messages >= most or size >= BLOCK_BYTES:
+            yield _joined(held)
+            held, messages, size = [], 0, 0
+            most = BLOCK_MESSAGES
+    if held:
+        yield _joined(held)
+
+
+def _joined(pieces: list[Piece]) -> tuple[Messages, str]:
+    if len(pieces) == 1:
+        return Messages.at(pieces[0].content, pieces[0].starts), pieces[0].lost
+    sizes = np.array([len(piece.content) for piece in pieces])
+    counts = [len(piece.starts) for piece in pieces]
+    starts = np.concatenate([piece.starts for piece in pieces])
+    starts += np.repeat(np.cumsum(sizes) - sizes, counts)
+    return Messages.at(b"".join([piece.content for piece in pieces]), starts), pieces[0].lost
+
+
+Others: TypeAlias = list[tuple[int, int, int]]
+"""Records that are no messages: opcode, start and end of the content."""
+
+
+def message_starts(content: bytes, index: bytes = b"") -> tuple[NDArray[np.int64], Others]:
+    """Where the record of each message begins in a chunk's unpacked bytes; and the other records.
+
+    `index` has the entries of the chunk's message indexes, of all channels. Nothing covers them by
+    a checksum: they are used where they lead from each message right to the next one, else all
+    records are walked. Raises Damaged if a record is inconsistent.
+    """
+    if len(index) >= 16 * _WORTH_AN_INDEX:
+        found = _indexed_starts(content, index)
+        if found is not None:
+            return found
+    starts, others = [], []
+    for record in records_in(content):
+        if record[0] == records.MESSAGE:
+            starts.append(record[1] - _FRONT)
+        else:
+            others.append(record)
+    return np.array(starts, np.int64), others
+
+
+def _indexed_starts(content: bytes, index: bytes) -> tuple[NDArray[np.int64], Others] | None:
+    offsets = np.sort(np.frombuffer(index, "<u8")[1::2])
+    if int(offsets[-1]) + _HEAD.itemsize > len(content):
+        return None
+    starts = offsets.astype(np.int64)
+    heads = _heads(content, starts)
+    lengths = np.diff(starts, append=len(content)) - _FRONT
+    if not (
+        (heads["opcode"] == records.MESSAGE).all()
+        and (heads["length"].astype(np.int64) == lengths).all()
+        and (lengths >= records.MESSAGE_HEAD.size).all()
+    ):
+        return None
+    try:
+        front = list(records_in(content[: int(starts[0])]))
+    except Damaged:
+        return None
+    return None if any(opcode == records.MESSAGE for opcode, _, _ in front) else (starts, front)
+
+
+def _heads(content: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
+    places = max(0, len(content) - _HEAD.itemsize + 1)
+    heads: NDArray[Any] = np.ndarray((places,), _HEAD, content, strides=(1,))[starts]
+    return heads

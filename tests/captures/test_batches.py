@@ -1,0 +1,152 @@
+"""Captures as arrays: the same events in the same order as one by one, whatever the file."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+
+from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import part_path
+from bilprov.captures.reader import open_capture, open_indexed
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, State
+from bilprov.captures.topics import TOPICS, Written, encoded
+from bilprov.captures.writer import CaptureWriter
+
+START = 1_790_000_000_000_000_000
+VALUES: list[Written] = [
+    Line(0, "gap", "", "10 bytes"),
+    Line(0, "modem", "host", "cts"),
+    State("forward", 1, 0, 0, True),
+    Look(0, True),
+    Checkpoint.of(0, "a" * 64, "{}"),
+    Checkpoint.of(0, "a" * 64, "{}", resumes=True),
+]
+CHANNELS = {topic.value: topic for topic in TOPICS}
+
+
+def written_by_us(path: Path, choose: random.Random, length: int, parts: int) -> None:
+    calm = choose.choice([0.0, 0.05, 0.9])
+    writer = CaptureWriter(
+        part_path(path, 1) if parts else path, start_wall=START, metadata={}, version="1"
+    )
+    for number in range(max(1, parts)):
+        if number:
+            writer = writer.following(part_path(path, number + 1), {"part": str(number + 1)})
+            if choose.random() < 0.7:
+                writer.write(VALUES[-1], 0)
+        for t in range(length):
+            if choose.random() < calm:
+                writer.write(choose.choice(VALUES), t)
+            else:
+                size = choose.choice([0, 1, 1, 2, 50])
+                writer.chunk(Chunk(t, choose.choice(["host", "device"]), choose.randbytes(size)))
+            if choose.random() < 0.05:
+                writer.flush()
+    if choose.random() < 0.8:
+        writer.close()
+    else:
+        writer.flush()
+        writer._file.close()
+
+
+def written_by_others(path: Path, choose: random.Random, length: int) -> None:
+    options: dict[str, Any] = choose.choice(
+        [
+            {"use_chunking": False},
+            {"compression": CompressionType.NONE, "chunk_size": 500},
+            {"compression": CompressionType.LZ4, "chunk_size": 5000},
+            {"compression": CompressionType.ZSTD, "chunk_size": 9000, "use_crc": False},
+        ]
+    )
+    with path.open("wb") as file:
+        options.pop("use_crc", None)
+        writer: Any = Writer(file, **options)
+        writer.start("", choose.choice(["another", "bilprov 1"]))
+        ids = [writer.register_channel(topic.name, topic.encoding, 0) for topic in TOPICS]
+        jitter = choose.choice([0, 0, 30, 10_000])
+        start = choose.choice([5, START, (1 << 64) - 100_000])
+        skipped = choose.choice([0.0, 0.0, 0.01])
+        sequence = 0
+        for t in range(length):
+            log_time = start + 10 * t + choose.randrange(jitter + 1)
+            sequence += 1 + (choose.random() < skipped)
+            draw = choose.random()
+            if draw < 0.9:
+                channel, data = choose.choice(ids[:2]), choose.randbytes(choose.choice([1, 2, 9]))
+            elif draw < 0.99:
+                value = choose.choice(VALUES)
+                channel, data = ids[CHANNELS[type(value)].channel - 1], encoded(value)
+            else:
+                channel, data = ids[choose.choice([0, 6])], choose.choice([b"{", bytes(70_000)])
+            writer.add_message(channel, log_time, data, log_time, sequence=sequence - 1)
+        if choose.random() < 0.8:
+            writer.finish()
+
+
+def damage(path: Path, choose: random.Random) -> None:
+    data = bytearray(path.read_bytes())
+    way = choose.choice(["none", "none", "cut", "flip", "zero", "out", "twice"])
+    at = choose.randrange(len(data))
+    if way == "cut":
+        del data[at:]
+    elif way == "flip":
+        data[at] ^= 1 << choose.randrange(8)
+    elif way == "zero":
+        data[at : at + 200] = bytes(len(data[at : at + 200]))
+    elif way == "out":
+        del data[at : at + choose.choice([1, 300])]
+    elif way == "twice":
+        data[at:at] = data[at - 3000 if at > 3000 else 8 : at]
+    path.write_bytes(bytes(data))
+
+
+@settings(max_examples=150)
+@given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
+def test_the_batches_of_any_capture_hold_its_events(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
+) -> None:
+    choose = random.Random(seed)
+    path = tmp_path_factory.mktemp("drawn") / "a.mcap"
+    parts = choose.choice([0, 0, 3])
+    if choose.random() < 0.5:
+        written_by_us(path, choose, length, parts)
+        files = [part_path(path, n + 1) for n in range(parts)] or [path]
+    else:
+        written_by_others(path, choose, length)
+        files = [path]
+    damage(choose.choice(files), choose)
+    try:
+        capture = open_capture(path)
+    except CaptureError:
+        return
+    events = list(capture.events())
+    assert [event for batch in capture.batches() for event in batch.single()] == events
+    indexed = open_indexed(path)
+    if indexed is None:
+        return
+    whole = list(indexed.events())
+    assert [event for batch in indexed.batches() for event in batch.single()] == whole
+    found = indexed.checkpoint_before(choose.choice([10, 200, 1 << 62]))
+    if found is not None:
+        rest = [event for batch in indexed.batches(found) for event in batch.single()]
+        assert rest == list(indexed.events(found))
+
+
+def test_a_time_beyond_any_clock_is_kept_within_64_bits(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start("", "another")
+        channel = writer.register_channel("/host/raw", "", 0, {"bilprov.start": str((1 << 64) - 1)})
+        for time in (0, 1, (1 << 64) - 1):
+            writer.add_message(channel, time, b"a", time)
+        writer.finish()
+    capture = open_capture(path)
+    assert [event.t for event in capture.events()] == [-(1 << 62), -(1 << 62), 0]
+    assert [event for batch in capture.batches() for event in batch.single()] == list(capture)
