@@ -10,6 +10,8 @@ from typing import Final, NamedTuple
 
 import msgspec
 
+from bilprov.captures.text import escape_controls
+
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
 """The prefix of the library's name in our own files."""
@@ -63,7 +65,7 @@ class CutOff(Damaged):
 
 @dataclass(frozen=True, slots=True)
 class ChannelRecord:
-    """The fields of a channel record. Its text is foreign: show it only through `printable`."""
+    """The fields of a channel record."""
 
     id: int
     topic: str
@@ -73,7 +75,7 @@ class ChannelRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttachmentRecord:
-    """A file that is attached to a capture; `log_time` in ns. Its text is foreign."""
+    """A file that is attached to a capture; `log_time` in ns."""
 
     name: str
     media_type: str
@@ -106,11 +108,11 @@ class Cursor:
         return self.data[start : self.at]
 
     def text(self) -> str:
-        """Read the next string; invalid UTF-8 becomes escapes."""
+        """Read the next string; invalid UTF-8 and characters that do not print become escapes."""
         length = self.number(_U32)
         if length > STRING_BYTES:
             raise Damaged(f"a string is {length} bytes, allowed are {STRING_BYTES}")
-        return self.block(length).decode("utf-8", "backslashreplace")
+        return escape_controls(self.block(length).decode("utf-8", "backslashreplace"))
 
     def texts(self) -> dict[str, str]:
         """Read the next map of strings."""
