@@ -253,9 +253,3 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
-
-
-def _ends(cursor: Cursor, own: bool) -> None:
-    # The format lets other writers append fields; our writer does not.
-    if own and cursor.at != len(cursor.data):
-        raise Damaged("a record is longer than its fields")
