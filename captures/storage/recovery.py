@@ -170,6 +170,8 @@ class RecordFile:
     def _examined(self, chunk: Found) -> Found:
         """The chunk with what is in it. Raises Damaged if it is inconsistent or a second copy."""
         content = chunk.content
+        if not content:
+            return chunk
         index, end = self._index(chunk.end, len(content))
         starts, others = message_starts(content, index)
         channels = [
