@@ -47,7 +47,7 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
     wrong = next(iter(capture.damage), "") or _wrong_checksum(path, capture.unfinished)
     if not capture.damage and not capture.contents.own:
         raise CaptureError(
-            f"{printable(path)} was saved by another program ({printable(capture.library)}), not "
+            f"{printable(path)} was saved by another program ({capture.library}), not "
             "all of it is covered by a checksum (CRC): name the file as bilprov wrote it"
         )
     if wrong:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable
+from bilprov.captures.wall_clock import stated_number
 
 if TYPE_CHECKING:
     from bilprov.captures.storage.messages import Contents
@@ -132,10 +133,8 @@ def start_of(contents: Contents) -> int:
 
 def stated_start(contents: Contents) -> int | None:
     """The first start that a file states and a clock of 64 bits can show; None without."""
-    for text in contents.starts:
-        if text.isascii() and text.isdigit() and len(text) <= 20 and int(text) < 1 << 64:
-            return int(text)
-    return None
+    stated = (stated_number(text) for text in contents.starts)
+    return next((start for start in stated if start is not None), None)
 
 
 def _damage(volumes: Sequence[Volume]) -> Iterator[str]:
@@ -143,7 +142,7 @@ def _damage(volumes: Sequence[Volume]) -> Iterator[str]:
         if volume.missing:
             yield volume.missing
         for note in volume.contents.damage:
-            yield f"{volume.path.name}: {note}"
+            yield f"{printable(volume.path.name)}: {note}"
 
 
 def _missing(path: Path, first: int, last: int) -> str:

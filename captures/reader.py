@@ -20,6 +20,7 @@ from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
 from bilprov.captures.storage.records import JSON_ERRORS, MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.text import printable
+from bilprov.captures.wall_clock import since, stated_number
 
 if TYPE_CHECKING:
     # The rest needs arrays, and whoever only names a capture does not.
@@ -84,6 +85,10 @@ class StoredCheckpoint:
 class Capture:
     """An opened capture; it can be read any number of times, and the file is closed in between.
 
+    All that it gives is safe to show and to compute with: texts print and have 200 characters at
+    most, and times are within `LONGEST` of the start. As stored, for a copy, are `messages()`,
+    `recorded()`, `attachments()`, and the texts of `contents.metadata` but for their escapes.
+
     `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov`, empty if there
     is none; `library` names the writer. `unfinished` is true if the writer never closed the file:
     then the complete records are read. `damage` has a sentence for each part that is left out.
@@ -137,8 +142,11 @@ class Capture:
                 yield value
 
     def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
-        """Yield all that was recorded and not decoded from the bytes, as `events` does."""
-        return self._values(after, _RECORDED)
+        """Yield all that was recorded and not decoded from the bytes, as `events` does.
+
+        Texts and numbers are as stored, so that a copy has them too.
+        """
+        return self._values(after, _RECORDED, as_stored=True)
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -151,16 +159,20 @@ class Capture:
                 if wanted is not None and topic not in wanted:
                     continue
                 value = _value(topic, encoding, message.data)
-                yield Message(topic, message.log_time - self.start, value, message.sequence)
+                yield Message(topic, since(self.start, message.log_time), value, message.sequence)
 
     def losses(self) -> Iterator[Loss]:
         """Yield the places where messages are lost, in order. Raises CaptureError as `events`."""
         before = 0
         for message in self._stored():
-            t = message.log_time - self.start
+            t = since(self.start, message.log_time)
             if message.lost:
                 yield Loss(min(before, t), t, message.lost)
             before = max(before, t)
+
+    def number(self, key: str) -> int | None:
+        """The number that an entry of the metadata states, None if it states none."""
+        return stated_number(self.metadata.get(key))
 
     @property
     def in_parts(self) -> bool:
@@ -216,11 +228,15 @@ class Capture:
                 yield StoredCheckpoint(value, place, number)
 
     def _values(
-        self, after: StoredCheckpoint | None, wanted: Collection[str]
+        self,
+        after: StoredCheckpoint | None,
+        wanted: Collection[str],
+        as_stored: bool = False,
     ) -> Iterator[Recorded]:
         from bilprov.captures.recorded import recorded_values
 
-        return recorded_values(self.start, self._topics, self._stored(after), wanted)
+        stored = self._stored(after)
+        return recorded_values(self.start, self._topics, stored, wanted, as_stored)
 
     @property
     def _topics(self) -> dict[int, str]:
@@ -364,10 +380,13 @@ def _index_of(path: Path) -> Index | None:
 def _capture_of(
     path: Path, contents: Contents, volumes: tuple[Volume, ...], indexes: tuple[Index, ...] = ()
 ) -> Capture:
+    start = start_of(contents)
+    first, last = (start + since(start, time) for time in (contents.first, contents.last))
+    contents = with_changes(contents, first=first, last=last)
     return Capture(
         path=path,
-        start=start_of(contents),
-        metadata=contents.metadata,
+        start=start,
+        metadata={printable(key): printable(text) for key, text in contents.metadata.items()},
         library=contents.library,
         unfinished=contents.unfinished,
         damage=contents.damage,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Final
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,8 +25,8 @@ from bilprov.captures.schemas import (
 from bilprov.captures.storage.blocks import BLOCK_MESSAGES, Messages
 from bilprov.captures.storage.messages import Part
 from bilprov.captures.storage.records import JSON_ERRORS
-
-LONGEST: Final = 1 << 62  # ns before and after a capture's start; times beyond are taken for this
+from bilprov.captures.text import printable
+from bilprov.captures.wall_clock import LONGEST, since
 
 _RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
     topics.LINE: Line,
@@ -40,13 +40,19 @@ _OTHER = 255  # the code of a message that is neither of a side nor wanted
 
 
 def recorded_values(
-    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+    start: int,
+    names: Mapping[int, str],
+    parts: Iterator[Part],
+    wanted: Collection[str],
+    as_stored: bool,
 ) -> Iterator[Recorded]:
     """Yield the raw chunks among single messages, and the values of the topics that are `wanted`.
 
-    `start` is the capture's, `names` are its topics by channel.
+    `start` is the capture's, `names` are its topics by channel. Texts and numbers are made safe
+    unless they are wanted `as_stored`.
     """
-    for value in _with_resumptions(_recorded(start, names, parts, wanted)):
+    values = _recorded(start, names, parts, wanted)
+    for value in _with_resumptions(values if as_stored else map(_safe, values)):
         if not isinstance(value, Events):
             yield value
 
@@ -57,7 +63,7 @@ def batches_of(
     """Yield the events among messages as arrays; arguments as in `recorded_values`."""
     held: list[Events | Chunk | Line] = []
     rows = 0
-    for value in _with_resumptions(_recorded(start, names, parts, wanted)):
+    for value in _with_resumptions(map(_safe, _recorded(start, names, parts, wanted))):
         if isinstance(value, Events | Chunk | Line):
             held.append(value)
             rows += len(value) if isinstance(value, Events) else 1
@@ -99,7 +105,7 @@ def _recorded(
         if isinstance(part, Messages):
             yield from _recorded_block(start, part, names, codes)
             continue
-        t = _since(start, part.log_time)
+        t = since(start, part.log_time)
         if part.lost:
             yield Line(t, "gap", "", part.lost)
         code = int(codes[part.channel])
@@ -140,8 +146,18 @@ def _decoded(data: bytes, topic: str, t: int) -> Iterator[Recorded]:
     yield replace(value, t=t)
 
 
-def _since(start: int, log_time: int) -> int:
-    return min(max(log_time - start, -LONGEST), LONGEST)
+def _safe(value: Recorded | Events) -> Recorded | Events:
+    """The value; a line event or a look with texts that print and numbers within 64 bits."""
+    if not isinstance(value, Line | Look):
+        return value
+    changed: dict[str, Any] = {}
+    for name in value.__struct_fields__:
+        held = getattr(value, name)
+        if isinstance(held, str):
+            changed[name] = printable(held)
+        elif held.__class__ is int:
+            changed[name] = min(max(held, -LONGEST), LONGEST)
+    return replace(value, **changed)
 
 
 def _times_since(start: int, log_times: NDArray[np.uint64]) -> NDArray[np.int64]:

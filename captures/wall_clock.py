@@ -18,3 +18,20 @@ def wall_clock(clock: Callable[[], int] = time.time_ns) -> int:
         return max(EARLIEST, clock())
     except OverflowError:  # Python gives no later time in ns
         return LATEST
+
+
+LONGEST: Final = 1 << 62
+"""The most ns before and after a capture's start; a time beyond it is taken for this."""
+
+
+def since(start: int, log_time: int) -> int:
+    """The time of a message in ns since the capture's start."""
+    return min(max(log_time - start, -LONGEST), LONGEST)
+
+
+def stated_number(text: str | None) -> int | None:
+    """The number of ns, or of a part, that a text in a capture states; None if it states none."""
+    if text is None or len(text) > 20 or not (text.isascii() and text.isdigit()):
+        return None
+    stated = int(text)
+    return stated if stated < 1 << 64 else None

@@ -104,7 +104,7 @@ class Joined:
 
     def metadata(self) -> dict[str, str]:
         """The metadata of all: what they agree on, and the rest with the number of its capture."""
-        abouts = [source.capture.metadata for source in self.sources]
+        abouts = [source.capture.contents.metadata for source in self.sources]
         about: dict[str, str] = {}
         for key in dict.fromkeys(key for one in abouts for key in one):
             if key in _OF_ONE:
@@ -176,8 +176,7 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
 
 def _begin(capture: Capture) -> int:
     """When a recording began, or the part that was cut out of it (wall clock, ns)."""
-    cut = capture.metadata.get(topics.CUT_START, "")
-    return capture.start + (int(cut) if cut.isascii() and cut.isdigit() and len(cut) < 20 else 0)
+    return capture.start + (capture.number(topics.CUT_START) or 0)
 
 
 def _continues(before: _Source, after: _Source) -> bool:
@@ -190,8 +189,8 @@ def _continues(before: _Source, after: _Source) -> bool:
 
 def _part(capture: Capture) -> float:
     """The number of a part of a recording; what is none comes before and after nothing."""
-    number = capture.metadata.get(topics.PART, "")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 20 else nan
+    number = capture.number(topics.PART)
+    return nan if number is None else number
 
 
 def _moved(value: Recorded, by: int, protocol: Protocol | None, tap: Tap) -> Recorded:
@@ -242,8 +241,8 @@ def _require_one_grammar(captures: Sequence[Capture]) -> None:
     for other in known[1:]:
         if other.metadata["grammar_sha256"] != known[0].metadata["grammar_sha256"]:
             said = [
-                f"{printable(one.path)} ({printable(one.metadata.get('grammar_name', '?'))} "
-                f"{printable(one.metadata.get('grammar_version', ''))})"
+                f"{printable(one.path)} ({one.metadata.get('grammar_name', '?')} "
+                f"{one.metadata.get('grammar_version', '')})"
                 for one in (known[0], other)
             ]
             raise CaptureError(

@@ -61,7 +61,7 @@ def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str
     The settings of its decoding are said, so that they do not depend on what is left of it.
     """
     own = {topics.START_KEY, topics.PART}
-    about = {key: text for key, text in capture.metadata.items() if key not in own}
+    about = {key: text for key, text in capture.contents.metadata.items() if key not in own}
     about |= decoding_metadata(capture_settings(capture, protocol))
     done = f"{edit} (bilprov {kit_version()})"
     before = about.get(topics.HISTORY)

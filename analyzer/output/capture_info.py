@@ -59,7 +59,7 @@ class Summary:
 
 
 def summarized(capture: Capture, protocol: Protocol) -> Summary:
-    """Summarize an opened capture; text from the file is not escaped here."""
+    """Summarize an opened capture."""
     contents = capture.contents
     begun_later = {HISTORY, CUT_START} & capture.metadata.keys() and contents.first
     start = contents.first if begun_later else capture.start
@@ -99,13 +99,13 @@ def _moment(wall: int) -> str:
 
 
 def drawn(summary: Summary) -> Iterator[RenderableType]:
-    """Yield the parts to print; text from the file is escaped."""
+    """Yield the parts to print."""
     yield heading(printable(summary.path))
     yield facts(_about(summary))
     yield Text()
     yield table(
         ("topic", "messages"),
-        [(printable(topic), f"{count:,}") for topic, count in sorted(summary.counts.items())],
+        [(topic, f"{count:,}") for topic, count in sorted(summary.counts.items())],
         right="messages",
     )
     if summary.unfinished:
@@ -115,7 +115,7 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
             style="yellow",
         )
     for sentence in summary.damage:
-        yield Text(f"  damaged: {printable(sentence)}", style="yellow")
+        yield Text(f"  damaged: {sentence}", style="yellow")
 
 
 def _about(summary: Summary) -> Iterator[tuple[str, str]]:
@@ -123,17 +123,17 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
     if summary.parts:
         named = printable(" to ".join(dict.fromkeys((summary.parts[0], summary.parts[-1]))))
         yield "kept in", f"{quantity(len(summary.parts), 'part')}, {named}"
-    yield "written by", printable(summary.library) or "unknown"
+    yield "written by", summary.library or "unknown"
     yield "start", summary.start
     yield "end", summary.end
     if summary.zero != summary.start:
         yield "times count from", summary.zero
     yield "duration", f"{summary.duration:.3f} s"
-    yield "recorded on", printable(summary.host or "")
-    yield "recorded by", printable(f"bilprov {summary.kit}" if summary.kit else "")
+    yield "recorded on", summary.host or ""
+    yield "recorded by", f"bilprov {summary.kit}" if summary.kit else ""
     for key, value in sorted(summary.metadata.items()):
         if key not in ("start", "version", MACHINE, CUT_START, CUT_END):  # shown above
-            yield printable(key.replace("_", " ")), printable(value)
+            yield key.replace("_", " "), printable(value)
     if summary.same_grammar is not None:
         yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"
     yield "host sent", quantity(summary.bytes["host"], "byte")

@@ -78,22 +78,22 @@ def require_begun(capture: Capture, start: int | None) -> None:
 def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
     """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other."""
     name = printable(capture.path)
-    gone = capture.metadata.get(CUT_START, "") if capture.in_parts else ""
-    if gone.isascii() and gone.isdigit() and len(gone) < 20:
+    gone = capture.number(CUT_START)
+    if gone is not None and capture.in_parts:
         first = printable(capture.volumes[0].path.name)
-        yield f"{name} begins at {int(gone) / 1e9:.3f} s with {first}: older parts are not there"
+        yield f"{name} begins at {gone / 1e9:.3f} s with {first}: older parts are not there"
     if capture.unfinished:
         yield f"{name} was never finished: everything intact is shown"
     if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):
         yield f"{name} holds no traffic: not a byte of host or device is in it"
     if capture.damage:
-        first = printable(capture.damage[0])
+        first = capture.damage[0]
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
         yield f"{name} is damaged: {first}{more}; the rest is shown"
     recorded = capture.metadata.get("grammar_sha256")
     if recorded and recorded != protocol.sha256:
-        known = printable(capture.metadata.get("grammar_name", "another grammar"))
-        version = printable(capture.metadata.get("grammar_version", ""))
+        known = capture.metadata.get("grammar_name", "another grammar")
+        version = capture.metadata.get("grammar_version", "")
         yield (
             f"{name} was recorded with another grammar ({known} {version}); decoded with "
             f"{protocol.origin} ({protocol.name} {protocol.version})"

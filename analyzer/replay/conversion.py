@@ -41,7 +41,9 @@ def write_decoded(
 
 
 def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordWriter:
-    metadata = {key: text for key, text in capture.metadata.items() if key != topics.START_KEY}
+    metadata = {
+        key: text for key, text in capture.contents.metadata.items() if key != topics.START_KEY
+    }
     # The new file's records are those of this grammar, whatever the old one's were.
     metadata["grammar_name"] = protocol.name
     metadata["grammar_version"] = protocol.version

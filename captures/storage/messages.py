@@ -293,8 +293,8 @@ def _pieces(file: BufferedReader, contents: Contents) -> Iterator[Piece]:
             if isinstance(found, Lost):
                 raise found.damage
             if found.opcode in _WITH_MESSAGES:
-                yield Piece(found.content, found.starts, where)
                 if len(found.starts):
+                    yield Piece(found.content, found.starts, where)
                     where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"

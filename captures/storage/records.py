@@ -6,9 +6,11 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
+
+from bilprov.captures.text import escape_controls
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
@@ -45,11 +47,9 @@ DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas a
 JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
 """Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
 
-_COUNTS = struct.Struct("<QHIIIIQQI")
 _CHUNK = struct.Struct("<16xQII")  # times; size, CRC, length of the compression's name
 _COUNT = struct.Struct("<HQ")
-_U16 = struct.Struct("<H")
-_U32 = struct.Struct("<I")
+_NUMBERS = {"H": 2, "I": 4, "Q": 8}  # bytes
 _U64 = struct.Struct("<Q")
 
 
@@ -63,7 +63,7 @@ class CutOff(Damaged):
 
 @dataclass(frozen=True, slots=True)
 class ChannelRecord:
-    """The fields of a channel record. Its text is foreign: show it only through `printable`."""
+    """The fields of a channel record."""
 
     id: int
     topic: str
@@ -73,7 +73,7 @@ class ChannelRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttachmentRecord:
-    """A file that is attached to a capture; `log_time` in ns. Its text is foreign."""
+    """A file that is attached to a capture; `log_time` in ns."""
 
     name: str
     media_type: str
@@ -82,20 +82,21 @@ class AttachmentRecord:
 
 
 @dataclass(slots=True)
-class Cursor:
+class _Cursor:
     """Reads the little-endian fields of a record in order; raises Damaged if they end early."""
 
     data: bytes
     at: int = field(default=0)
 
-    def number(self, layout: struct.Struct) -> int:
-        """Read the next integer."""
-        start = self.at
-        self.at += layout.size
-        if self.at > len(self.data):
-            raise Damaged("a record is shorter than its fields")
-        value: int = layout.unpack_from(self.data, start)[0]
-        return value
+    def field(self, kind: str) -> Any:
+        """Read the next field, of a kind as in `_fields`."""
+        if kind in _NUMBERS:
+            return int.from_bytes(self.block(_NUMBERS[kind]), "little")
+        if kind == "s":
+            return self.text()
+        if kind == "m":
+            return self.texts()
+        return self.block(self.field("I" if kind == "b" else "Q"))
 
     def block(self, length: int) -> bytes:
         """Read the next `length` bytes."""
@@ -106,15 +107,15 @@ class Cursor:
         return self.data[start : self.at]
 
     def text(self) -> str:
-        """Read the next string; invalid UTF-8 becomes escapes."""
-        length = self.number(_U32)
+        """Read the next string; invalid UTF-8 and characters that do not print become escapes."""
+        length = self.field("I")
         if length > STRING_BYTES:
             raise Damaged(f"a string is {length} bytes, allowed are {STRING_BYTES}")
-        return self.block(length).decode("utf-8", "backslashreplace")
+        return escape_controls(self.block(length).decode("utf-8", "backslashreplace"))
 
     def texts(self) -> dict[str, str]:
         """Read the next map of strings."""
-        end = self.number(_U32) + self.at
+        end = self.field("I") + self.at
         pairs: dict[str, str] = {}
         while self.at < end:
             name = self.text()
@@ -126,44 +127,43 @@ class Cursor:
         return pairs
 
 
+def _fields(content: bytes, layout: str, own: bool) -> list[Any]:
+    """The fields of a record, a letter each.
+
+    `H`, `I` and `Q` are numbers of 16, 32 and 64 bits, `s` is a string, `m` a map of strings, `b`
+    and `B` are bytes with a length of 32 and 64 bits.
+    """
+    cursor = _Cursor(content)
+    values = [cursor.field(kind) for kind in layout]
+    # The format lets other writers append fields; our writer does not.
+    if own and cursor.at != len(content):
+        raise Damaged("a record is longer than its fields")
+    return values
+
+
 def header_library(content: bytes, own: bool = False) -> str:
     """The library that a header record names."""
-    cursor = Cursor(content)
-    cursor.text()
-    library = cursor.text()
-    _ends(cursor, own or library.startswith(OWN_LIBRARY))
-    return library
+    _, library = _fields(content, "ss", own)
+    if library.startswith(OWN_LIBRARY):
+        _fields(content, "ss", own=True)
+    return str(library)
 
 
 def channel_record(content: bytes, own: bool = False) -> ChannelRecord:
     """Parse a channel record."""
-    cursor = Cursor(content)
-    channel = cursor.number(_U16)
-    cursor.number(_U16)
-    record = ChannelRecord(channel, cursor.text(), cursor.text(), cursor.texts())
-    _ends(cursor, own)
-    return record
+    channel, _, topic, encoding, metadata = _fields(content, "HHssm", own)
+    return ChannelRecord(channel, topic, encoding, metadata)
 
 
 def metadata_record(content: bytes, own: bool = False) -> tuple[str, dict[str, str]]:
     """Parse a metadata record into its name and pairs."""
-    cursor = Cursor(content)
-    name = cursor.text()
-    pairs = cursor.texts()
-    _ends(cursor, own)
+    name, pairs = _fields(content, "sm", own)
     return name, pairs
 
 
 def attachment_record(content: bytes, own: bool = True) -> AttachmentRecord:
     """Parse an attachment. Raises Damaged if its fields or its checksum are wrong."""
-    cursor = Cursor(content)
-    log_time = cursor.number(_U64)
-    cursor.number(_U64)
-    name = cursor.text()
-    media_type = cursor.text()
-    data = cursor.block(cursor.number(_U64))
-    crc = cursor.number(_U32)
-    _ends(cursor, own)
+    log_time, _, name, media_type, data, crc = _fields(content, "QQssBI", own)
     if (crc or own) and crc != zlib.crc32(memoryview(content)[:-4]):
         raise Damaged("the checksum (CRC) of an attachment is wrong")
     return AttachmentRecord(name, media_type, log_time, data)
@@ -171,27 +171,17 @@ def attachment_record(content: bytes, own: bool = True) -> AttachmentRecord:
 
 def check_schema(content: bytes, own: bool) -> None:
     """Raise Damaged if a schema record's fields are inconsistent; the schema itself is not read."""
-    cursor = Cursor(content)
-    cursor.number(_U16)
-    cursor.text()
-    cursor.text()
-    cursor.block(cursor.number(_U32))
-    _ends(cursor, own)
+    _fields(content, "Hssb", own)
 
 
 def check_message_index(content: bytes, own: bool) -> None:
     """Raise Damaged if a message index record's fields are inconsistent."""
-    cursor = Cursor(content)
-    cursor.number(_U16)
-    length = cursor.number(_U32)
-    if length % 16:
+    _, entries = _fields(content, "Hb", own)
+    if len(entries) % 16:
         raise Damaged("a message index has half an entry")
-    cursor.block(length)
-    _ends(cursor, own)
 
 
-@dataclass(frozen=True, slots=True)
-class Statistics:
+class Statistics(NamedTuple):
     """What a file says of itself at its end: how many there are of each, the times, by channel."""
 
     messages: int
@@ -204,14 +194,10 @@ class Statistics:
 
 def statistics_record(content: bytes, own: bool = False) -> Statistics:
     """Parse a statistics record."""
-    if len(content) < _COUNTS.size:
-        raise Damaged("a record is shorter than its fields")
-    messages, _, channels, _, _, chunks, first, last, length = _COUNTS.unpack_from(content)
-    end = _COUNTS.size + length
-    if length % _COUNT.size or len(content) < end or (own and len(content) > end):
-        raise Damaged("the statistics are not as long as they should be")
-    counts = dict(_COUNT.iter_unpack(content[_COUNTS.size : end]))
-    return Statistics(messages, channels, chunks, first, last, counts)
+    messages, _, channels, _, _, chunks, first, last, counts = _fields(content, "QHIIIIQQb", own)
+    if len(counts) % _COUNT.size:
+        raise Damaged("the statistics have half a count")
+    return Statistics(messages, channels, chunks, first, last, dict(_COUNT.iter_unpack(counts)))
 
 
 class ChunkFields(NamedTuple):
@@ -267,9 +253,3 @@ def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
         elif length < MESSAGE_HEAD.size:
             raise Damaged("a message is shorter than its fields")
         yield opcode, start, at
-
-
-def _ends(cursor: Cursor, own: bool) -> None:
-    # The format lets other writers append fields; our writer does not.
-    if own and cursor.at != len(cursor.data):
-        raise Damaged("a record is longer than its fields")

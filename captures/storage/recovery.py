@@ -20,7 +20,6 @@ from bilprov.captures.storage.blocks import message_starts
 from bilprov.captures.storage.records import (
     CHUNK_BYTES,
     ChannelRecord,
-    ChunkFields,
     CutOff,
     Damaged,
 )
@@ -120,6 +119,7 @@ class RecordFile:
         self._unpacked = UNPACKED_FREE + UNPACKED_SHARE * size
         self._messages = MESSAGES_FREE + size // 2
         self._loose = LOOSE_RECORDS
+        self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
         self._expected: int | None = None  # the sequence number of a file's next message
 
     def record(self, offset: int, only: Collection[int] | None = None) -> Found:
@@ -170,6 +170,8 @@ class RecordFile:
     def _examined(self, chunk: Found) -> Found:
         """The chunk with what is in it. Raises Damaged if it is inconsistent or a second copy."""
         content = chunk.content
+        if not content:
+            return chunk
         index, end = self._index(chunk.end, len(content))
         starts, others = message_starts(content, index)
         channels = [
@@ -178,7 +180,7 @@ class RecordFile:
             if opcode == records.CHANNEL
         ]
         if len(starts):
-            first, last = _sequence(content, starts[0]), _sequence(content, starts[-1])
+            first, last = _sequence(content, int(starts[0])), _sequence(content, int(starts[-1]))
             # Two copies of a chunk are what a repair by a file system, or a careless tool, leaves.
             before = first if self._expected is None else self._expected
             if self.own and (first - before) & 0xFFFF_FFFF >= 1 << 31:
@@ -262,8 +264,33 @@ class RecordFile:
             free = UNPACKED_FREE >> 20
             raise self._ended(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
         content = front + self._content(length - len(front))
-        content, verified = _unpacked_chunk(fields, memoryview(content)[fields.start :], self.own)
-        return Found(records.CHUNK, end, content, verified)
+        data = self._unpack(memoryview(content)[fields.start :], fields.compression, size)
+        if len(data) != size:
+            raise Damaged("a chunk does not unpack to the size that it declares")
+        # A CRC of 0 means that there is none, which is accepted from foreign writers only.
+        verified = fields.crc != 0 or self.own
+        if verified and zlib.crc32(data) != fields.crc:
+            raise Damaged("a chunk's checksum is wrong")
+        return Found(records.CHUNK, end, data, verified)
+
+    def _unpack(self, packed: memoryview, compression: str, size: int) -> bytes:
+        """Unpack a chunk; gives at most one byte more than its size. Raises Damaged."""
+        try:
+            if compression == "zstd":
+                if zstandard.frame_content_size(packed) == size:  # so much is allocated
+                    return self._zstd.decompress(packed, allow_extra_data=False)
+                # What the frame declares is not to be allocated: unpacked piece by piece.
+                source = io.BytesIO(packed)
+                with self._zstd.stream_reader(source, read_across_frames=True) as reader:
+                    return reader.read(size + 1)
+            if compression == "lz4":
+                decompressor = lz4.frame.LZ4FrameDecompressor()
+                return bytes(decompressor.decompress(packed, max_length=size + 1))
+        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+            raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
+        if compression == "":
+            return bytes(packed)
+        raise Damaged("a chunk is compressed with something other than zstd and lz4")
 
     def _message(self, length: int, end: int) -> Found:
         if self.own:
@@ -313,42 +340,3 @@ class RecordFile:
 def _sequence(content: bytes, start: int) -> int:
     number: int = records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
     return number
-
-
-def _unpacked_chunk(fields: ChunkFields, packed: memoryview, own: bool) -> tuple[bytes, bool]:
-    """Unpack the records of a chunk; also return whether a checksum covers them.
-
-    A CRC of 0 means that there is none, which is accepted from foreign writers only. Raises Damaged
-    if anything is not as declared.
-    """
-    data = _unpacked(packed, fields.compression, fields.size)
-    if len(data) != fields.size:
-        raise Damaged("a chunk does not unpack to the size that it declares")
-    if fields.crc == 0 and not own:
-        return data, False
-    if zlib.crc32(data) != fields.crc:
-        raise Damaged("a chunk's checksum is wrong")
-    return data, True
-
-
-def _unpacked(packed: memoryview, compression: str, size: int) -> bytes:
-    try:
-        if compression == "zstd":
-            return _zstd(packed, size)
-        if compression == "lz4":
-            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-            return data
-    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-        raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
-    if compression == "":
-        return bytes(packed)
-    raise Damaged("a chunk is compressed with something other than zstd and lz4")
-
-
-def _zstd(packed: memoryview, size: int) -> bytes:
-    decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
-    if zstandard.frame_content_size(packed) == size:  # so much is allocated
-        return decompressor.decompress(packed, allow_extra_data=False)
-    # What the frame declares is not to be allocated: unpacked piece by piece.
-    with decompressor.stream_reader(io.BytesIO(packed), read_across_frames=True) as reader:
-        return reader.read(size + 1)

@@ -18,6 +18,7 @@ from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
 from bilprov.captures.storage.messages import WINDOW_MESSAGES, Contents, TimeWindow
 from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
+from bilprov.captures.text import printable
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
@@ -110,7 +111,7 @@ class _Survey:
             own=own,
             in_order=self._in_order,
             counted=self._library.startswith(records.OWN_LIBRARY),
-            library=self._library,
+            library=printable(self._library),
             metadata=self._metadata,
             starts=tuple(self._starts()),
             channels=channels,
@@ -132,7 +133,10 @@ class _Survey:
                 yield channel.metadata[topics.CHANNEL_START_KEY]
 
     def _table(self) -> dict[int, tuple[str, str]]:
-        table = {record.id: (record.topic, record.encoding) for record in self._channels.values()}
+        table = {
+            record.id: (printable(record.topic), printable(record.encoding))
+            for record in self._channels.values()
+        }
         if self._records.own:
             for topic in topics.TOPICS:
                 if topic.channel not in self._verified:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, State
+from bilprov.captures.storage import records
+from bilprov.captures.storage.blocks import message_starts
 from bilprov.captures.topics import TOPICS, Written, encoded
 from bilprov.captures.writer import CaptureWriter
 
@@ -136,6 +139,35 @@ def test_the_batches_of_any_capture_hold_its_events(
     if found is not None:
         rest = [event for batch in indexed.batches(found) for event in batch.single()]
         assert rest == list(indexed.events(found))
+
+
+@given(seed=st.integers(0, 1 << 64))
+def test_an_index_that_lies_leads_to_the_same_messages_as_none(seed: int) -> None:
+    choose = random.Random(seed)
+    content, index = b"", b""
+    for n in range(80):
+        opcode = 4 if choose.random() < 0.01 else records.MESSAGE
+        body = choose.randbytes(choose.choice([22, 23, 23, 40]))
+        if choose.random() < 0.003:
+            body = body[:9]
+        index += struct.pack("<QQ", n, len(content)) if opcode == records.MESSAGE else b""
+        content += records.RECORD_HEAD.pack(opcode, len(body)) + body
+    lying = bytearray(index)
+    for _ in range(choose.choice([0, 0, 1, 2])):
+        struct.pack_into(
+            "<Q", lying, 16 * choose.randrange(70) + 8, choose.choice([0, 31, 1 << 63])
+        )
+    if choose.random() < 0.2:
+        del lying[-16 * choose.randrange(1, 5) :]
+
+    def found(entries: bytes) -> tuple[list[int], object] | str:
+        try:
+            starts, others = message_starts(content, entries)
+        except records.Damaged as damage:
+            return str(damage)
+        return starts.tolist(), others
+
+    assert found(bytes(lying)) == found(b"")
 
 
 def test_a_time_beyond_any_clock_is_kept_within_64_bits(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_events_come_back_as_written_and_in_the_order_written(
             else:
                 capture.write(event, event.t)
     read = open_capture(path)
-    assert list(read.events()) == events
+    assert list(read.recorded()) == events
     assert (read.damage, read.unfinished, read.start) == ((), False, START)
 
 
