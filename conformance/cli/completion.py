@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
     """The simulator, emulated boards, and the serial ports of this machine."""
-    from bilprov.conformance.dut.target import BOARD, QEMU, SIM, SIMAVR
+    from bilprov.conformance.dut.target import BOARD, SIM, SIMAVR
 
     own = [(SIM, "the built-in simulator, in virtual time")]
-    own += [(f"{BOARD}{kind}:", "a board's firmware") for kind in (SIMAVR, QEMU)]
+    own += [(f"{BOARD}{SIMAVR}:", "a board's firmware")]
     return beginning(incomplete, own) + ports(ctx, param, incomplete)
 
 

@@ -279,7 +279,7 @@ def conform(
       bilprov conform /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
-    virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
+    virtual time; emulator:simavr:FILE.elf runs a board's firmware.
 
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. If a file or the output on the screen cannot be written, the run

@@ -47,7 +47,7 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov sniff --filter 'latency > 20m", ["latency > 20ms"]),
         ("bilprov config show snif", ["sniff"]),
         ("bilprov conform s", ["sim"]),
-        ("bilprov conform em", ["emulator:simavr:", "emulator:qemu:"]),
+        ("bilprov conform em", ["emulator:simavr:"]),
         ("bilprov conform sim --fault no-stop-on-bad-d", ["no-stop-on-bad-data"]),
         ("bilprov simulate --fault random", ["random:"]),
         ("bilprov lab score --only echo", ["echo"]),
