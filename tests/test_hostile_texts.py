@@ -21,7 +21,6 @@ import pytest
 from mcap.writer import Writer
 from msgspec.structs import replace
 
-from bilprov.analyzer.export.foxglove_layout import foxglove_layout
 from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json, printable
 from bilprov.captures.writer import CaptureWriter
@@ -489,15 +488,6 @@ def test_a_grammars_texts_stay_in_the_docstrings_of_a_stub(
     ]
 
     assert kinds[0] == kinds[1]
-
-
-def test_a_grammars_texts_stay_in_the_values_of_a_layout(
-    grammars: tuple[Protocol, Protocol],
-) -> None:
-    assert (
-        json.loads(foxglove_layout(grammars[0])).keys()
-        == json.loads(foxglove_layout(grammars[1])).keys()
-    )
 
 
 @pytest.mark.waits
