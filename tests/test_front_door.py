@@ -19,8 +19,8 @@ import pytest
 import bilprov
 from bilprov import __main__ as front_door
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.former_names import FORMER
 from bilprov.analyzer.output.help import examples_in
-from bilprov.analyzer.settings import FORMER
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter

@@ -85,13 +85,14 @@ def ports(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[I
 
 def _devices(ctx: click.Context) -> list[tuple[str, str]]:
     """The named devices of the settings, each with its port; none if these cannot be read."""
-    from bilprov.analyzer.settings import PORT, SettingsError, read_settings
+    from bilprov.analyzer.cli.settings import PORT, SettingsError, read_settings
 
     try:
-        devices = read_settings(dict.fromkeys(_commands(ctx))).devices
+        tables = read_settings(_commands(ctx))
     except SettingsError:
         return []
-    return [(name, str(values[PORT].value)) for name, values in devices.items()]
+    found = ((name.partition("device ")[2], values) for name, values in tables.items())
+    return [(name, str(values[PORT])) for name, values in found if name]
 
 
 def commands(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:

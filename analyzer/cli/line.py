@@ -12,6 +12,7 @@ import click
 
 from bilprov.analyzer.cli.completion import Item, beginning, ports
 from bilprov.analyzer.cli.options import Finite, line_options, note
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.ends import SERVED, End, open_end, require_two_ends
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
@@ -85,8 +86,8 @@ shows how many bytes went each way, and how many of them were hit, and how.
 
 
 @click.command(help=HELP)
-@click.argument("a", metavar="A", shell_complete=_ends)
-@click.argument("b", metavar="B", shell_complete=_ends)
+@click.argument("a", metavar="A", type=PortName(), shell_complete=_ends)
+@click.argument("b", metavar="B", type=PortName(), shell_complete=_ends)
 @_rate("--drop", "Bytes that vanish.")
 @_rate("--flip", "Bytes with one bit flipped.")
 @_rate("--double", "Bytes that come twice.")

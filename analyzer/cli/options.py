@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from bilprov.analyzer.cli.settings import naming_file
 from bilprov.captures.text import escape_controls
 
 if TYPE_CHECKING:
@@ -190,7 +191,8 @@ def row_style(
                 "in seconds since the start"
             )
         return RowStyle()
-    chosen = None if columns is None else chosen_columns(columns, protocol)
+    with naming_file("columns"):
+        chosen = None if columns is None else chosen_columns(columns, protocol)
     if asked_here("time_style") and chosen and TIME not in chosen:
         raise click.UsageError(
             f"--time {time_style} is how the column time is written: name it in --columns too"
@@ -240,7 +242,8 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
         return None
     from bilprov.analyzer.filters.filter import compile_filter
 
-    return compile_filter(expression, protocol)
+    with naming_file("expression"):
+        return compile_filter(expression, protocol)
 
 
 def note(sentence: str) -> None:

@@ -25,6 +25,7 @@ from bilprov.analyzer.cli.options import (
     note_hindrances,
     note_suspension,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.help import PanelCommand, panel
@@ -133,7 +134,10 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 
 @click.command(cls=PanelCommand)
 @click.argument(
-    "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
+    "target",
+    metavar="PORT|sim|emulator:KIND:FIRMWARE",
+    type=PortName(),
+    shell_complete=completion.targets,
 )
 @panel(
     "Device",

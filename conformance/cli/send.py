@@ -16,6 +16,7 @@ from bilprov.analyzer.cli.options import (
     max_drive_option,
     timeout_option,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
@@ -27,7 +28,7 @@ from bilprov.spec.protocol import Protocol
 
 
 @click.command()
-@click.argument("target", metavar="PORT|sim")
+@click.argument("target", metavar="PORT|sim", type=PortName())
 @click.argument("items", nargs=-1, metavar="[ITEM]...")
 @click.option("--together", is_flag=True, help="Send the ITEMs without waiting for the answers.")
 @click.option(

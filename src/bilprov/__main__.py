@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import click
 from click import exceptions
 
+from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.output.help import HELP_NAMES, Group, with_pages
-from bilprov.analyzer.settings import former_name, read_settings
 from bilprov.analyzer.transport.ending import exit_status
 
 
@@ -145,21 +145,7 @@ COMMANDS = {
     "spec emit grammar": Row(
         "", f"{ANALYZER}.spec", "spec_emit_grammar", "The grammar's own text, to be changed."
     ),
-    "config": Row(
-        "Settings",
-        "",
-        "",
-        """Show settings and where they are set.
-
-        Examples:
-          bilprov config show
-          bilprov config show sniff
-
-        Settings are read from config.toml in $XDG_CONFIG_HOME/bilprov (or ~/.config/bilprov), from
-        bilprov.toml in the working folder, and from the environment. Options override all of them.
-        """,
-    ),
-    "config show": Row("", f"{ANALYZER}.config", "show", "Show every setting and its source."),
+    "config": Row("Settings", f"{ANALYZER}.config", "config", "Show the settings in force."),
     "completion": Row(
         "Settings", f"{ANALYZER}.text_commands", "completion", "Print a shell's completion script."
     ),
@@ -233,26 +219,10 @@ class Tree(Group):
 
             with_completion(command)
         elif not any(word in rest for word in HELP_NAMES):
-            command = self._with_settings(ctx, command, name, rest)
+            from bilprov.analyzer.cli.settings import read_settings, use_settings
+
+            use_settings(ctx, command, self.path + name, read_settings(COMMANDS))
         return name, command, rest
-
-    def _with_settings(
-        self, ctx: click.Context, command: click.Command, name: str, rest: list[str]
-    ) -> click.Command:
-        """The command with the values of files and environment as its defaults."""
-        settings = read_settings(COMMANDS)
-        if settings.empty:
-            return command
-        from bilprov.analyzer.cli.settings import with_settings
-
-        given = ctx.find_root().params.get("grammar")
-        set_value = settings.values_of(self.path + name).get("grammar")
-        if given is None and set_value is not None:
-            _use_grammar(ctx, ctx.command.params[0], str(set_value.value))
-        command, ctx.default_map = with_settings(
-            command, self.path + name, settings, rest, ctx.find_root().params.get("grammar")
-        )
-        return command
 
     def _unknown(self, ctx: click.Context, error: exceptions.NoSuchCommand) -> click.UsageError:
         names = self.list_commands(ctx)

@@ -59,10 +59,15 @@ def test_wrong_values_are_told_and_nothing_is_made(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_settings_without_a_use_here_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "bilprov.toml").write_text('[sniff]\nrotate = "1h"\nkeep = 3\n')
+def test_settings_without_a_use_here_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "bilprov" / "config.toml"
+    file.parent.mkdir()
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    file.write_text('[sniff]\nrotate = "1h"\nkeep = 3\n')
     assert "no-such-port" in refused("sniff", "no-such-port", cwd=tmp_path)
-    (tmp_path / "bilprov.toml").write_text('[sniff]\nrotate = "1 day"\n')
+    file.write_text('[sniff]\nrotate = "1 day"\n')
     assert "neither a size" in refused("sniff", "no-such-port", cwd=tmp_path)
 
 

@@ -22,6 +22,7 @@ from click.shell_completion import FishComplete, ZshComplete
 
 from bilprov.analyzer.cli import shells
 from bilprov.analyzer.cli.completion import Offered
+from bilprov.analyzer.cli.settings import PortName
 from tests.support import ROOT
 from tests.support.commands import COMMANDS, PATIENCE, command, command_named, process
 
@@ -45,7 +46,6 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov sniff --filter 'name in", ["name in {"]),
         ("bilprov sniff --filter 'latency > 20", ["latency > 20us", "latency > 20ms"]),
         ("bilprov sniff --filter 'latency > 20m", ["latency > 20ms"]),
-        ("bilprov config show snif", ["sniff"]),
         ("bilprov conform s", ["sim"]),
         ("bilprov conform em", ["emulator:simavr:"]),
         ("bilprov conform sim --fault no-stop-on-bad-d", ["no-stop-on-bad-data"]),
@@ -66,7 +66,6 @@ def offered(line: str, grammar: Path | None = None) -> list[str]:
         ("bilprov con", ["config", "conform"]),
         ("bilprov capture c", ["cut", "check"]),
         ("bilprov spec emit ", ["c", "grammar", "wireshark"]),
-        ("bilprov config show capture c", ["cut", "check"]),
         ("bilprov x.mcap --filter 'na", ["name ==", "name !="]),
         ("bilprov conform --prob", ["--probe"]),
     ],
@@ -102,7 +101,7 @@ def test_every_file_port_and_filter_of_every_command_completes() -> None:
         for param in found.params:
             metavar = param.metavar or ""
             if re.match(r"\[?(FILE|PORT|EXPR|ITEM|IN\b|OUT\b)", metavar) and not (
-                isinstance(param.type, Offered | click.Path) or "|sim" in metavar
+                isinstance(param.type, Offered | PortName | click.Path) or "|sim" in metavar
             ):
                 bare.append(f"{name} {metavar}")
 
