@@ -479,32 +479,6 @@ def test_a_grammars_texts_stay_in_the_docstrings_of_a_stub(
 
 
 @pytest.mark.waits
-@pytest.mark.sample(4)
-@pytest.mark.parametrize("quote", ["", "'", '"'])
-def test_what_a_shell_completes_runs_nothing(
-    grammars: tuple[Protocol, Protocol], quote: str, tmp_path: Path
-) -> None:
-    """What bash is offered is evaluated, as it is when somebody presses Enter."""
-    file = tmp_path / "hostile.py"
-    file.write_text(grammars[0].source, encoding="utf-8")
-    line = f"bilprov --grammar {file} encode {quote}Sp"
-
-    for shell, lines, last in (("zsh", 3, "4"), ("fish", 1, f"{quote}Sp")):  # which quote it
-        offered = command(_BILPROV_COMPLETE=f"{shell}_complete", COMP_WORDS=line, COMP_CWORD=last)
-        assert len(seen(offered.stdout.replace(b"\t", b" ")).splitlines()) == lines
-    offered = command(_BILPROV_COMPLETE="bash_complete", COMP_LINE=line, COMP_CURRENT="Sp")
-    values = [line.partition(",")[2] for line in seen(offered.stdout).splitlines()]
-    typed = "".join(f"printf '%s\\n' {quote}{value}{quote}\n" for value in values)
-    done = subprocess.run(
-        ["bash", "--norc"], input=typed.encode(), capture_output=True, cwd=tmp_path, check=False
-    )
-
-    assert done.stderr == b""
-    assert len(done.stdout.splitlines()) == len(values) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["hostile.py"]
-
-
-@pytest.mark.waits
 def test_names_and_devices_stay_in_the_labels_of_a_picture(protocol: Protocol) -> None:
     rows = tuple(Transition(0, Output((at,))) for at in range(len(HOSTILE)))
     machine = Machine((rows,))

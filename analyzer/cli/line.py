@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import click
 
-from bilprov.analyzer.cli.completion import Item, beginning, ports
 from bilprov.analyzer.cli.options import Finite, line_options, note
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.grammar_file import load_protocol
@@ -53,11 +52,6 @@ def _time(name: str, text: str) -> Callable[[Command], Command]:
     return click.option(name, metavar="TIME", default="0", callback=_in_ns, help=text)
 
 
-def _ends(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Item]:
-    own = [(kind.prefix, kind.help) for kind in SERVED]
-    return beginning(incomplete, own) + ports(ctx, param, incomplete)
-
-
 SERVED_IN_WORDS = ", or ".join(kind.help for kind in SERVED)
 
 HELP = f"""\
@@ -86,8 +80,8 @@ shows how many bytes went each way, and how many of them were hit, and how.
 
 
 @click.command(help=HELP)
-@click.argument("a", metavar="A", type=PortName(), shell_complete=_ends)
-@click.argument("b", metavar="B", type=PortName(), shell_complete=_ends)
+@click.argument("a", metavar="A", type=PortName())
+@click.argument("b", metavar="B", type=PortName())
 @_rate("--drop", "Bytes that vanish.")
 @_rate("--flip", "Bytes with one bit flipped.")
 @_rate("--double", "Bytes that come twice.")

@@ -150,7 +150,6 @@ def row_options(command: Command) -> Command:
     command = click.option(
         "--columns",
         metavar="NAME,...",
-        shell_complete=_column_names,
         help="What is shown of each row, like time,name,rgb,latency: keys of the JSON lines, "
         "state.speed and so on, id, len, data, and fields of instructions.",
     )(command)
@@ -162,15 +161,6 @@ def row_options(command: Command) -> Command:
         help="How times are shown: relative, seconds since the start (the usual); delta, since the "
         "row before; absolute, date and time of day here; utc, the same in UTC.",
     )(command)
-
-
-def _column_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.row_columns import columns_of
-
-    before, comma, begun = incomplete.rpartition(",")
-    names = columns_of(load_protocol(ctx.find_root().params.get("grammar")))
-    return [f"{before}{comma}{name}" for name in names if name.startswith(begun.lower())]
 
 
 def row_style(

@@ -137,13 +137,11 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
     "target",
     metavar="PORT|sim|emulator:KIND:FIRMWARE",
     type=PortName(),
-    shell_complete=completion.targets,
 )
 @panel(
     "Device",
     click.option(
         "--probe",
-        shell_complete=completion.probes,
         help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (the default for a "
         "port) "
         "or sim (the target sim's own).",
@@ -184,7 +182,6 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--only",
         multiple=True,
         metavar="GLOB",
-        shell_complete=completion.cases,
         help="Only these cases; * crosses /.",
     ),
     click.option("--list", "listing", is_flag=True, help="List the cases and send nothing."),

@@ -147,7 +147,7 @@ COMMANDS = {
     ),
     "config": Row("Settings", f"{ANALYZER}.config", "config", "Show the settings in force."),
     "completion": Row(
-        "Settings", f"{ANALYZER}.text_commands", "completion", "Print a shell's completion script."
+        "Settings", f"{ANALYZER}.completion", "completion", "Print a shell's completion script."
     ),
 }
 """Every command by its name, those of a group behind the group's name; `help` is not listed."""
@@ -215,9 +215,9 @@ class Tree(Group):
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
         if ctx.resilient_parsing:
-            from bilprov.analyzer.cli.completion import with_completion
+            from bilprov.analyzer.cli.completion import with_files
 
-            with_completion(command)
+            with_files(command)
         elif not any(word in rest for word in HELP_NAMES):
             from bilprov.analyzer.cli.settings import read_settings, use_settings
 
@@ -312,9 +312,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(arguments: list[str]) -> int:
     """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
-    asked = os.environ.get("_BILPROV_COMPLETE")
-    if asked:
-        return _complete(asked)
+    if asked := os.environ.get("_BILPROV_COMPLETE"):
+        from bilprov.analyzer.cli.completion import answer
+
+        return answer(front_door, asked)
     try:
         with front_door.make_context("bilprov", arguments) as context:
             result = front_door.invoke(context)
@@ -323,23 +324,6 @@ def _run(arguments: list[str]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2 if stop.code else 0
     return result if type(result) is int else 0
-
-
-def _complete(asked: str) -> int:
-    """Print what a shell's completion asks for; nothing where the line has an error."""
-    from contextlib import suppress
-
-    from click.shell_completion import shell_complete
-
-    from bilprov.analyzer.cli.completion import with_completion
-    from bilprov.analyzer.cli.shells import register
-    from bilprov.spec.errors import UserError
-
-    register()
-    with_completion(front_door)
-    with suppress(UserError, OSError):
-        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
-    return 0
 
 
 if __name__ == "__main__":

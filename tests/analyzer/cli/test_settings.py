@@ -224,6 +224,7 @@ def test_every_port_of_a_command_may_be_a_named_device() -> None:
         "replay": {"port"},
         "send": {"target"},
         "ports": {"names"},
+        "lab learn": {"target"},
         "lab line": {"a", "b"},
         "conform": {"target"},
     }
