@@ -11,10 +11,9 @@ SOURCES := analyzer benchmarks captures conformance docs examples spec src tests
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST_ARGS ?= -n 4 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs,
-# a reader of exported traffic, a terminal for the screen, shells for their completion, a drawer of
-# graphs.
-PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr qemu-system-misc \
-	gcc-arm-none-eabi qemu-system-arm ser2net socat tshark tmux zsh fish graphviz
+# a reader of exported traffic, a terminal for the screen, a drawer of graphs.
+PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr \
+	ser2net socat tshark tmux graphviz
 
 # Another reader of captures, in JavaScript; npm brings it, where there is one.
 MCAP_JS := @mcap/core@2.2.2 @mcap/support@1.1.0

@@ -16,7 +16,7 @@ enum robot_motion {
     ROBOT_ROTATE_LEFT
 };
 
-/* What the robot does, where a debugger or an emulator finds it: little-endian, without padding. */
+/* What the robot does, where a debugger finds it: little-endian, without padding. */
 #define ROBOT_MAGIC 0x42494c21u
 
 struct robot_state {

@@ -45,7 +45,6 @@ UNUSED = {
     "encode Stop": HEAVY - {"construct", "msgspec"},
     "spec emit c": HEAVY - {"construct", "msgspec"},
     "spec emit wireshark": HEAVY - {"construct", "msgspec"},
-    "export --foxglove-layout": {"serial", "mcap", "numpy", "rich", "pyarrow"},
     "export captures/samples/examples.mcap --format csv -o -": {
         "serial",
         "mcap",

@@ -39,7 +39,6 @@ REPORTS = {
     "export jsonl": "export {runs}/run.mcap --format jsonl -o",
     "export parquet": "export {runs}/run.mcap --format parquet -o",
     "export pcapng": "export {runs}/run.mcap --format pcapng -o",
-    "export layout": "export --foxglove-layout -o",
     "spec emit c": "spec emit c -o",
     "spec emit wireshark": "spec emit wireshark -o",
     "spec emit grammar": "spec emit grammar -o",

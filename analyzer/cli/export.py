@@ -92,12 +92,6 @@ FORMATS = {
 @click.option("--end", type=Finite(0), help="End before this second of the capture.")
 @row_options
 @force_option
-@click.option(
-    "--foxglove-layout",
-    "layout",
-    is_flag=True,
-    help="Write a layout for Foxglove instead, with panels for what a capture holds.",
-)
 @click.pass_obj
 def export(
     grammar: str | None,
@@ -110,7 +104,6 @@ def export(
     time_style: str | None,
     columns: str | None,
     force: bool,
-    layout: bool,
 ) -> None:
     """Write the contents of a capture for other programs.
 
@@ -126,13 +119,6 @@ def export(
     from bilprov.analyzer.grammar_file import load_protocol
 
     protocol = load_protocol(grammar)
-    if layout:
-        _require_alone(path, style)
-        from bilprov.analyzer.export.foxglove_layout import foxglove_layout
-
-        with _opened(output or STANDARD_OUTPUT, [], force, text=True) as stream:
-            stream.write(foxglove_layout(protocol))
-        return
     if path is None or output is None:
         raise click.UsageError(
             "name what to write and where: bilprov export FILE.mcap -o OUT.csv (- is standard "
@@ -161,13 +147,6 @@ def export(
             window=window,
             progress=progress,
             **more,
-        )
-
-
-def _require_alone(path: str | None, style: str | None) -> None:
-    if path is not None or style is not None:
-        raise click.UsageError(
-            "--foxglove-layout is made from the grammar: it takes no capture and no --format"
         )
 
 

@@ -17,6 +17,7 @@ from types import FrameType
 import click
 from click import exceptions
 
+from bilprov.analyzer.cli.settings import as_set, is_setting
 from bilprov.captures.text import escape_controls
 from bilprov.spec.errors import UserError
 
@@ -102,6 +103,13 @@ def _usage(error: click.ClickException) -> str:
     """Convert click's message to one sentence that also says what to do next."""
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
     text = plain_words(text)
+    if (
+        isinstance(error, click.BadParameter)
+        and error.ctx
+        and error.param
+        and is_setting(error.ctx, error.param.name)
+    ):
+        text = f"{text}, {as_set()}"
     if text.startswith(_CLICK_BEGINS):
         text = text[0].lower() + text[1:]
     if isinstance(error, _NO_SUCH) and error.possibilities:

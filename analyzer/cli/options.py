@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from bilprov.analyzer.cli.settings import naming_file
 from bilprov.captures.text import escape_controls
 
 if TYPE_CHECKING:
@@ -149,7 +150,6 @@ def row_options(command: Command) -> Command:
     command = click.option(
         "--columns",
         metavar="NAME,...",
-        shell_complete=_column_names,
         help="What is shown of each row, like time,name,rgb,latency: keys of the JSON lines, "
         "state.speed and so on, id, len, data, and fields of instructions.",
     )(command)
@@ -161,15 +161,6 @@ def row_options(command: Command) -> Command:
         help="How times are shown: relative, seconds since the start (the usual); delta, since the "
         "row before; absolute, date and time of day here; utc, the same in UTC.",
     )(command)
-
-
-def _column_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.row_columns import columns_of
-
-    before, comma, begun = incomplete.rpartition(",")
-    names = columns_of(load_protocol(ctx.find_root().params.get("grammar")))
-    return [f"{before}{comma}{name}" for name in names if name.startswith(begun.lower())]
 
 
 def row_style(
@@ -190,7 +181,8 @@ def row_style(
                 "in seconds since the start"
             )
         return RowStyle()
-    chosen = None if columns is None else chosen_columns(columns, protocol)
+    with naming_file("columns"):
+        chosen = None if columns is None else chosen_columns(columns, protocol)
     if asked_here("time_style") and chosen and TIME not in chosen:
         raise click.UsageError(
             f"--time {time_style} is how the column time is written: name it in --columns too"
@@ -240,7 +232,8 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
         return None
     from bilprov.analyzer.filters.filter import compile_filter
 
-    return compile_filter(expression, protocol)
+    with naming_file("expression"):
+        return compile_filter(expression, protocol)
 
 
 def note(sentence: str) -> None:

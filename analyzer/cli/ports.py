@@ -18,6 +18,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
     text_format_option,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.output.console import show, show_json
 from bilprov.captures.text import escape_controls
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("names", metavar="[PORT]...", nargs=-1)
+@click.argument("names", metavar="[PORT]...", nargs=-1, type=PortName())
 @click.option(
     "--seconds",
     type=Finite(0),
@@ -156,8 +157,7 @@ def _what_may_move(protocol: Protocol, port: str, rates: Sequence[int], seconds:
 
 
 def _require_ports(names: Sequence[str]) -> None:
-    from bilprov.analyzer.settings import SIM
-    from bilprov.analyzer.transport.errors import missing
+    from bilprov.analyzer.transport.errors import SIM, missing
     from bilprov.analyzer.transport.machine import Machine
     from bilprov.captures.parts import kept_parts
 

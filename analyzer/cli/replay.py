@@ -27,6 +27,7 @@ from bilprov.analyzer.cli.options import (
     session_style,
     timeout_option,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import BOTH
@@ -89,6 +90,7 @@ if TYPE_CHECKING:
     "--to",
     "port",
     metavar="PORT",
+    type=PortName(),
     help="Also send the host's bytes to a device there and compare its answers.",
 )
 @plain_option

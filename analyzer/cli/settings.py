@@ -1,160 +1,196 @@
-"""Gives a command the settings of files and environment as the defaults of its options."""
+"""The user's settings: options that hold without being typed, and names of devices.
+
+One file has them, by click's means they are the defaults of a command. Docs: docs/settings.md.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
-from typing import Any
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
+from click.core import ParameterSource
 
-from bilprov.analyzer.cli.failures import plain_words
-from bilprov.analyzer.cli.options import compiled, row_style
-from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.settings import COMMON, PORT, Settings, SettingsError, Value
+from bilprov.analyzer.former_names import former_name
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import Protocol
 
-PORTS = {
-    "sniff": ("host", "device", "bridge"),
-    "replay": ("port",),
-    "send": ("target",),
-    "ports": ("names",),
-    "lab line": ("a", "b"),
-    "conform": ("target",),
-}
-"""The parameters of each command that may be a named device."""
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
+PORT = "port"  # a device's key that its name stands for
+LINE = ("baud", "parity", "stopbits", "truncation-timeout")
+# The keys at the top of the file: they are for every command that has such an option.
+COMMON = ("grammar", *LINE, "probe", "time", "columns", "yes")
+DEVICE_KEYS = (PORT, *LINE, "probe", "power", "yes")  # of a named device
 
-def _columns(names: str, protocol: Protocol) -> object:
-    return row_style(None, names, protocol)
+META = "bilprov.settings"  # the key of the settings in the `meta` of click's contexts
+_DEVICE = "device "  # how the name of a device's table begins
+_MOST = 1 << 20  # bytes of the file
 
-
-_NAMING: Mapping[str, Callable[[str, Protocol], object]] = {
-    "expression": compiled,
-    "columns": _columns,
-}
-"""The parameters whose values have names of the grammar, each with what refuses others."""
+# Values by their key, like `truncation-timeout`, by the table's name: that of a command, like
+# `capture cut`, of a device, like `device car`, or "" for what is for all commands.
+Tables: TypeAlias = Mapping[str, Mapping[str, Any]]
 
 
-def spelling(param: click.Parameter) -> str:
-    """The key of an option in a settings file: its longest spelling without the dashes."""
-    return max(param.opts, key=len).lstrip("-")
+class SettingsError(UserError):
+    """The settings file cannot be used; the message is one sentence with its path."""
 
 
-def options_of(command: click.Command) -> dict[str, click.Parameter]:
-    """The options of a command by their key; those that only print something are no settings."""
-    return {
-        spelling(param): param
-        for param in command.params
-        if isinstance(param, click.Option) and param.expose_value
-    }
+def user_file(environ: Mapping[str, str] = os.environ) -> Path:
+    """The user's file."""
+    home = environ.get("XDG_CONFIG_HOME") or Path(environ.get("HOME", "/")) / ".config"
+    return Path(home, "bilprov", "config.toml")
 
 
-def with_settings(
-    command: click.Command,
-    name: str,
-    settings: Settings,
-    arguments: Sequence[str],
-    grammar: str | None,
-) -> tuple[click.Command, dict[str, Any]]:
-    """The command, for which a device's name stands for its port, and the defaults of its options.
+def read_settings(commands: Iterable[str], environ: Mapping[str, str] = os.environ) -> Tables:
+    """Read the user's file, if there is one; `commands` are the names of the commands.
 
-    The defaults are as click takes them from the context above: by command and parameter. Filters
-    and columns are checked by the grammar that the arguments name, else by `grammar`. Raises
-    SettingsError for a setting that the command does not have, and for a value that its option does
-    not take.
+    Raises SettingsError for a table or key that is not known; those of a command `use_settings`
+    checks.
     """
-    context = command.context_class(command, info_name=name, resilient_parsing=True)
-    given, _, _ = command.make_parser(context).parse_args(list(arguments))
-    if isinstance(given.get("grammar"), str):  # behind the command, which has not taken it yet
-        grammar = given["grammar"]
-    named = _devices_named(name, settings, given)
-    device: dict[str, Value] = {}
-    for values in named.values():
-        device |= values
-    if named:
-        ports = {word: values[PORT].value for word, values in named.items()}
-        command = copy(command)
-        command.params = [
-            _naming_ports(param, ports) if param.name in PORTS[name] else param
-            for param in command.params
-        ]
-    values = settings.values_of(name, device)
-    defaults = _defaults(command, name, values, set(device), grammar)
-    return command, {name.rpartition(" ")[2]: defaults}
+    file = user_file(environ)
+    try:
+        if not file.exists():
+            return {}
+        import tomllib
+
+        from bilprov.analyzer.files import read_bounded
+
+        tables = dict(_tables(tomllib.loads(read_bounded(file, _MOST).decode())))
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else printable(error)
+        raise SettingsError(f"the settings {printable(file)} cannot be read: {why}") from error
+    for name, values in tables.items():
+        if wrong := _wrong(name, values, commands):
+            raise _error(file, name, wrong)
+    return tables
 
 
-def _devices_named(
-    name: str, settings: Settings, given: Mapping[str, Any]
-) -> dict[str, dict[str, Value]]:
-    """The devices that the parsed arguments name, by the word that does."""
-    words: set[str] = set()
-    for port in PORTS.get(name, ()):
-        value = given.get(port)
-        words |= {value} if isinstance(value, str) else set()
-        words |= set(value) if isinstance(value, list | tuple) else set()
-    found = {word: settings.device(word) for word in words}
-    return {word: device for word, device in found.items() if device is not None}
+def _tables(values: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the name and the own values of a table and of those below it."""
+    own = {key: value for key, value in values.items() if not isinstance(value, dict)}
+    yield name, {key.replace("_", "-"): value for key, value in own.items()}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _tables(value, f"{name} {key}".strip())
 
 
-def _naming_ports(param: click.Parameter, ports: Mapping[str, Any]) -> click.Parameter:
-    """The parameter, converting a device's name to its port."""
-    kind = copy(param.type)
-    convert = kind.convert
-
-    def named(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return convert(ports.get(value, value), param, ctx)
-
-    kind.convert = named  # type: ignore[method-assign]
-    other = copy(param)
-    other.type = kind
-    return other
+def _wrong(name: str, values: Mapping[str, Any], commands: Iterable[str]) -> str:
+    """What is wrong with a table, "" if it is fine."""
+    if name and not f"{name} ".startswith(_DEVICE):
+        return former_name(name) or unknown([name], commands, "a command")
+    device = name.removeprefix(_DEVICE)
+    if (name and not device.replace("-", "").replace("_", "").isalnum()) or device == "sim":
+        return "a device's name is letters, digits, - and _, and not sim"
+    if name != device and PORT not in values:
+        return f"a device needs a {PORT}: add {PORT} = PATH or URL"
+    return unknown(values, DEVICE_KEYS if name else COMMON, f"a setting of {device or 'all'}")
 
 
-def _defaults(
-    command: click.Command,
-    name: str,
-    values: Mapping[str, Value],
-    device: set[str],
-    grammar: str | None,
-) -> dict[str, Any]:
-    """The values by parameter, as click would have converted them. Raises SettingsError."""
-    options = options_of(command)
-    context = click.Context(command, info_name=name)
-    defaults: dict[str, Any] = {}
-    for key, (value, source) in values.items():
-        option = options.get(key)
-        if option is None or option.name is None:
-            if key in COMMON or key in device:  # for other commands
-                continue
+def unknown(words: Iterable[str], known: Iterable[str], what: str) -> str:
+    """What is wrong with the first word that is not known, "" if all are."""
+    for word in words:
+        if word not in known:
             from difflib import get_close_matches
 
-            near = get_close_matches(key, options, n=1)
-            meant = f", did you mean {near[0]}?" if near else f"; see bilprov {name} --help"
-            raise SettingsError(f"{source}: {name} has no option {printable(key)}{meant}")
-        if option.multiple and isinstance(value, str):
-            value = value.split()
-        if isinstance(value, list) and not option.multiple:
-            raise SettingsError(f"{source}: {key} is a list, allowed is one value")
-        given = _as_typed(value, option)
-        checked = _NAMING.get(option.name)
-        protocol = load_protocol(grammar) if checked else None
-        try:
-            option.type_cast_value(context, given)
-            if checked and protocol:
-                checked(str(value), protocol)
-        except (click.BadParameter, UserError) as error:
-            said = plain_words(str(error))
-            raise SettingsError(f"{source}: {key} = {printable(value)}: {said}") from error
-        defaults[option.name] = given
-    return defaults
+            near = get_close_matches(word, list(known), n=1)
+            meant = f", did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+            return f"{printable(word)} is not {what}{meant}"
+    return ""
 
 
-def _as_typed(value: Any, option: click.Parameter) -> Any:
-    """A value as it would be typed: click converts texts, and trips over numbers of other kinds."""
-    if isinstance(value, list):
-        return [_as_typed(part, option) for part in value]
-    is_flag = isinstance(option, click.Option) and option.is_flag
-    return value if isinstance(value, bool) and is_flag else str(value)
+def _error(file: Path, table: str, wrong: str) -> SettingsError:
+    where = f" [{printable(table).replace(' ', '.')}]" if table else ""
+    return SettingsError(f"{printable(file)}{where}: {wrong}")
+
+
+def use_settings(ctx: click.Context, command: click.Command, name: str, tables: Tables) -> None:
+    """Let a command that is called below `ctx` have the settings. Raises SettingsError.
+
+    A grammar that is named before the command comes before that of the settings.
+    """
+    ctx.meta[META] = tables
+    own = tables.get(name, {})
+    if wrong := unknown(own, _options(command), f"an option of {name}"):
+        raise _error(user_file(), name, wrong)
+    defaults = _defaults(command, {**tables.get("", {}), **own})
+    if ctx.find_root().params.get("grammar") is not None:
+        defaults.pop("grammar", None)
+    ctx.default_map = {name.rpartition(" ")[2]: defaults}
+
+
+def _options(command: click.Command) -> dict[str, click.Option]:
+    """The options of a command by their key in the file: the longest spelling without dashes."""
+    options = (param for param in command.params if isinstance(param, click.Option))
+    return {max(option.opts, key=len).lstrip("-"): option for option in options}
+
+
+def _defaults(command: click.Command, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a command's options by parameter, as if they were typed."""
+    found: dict[str, Any] = {}
+    for key, option in _options(command).items():
+        value = values.get(key)
+        parts = value if isinstance(value, list) else [] if value is None else [value]
+        if "\0" in "".join(map(str, parts)) or (isinstance(value, list) and not option.multiple):
+            raise SettingsError(f"{key} must be one value without NUL characters, {as_set()}")
+        # Click converts texts, and trips over numbers of other kinds.
+        typed = [part if option.is_flag and isinstance(part, bool) else str(part) for part in parts]
+        if typed:
+            found[str(option.name)] = typed if option.multiple else typed[0]
+    return found
+
+
+class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments since click 8.5
+    """A port, or the name of a device of the settings, which then also brings its options.
+
+    Click converts what is typed before it takes defaults, so those of the device come in time. A
+    path is never a name, and where a file is called so, it is meant.
+    """
+
+    name = "text"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The port that is meant."""
+        device = ctx.meta.get(META, {}).get(f"{_DEVICE}{value}") if ctx else None
+        if not ctx or not device or is_setting(ctx, param) or Path(value).exists():
+            return str(value)
+        ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx.command, device)}
+        return str(device[PORT])
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """The ports of this machine, or files where none begins so."""
+        from click.shell_completion import CompletionItem
+
+        from bilprov.analyzer.transport.ports import list_ports
+
+        found = [port for port in list_ports() if port.path.startswith(incomplete)]
+        items = [CompletionItem(port.path, help=port.description) for port in found]
+        return items or [CompletionItem(incomplete, type="file")]
+
+
+def is_setting(ctx: click.Context | None, parameter: click.Parameter | str | None) -> bool:
+    """Whether a parameter has its value from the settings, and not from the command line."""
+    name = str(parameter.name if isinstance(parameter, click.Parameter) else parameter)
+    return ctx is not None and ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+
+
+def as_set() -> str:
+    """The words for the place of a setting."""
+    return f"as set in {printable(user_file())}"
+
+
+@contextmanager
+def naming_file(parameter: str) -> Iterator[None]:
+    """Add the settings file to the error about a parameter's value that is from there."""
+    try:
+        yield
+    except UserError as error:
+        if is_setting(click.get_current_context(), parameter):
+            raise SettingsError(f"{error}, {as_set()}") from error
+        raise

@@ -32,6 +32,7 @@ from bilprov.analyzer.cli.options import (
     session_style,
     timeout_option,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import load_protocol
@@ -49,9 +50,8 @@ from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.replay.spool import Spool
-from bilprov.analyzer.settings import SIM
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
-from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
 from bilprov.analyzer.transport.replug import opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
@@ -71,13 +71,16 @@ def tap_options(command: Command) -> Command:
     """Add the option of each kind of tap that has one, under the option's name."""
     for tap in reversed(TAPS):
         if tap.option:
-            command = click.option(f"--{tap.option}", metavar=tap.metavar, help=tap.help)(command)
+            option = click.option(
+                f"--{tap.option}", metavar=tap.metavar, type=PortName(), help=tap.help
+            )
+            command = option(command)
     return command
 
 
 @click.command()
-@click.argument("host", required=False)
-@click.argument("device", required=False)
+@click.argument("host", required=False, type=PortName())
+@click.argument("device", required=False, type=PortName())
 @tap_options
 @click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
 @click.option(

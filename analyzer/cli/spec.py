@@ -51,14 +51,8 @@ def _require_document(protocol: Protocol, what: str) -> None:
         )
 
 
-def _reading_ids(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    from bilprov.spec.readings import READINGS
-
-    return [r.id for r in READINGS if r.id.lower().startswith(incomplete.lower())]
-
-
 @click.command("readings")
-@click.argument("ids", metavar="[ID]...", nargs=-1, shell_complete=_reading_ids)
+@click.argument("ids", metavar="[ID]...", nargs=-1)
 @text_format_option
 @click.pass_obj
 def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None:

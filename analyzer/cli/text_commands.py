@@ -1,4 +1,4 @@
-"""The text commands: explain, encode, completion."""
+"""The text commands: explain, encode."""
 
 from __future__ import annotations
 
@@ -76,34 +76,3 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
         sys.stdout.buffer.write(frame)
     else:
         click.echo(spaced(frame))
-
-
-# How to install the completion script permanently in each shell.
-INSTALL = {
-    "bash": 'eval "$(bilprov completion bash)" in ~/.bashrc',
-    "zsh": 'eval "$(bilprov completion zsh)" in ~/.zshrc, after compinit',
-    "fish": "bilprov completion fish > ~/.config/fish/completions/bilprov.fish",
-}
-
-
-@click.command(
-    epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items()),
-)
-@click.argument("shell", type=click.Choice(list(INSTALL)))
-@click.pass_context
-def completion(ctx: click.Context, shell: str) -> None:
-    """Print the script that completes bilprov's subcommands, options and names in a shell.
-
-    Examples:
-      bilprov completion bash
-    """
-    from click.shell_completion import get_completion_class
-
-    from bilprov.analyzer.cli.shells import register
-
-    register()
-    made = get_completion_class(shell)
-    if made is None:
-        raise click.ClickException(f"click knows no completion for {shell}")
-    root = ctx.find_root()
-    click.echo(made(root.command, {}, "bilprov", "_BILPROV_COMPLETE").source())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -47,8 +47,7 @@ class Page(click.HelpFormatter):
             examples = examples_in(paragraph)
             if examples:
                 self._write("", f"{margin}{_EXAMPLES}", bold=True)
-                for line in examples:
-                    self._write_example(line, f"{margin}  ")
+                self.write("".join(f"{margin}  {line}\n" for line in examples))
             else:
                 self._write(" ".join(paragraph.split()), margin)
 
@@ -70,17 +69,6 @@ class Page(click.HelpFormatter):
                 self._write("", margin + term)
                 term = ""
             self._write(text, margin + term.ljust(column + col_spacing))
-
-    def _write_example(self, line: str, margin: str) -> None:
-        """Write a command line; one that is too long goes on as a shell reads it."""
-        from textwrap import wrap
-
-        room = self.width - len(margin) - 2
-        parts = [line]
-        if len(line) > room + 2:
-            parts = wrap(line, room, subsequent_indent="  ", break_on_hyphens=False)
-        self.write("".join(f"{margin}{part} \\\n" for part in parts[:-1]))
-        self.write(f"{margin}{parts[-1]}\n")
 
     def _write(self, text: str, lead: str, *, bold: bool = False) -> None:
         """Write `lead`, its names in colour or bold, and the text wrapped to the right of it."""
@@ -183,15 +171,6 @@ def with_pages(command: click.Command) -> click.Command:
     for below in command.commands.values() if isinstance(command, click.Group) else ():
         with_pages(below)
     return command
-
-
-def command_names(group: click.Command, ctx: click.Context, path: str = "") -> Iterator[str]:
-    """Yield the names of all commands below a group, groups among them, like `capture cut`."""
-    for name in group.list_commands(ctx) if isinstance(group, click.Group) else ():
-        yield f"{path}{name}"
-        below = group.get_command(ctx, name) if isinstance(group, click.Group) else None
-        if below is not None:
-            yield from command_names(below, ctx, f"{path}{name} ")
 
 
 def _columns() -> int:

@@ -10,14 +10,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from random import Random
-from typing import Literal
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back
-
-
-Harm = Literal["", "flipped", "dropped", "doubled"]
-
-_BITS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +28,13 @@ class Noise:
     def __post_init__(self) -> None:
         chances = (self.flipped, self.dropped, self.doubled)
         if not (all(chance >= 0 for chance in chances) and sum(chances) <= 1):  # nor is nan
-            raise ValueError(
-                f"the noise is {self.flipped:g} flipped, {self.dropped:g} dropped and "
-                f"{self.doubled:g} doubled; each is 0 to 1, and all of them together at most 1"
-            )
+            raise ValueError(f"the rates are {chances}: each is 0 to 1, together at most 1")
 
-    def impair(self, byte: int, chance: Random) -> tuple[Harm, bytes]:
+    def impair(self, byte: int, chance: Random) -> tuple[str, bytes]:
         """Apply the noise to a byte; return the effect ("" for none) and the bytes that arrive."""
         drawn = chance.random()
         if drawn < self.flipped:
-            return "flipped", bytes([byte ^ 1 << chance.randrange(_BITS)])
+            return "flipped", bytes([byte ^ 1 << chance.randrange(8)])
         if drawn < self.flipped + self.dropped:
             return "dropped", b""
         if drawn < self.flipped + self.dropped + self.doubled:
@@ -59,24 +50,17 @@ class Noise:
 class LineFaults:
     """The faults of a line: noise and delays.
 
-    With probability `late` (0 to 1) a byte is held back by `delay` ns plus 0 to `jitter` ns, evenly
-    distributed; other bytes are not held back. Raises ValueError for a probability outside 0 to 1
-    and for times below 0 or, together, above 60 s.
+    A byte is held back by `delay` ns plus 0 to `jitter` ns, evenly distributed. Raises ValueError
+    for times below 0 or, together, above 60 s.
     """
 
     noise: Noise = field(default_factory=Noise)
     delay: int = 0
     jitter: int = 0
-    late: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.late <= 1:
-            raise ValueError(f"the chance to be late is {self.late:g}, allowed are 0 to 1")
         if min(self.delay, self.jitter) < 0 or self.delay + self.jitter > LONGEST:
-            raise ValueError(
-                f"delay and jitter are {self.delay / 1e6:g} and {self.jitter / 1e6:g} ms, allowed "
-                f"are times from 0, together at most {LONGEST // 10**9} s"
-            )
+            raise ValueError("delay and jitter are times from 0, together at most 60 s")
 
 
 class ImpairedDirection:
@@ -92,7 +76,7 @@ class ImpairedDirection:
         self._faults = faults
         self._harm = Random(f"{seed} harm {name}")
         self._times = Random(f"{seed} times {name}")
-        self._waiting: deque[tuple[int, bytearray]] = deque()  # due time (ns) and bytes, in order
+        self._waiting: deque[tuple[int, bytes]] = deque()  # due time (ns) and bytes, in order
 
     @property
     def deadline(self) -> int | None:
@@ -104,12 +88,14 @@ class ImpairedDirection:
         for byte in data:
             self.came += 1
             harm, arriving = self._faults.noise.impair(byte, self._harm)
-            held = self._held()
+            self._times.random()  # once chose late bytes; with it a seed still means the same times
+            held = self._faults.delay + round(self._times.random() * self._faults.jitter)
             if harm:
                 setattr(self, harm, getattr(self, harm) + 1)
             if arriving:
                 self.delayed += held > 0
-                self._send(arriving, now + held)
+                earlier = self._waiting[-1][0] if self._waiting else 0  # which it does not overtake
+                self._waiting.append((max(now + held, earlier), arriving))
 
     def take(self, now: int) -> bytes:
         """Take out the bytes that are due at `now` (ns), in the order in which they came."""
@@ -124,17 +110,3 @@ class ImpairedDirection:
             f"{self.name}: {self.came} bytes, {self.dropped} dropped, {self.flipped} flipped, "
             f"{self.doubled} doubled, {self.delayed} delayed"
         )
-
-    def _held(self) -> int:
-        """Draw the delay (ns) of the next byte; each byte draws the same number of times."""
-        late, more = self._times.random(), self._times.random()
-        if late >= self._faults.late:
-            return 0
-        return self._faults.delay + round(more * self._faults.jitter)
-
-    def _send(self, data: bytes, due: int) -> None:
-        """Queue `data` for the time `due` (ns), but never before bytes that came earlier."""
-        if self._waiting and due <= self._waiting[-1][0]:
-            self._waiting[-1][1].extend(data)
-        else:
-            self._waiting.append((due, bytearray(data)))

@@ -9,9 +9,10 @@ from pathlib import Path
 from shlex import quote
 from urllib.parse import urlsplit
 
-from bilprov.analyzer.settings import SIM
 from bilprov.analyzer.transport.machine import Held, Machine, Process
 from bilprov.spec.errors import UserError
+
+SIM = "sim"  # a target that is no port
 
 _OPENING = {
     errno.EISDIR: "{name} is a folder, not a serial port; see `bilprov ports`",

@@ -11,9 +11,14 @@ import click
 from benchmarks.fuzz.engine import Target, Test, encoded, folder, require
 from benchmarks.fuzz.mutators import json_mutator, words_mutator
 from bilprov.__main__ import COMMANDS, front_door
-from bilprov.analyzer.cli.settings import with_settings
+from bilprov.analyzer.cli.settings import (
+    COMMON,
+    SettingsError,
+    read_settings,
+    use_settings,
+    user_file,
+)
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.settings import COMMON, PROJECT_FILE, SettingsError, read_settings, user_file
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.probes import ProbeError, parse_look
 from bilprov.conformance.oracle.profile import profile_from, profile_text
@@ -90,27 +95,21 @@ def _profile_words() -> tuple[str, ...]:
 
 
 def settings() -> Test:
-    """A settings file, once as the user's own and once as that of a project; all commands."""
-    own = folder()
-    environ = {"XDG_CONFIG_HOME": str(own)}
+    """The user's settings file, and what some commands make of it."""
+    environ = {"XDG_CONFIG_HOME": str(folder())}
     file = user_file(environ)
     file.parent.mkdir(exist_ok=True)
-    here = own / "here"
-    here.mkdir(exist_ok=True)
     commands = {name: _command(name) for name in ("sniff", "send", "export", "lab line")}
 
     def test(data: bytes) -> Hashable:
-        foreign = data[:1] == b"\n"
-        where = here / PROJECT_FILE if foreign else file
-        where.write_bytes(data)
-        try:
-            with contextlib.chdir(here), click.Context(front_door):
-                found = read_settings(COMMANDS, environ)
-                for name, command in commands.items():
-                    with_settings(command, name, found, ["car"], None)
-        finally:
-            where.unlink()
-        return foreign, found.empty, len(found.devices), len(found.layers[not foreign].commands)
+        file.write_bytes(data)
+        found = read_settings(COMMANDS, environ)
+        with click.Context(front_door, info_name="bilprov") as ctx:
+            for name, command in commands.items():
+                use_settings(ctx, command, name, found)
+                with contextlib.suppress(click.UsageError):
+                    command.make_context(name.rpartition(" ")[2], ["car", "car"], parent=ctx)
+        return len(found), sum(map(len, found.values()))
 
     return test
 

@@ -11,7 +11,6 @@ import click
 
 from benchmarks.fuzz.engine import Target, Test, encoded, require
 from benchmarks.fuzz.mutators import words_mutator
-from bilprov.analyzer.cli.line import nanoseconds
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, bytes_or_pause
 from bilprov.analyzer.decode.batch import Batch, Records
@@ -175,7 +174,7 @@ def values() -> Test:
         return parse_allowed(protocol, (text,))
 
     conversions: tuple[Callable[[str], Any], ...] = (
-        *(nanoseconds, instant, parse_address, shard_named, columns_in, allowed_in),
+        *(instant, parse_address, shard_named, columns_in, allowed_in),
         lambda text: _FINITE.convert(text, None, None),
         lambda text: str(line_named(protocol, text)),
     )

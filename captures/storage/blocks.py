@@ -81,9 +81,7 @@ class Messages:
         """The data of some rows, joined in order."""
         start, size = self.start[rows], (self.end - self.start)[rows]
         before = np.cumsum(size) - size
-        if int(size.sum()) > _SMALL * len(
-            size
-        ):  # places of bytes take 8 times as much
+        if int(size.sum()) > _SMALL * len(size):  # places of bytes take 8 times as much
             ends = self.end[rows].tolist()
             parts = [self.content[a:b] for a, b in zip(start.tolist(), ends, strict=True)]
             return np.frombuffer(b"".join(parts), np.uint8)

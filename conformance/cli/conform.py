@@ -25,6 +25,7 @@ from bilprov.analyzer.cli.options import (
     note_hindrances,
     note_suspension,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.help import PanelCommand, panel
@@ -133,13 +134,14 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
 
 @click.command(cls=PanelCommand)
 @click.argument(
-    "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
+    "target",
+    metavar="PORT|sim|emulator:KIND:FIRMWARE",
+    type=PortName(),
 )
 @panel(
     "Device",
     click.option(
         "--probe",
-        shell_complete=completion.probes,
         help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (the default for a "
         "port) "
         "or sim (the target sim's own).",
@@ -180,7 +182,6 @@ def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
         "--only",
         multiple=True,
         metavar="GLOB",
-        shell_complete=completion.cases,
         help="Only these cases; * crosses /.",
     ),
     click.option("--list", "listing", is_flag=True, help="List the cases and send nothing."),
@@ -279,7 +280,7 @@ def conform(
       bilprov conform /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
     PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
-    virtual time; emulator:simavr:FILE.elf and emulator:qemu:FILE.elf run a board's firmware.
+    virtual time; emulator:simavr:FILE.elf runs a board's firmware.
 
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. If a file or the output on the screen cannot be written, the run

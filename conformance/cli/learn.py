@@ -19,6 +19,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
 )
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.signals import Stopper
@@ -56,12 +57,9 @@ class NotUsable(UserError):
 
 
 @click.command()
-@click.argument(
-    "target", metavar="PORT|sim|emulator:KIND:FIRMWARE", shell_complete=completion.targets
-)
+@click.argument("target", metavar="PORT|sim|emulator:KIND:FIRMWARE", type=PortName())
 @click.option(
     "--probe",
-    shell_complete=completion.probes,
     help=f"What sees the robot: {', '.join(k.form for k in PROBES)} (the default for a port) or "
     "sim (the target sim's own).",
 )

@@ -16,18 +16,18 @@ from bilprov.analyzer.cli.options import (
     max_drive_option,
     timeout_option,
 )
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.text import printable
-from bilprov.conformance.cli import completion
 from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
 
 
 @click.command()
-@click.argument("target", metavar="PORT|sim")
+@click.argument("target", metavar="PORT|sim", type=PortName())
 @click.argument("items", nargs=-1, metavar="[ITEM]...")
 @click.option("--together", is_flag=True, help="Send the ITEMs without waiting for the answers.")
 @click.option(
@@ -43,7 +43,6 @@ from bilprov.spec.protocol import Protocol
 )
 @click.option(
     "--probe",
-    shell_complete=completion.probes,
     help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (the "
     "default for a port) or sim (the target sim's own).",
 )

@@ -18,7 +18,6 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import named_device
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import BOARD, QEMU
 from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 from bilprov.spec.protocol import Protocol
 
@@ -124,15 +123,9 @@ def simulate(
 def _board(protocol: Protocol, firmware: Path) -> Iterator[PacedBoard]:
     """Run firmware at the pace of the wall clock. Raises EmulatorError if it cannot be run."""
     from bilprov.conformance.dut.boards import EmulatorError
-    from bilprov.conformance.dut.boards.elf import ARM, architecture
     from bilprov.conformance.dut.boards.paced import PacedBoard
     from bilprov.conformance.dut.boards.simavr import SimavrBoard
 
-    if architecture(firmware) == ARM:
-        raise EmulatorError(
-            f"{firmware} is for an ARM, and simavr runs only AVR: QEMU takes it, with "
-            f"bilprov conform {BOARD}{QEMU}:{firmware}"
-        )
     with closing(SimavrBoard(firmware)) as board:
         board.look(0)  # boots it
         if board.crashed:

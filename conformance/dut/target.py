@@ -28,7 +28,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.protocol import Protocol
 
-SIM, SIMAVR, QEMU, PORT = "sim", "simavr", "qemu", "port"
+SIM, SIMAVR, PORT = "sim", "simavr", "port"
 """The kinds of target."""
 BOARD = "emulator:"
 """How the name of an emulated board begins."""
@@ -63,11 +63,8 @@ def target_named(text: str) -> TargetName:
     if not text.startswith(BOARD):
         return TargetName(text, PORT)
     kind, _, file = text.removeprefix(BOARD).partition(":")
-    if kind not in (SIMAVR, QEMU) or not file:
-        raise ValueError(
-            f"{text!r} names no board: write {BOARD}{SIMAVR}:FIRMWARE.elf or "
-            f"{BOARD}{QEMU}:FIRMWARE.elf"
-        )
+    if kind != SIMAVR or not file:
+        raise ValueError(f"{text!r} names no board: write {BOARD}{SIMAVR}:FIRMWARE.elf")
     if not Path(file).is_file():
         raise ValueError(f"there is no firmware {file}; build it with: make -C firmware")
     return TargetName(text, kind, Path(file))
@@ -145,13 +142,6 @@ def open_target(
             target = device_target(protocol, board, name=name.text, probe=SIMAVR)
             crash = f"{name.firmware} crashed: the board has been silent since"
             target = replace(target, remark=lambda: crash if board.crashed else "")
-        elif name.kind == QEMU:
-            from bilprov.conformance.dut.boards.qemu import running
-
-            settings = line_settings(protocol, None, None, None)
-            port, machine = stack.enter_context(running(name.firmware, settings))
-            power = machine.power_cycle
-            target = _port_target(protocol, port, machine, QEMU, stopper, power, name.text)
         else:
             settings = settings or line_settings(protocol, None, None, None)
             port = stack.enter_context(open_port(name.text, settings))
@@ -164,7 +154,7 @@ def open_target(
                     f"{port.name} could not be found again once it is lost: --reconnect is for "
                     "paths of adapters and for links to them"
                 )
-            target = _port_target(protocol, port, eye, probe, stopper, power, port.name, reconnect)
+            target = _port_target(protocol, port, eye, probe, stopper, power, reconnect)
         moves = name.kind == PORT
         yield replace(target, interrupted=lambda: stopper.stopped, moves=moves)
 
@@ -208,15 +198,13 @@ def _port_target(
     probe_name: str,
     stopper: Stopper,
     power: Power | None,
-    name: str,
-    reconnect: float = 0.0,
+    reconnect: float,
 ) -> Target:
     """An open port as a target in real time."""
     observability = Observability(available=False)
     if probe is not None:
         why = f"{probe_name} is asked only about a few cases"
-        foreign = probe_name != QEMU
-        observability = Observability(True, probe.costly, why, foreign)
+        observability = Observability(True, probe.costly, why, foreign=True)
     line = port.settings
     about = {
         "kind": "port",
@@ -234,7 +222,7 @@ def _port_target(
 
     return Target(
         protocol,
-        Environment(False, observability, power is not None, name, about),
+        Environment(False, observability, power is not None, port.name, about),
         connect=lambda listener: PortLink(
             port, probe, stopper.fileno(), listener, power, reconnect
         ),

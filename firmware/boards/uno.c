@@ -173,13 +173,9 @@ static uint8_t is_over(void)
     return now > ROBOT_CAR_TRUNCATION_TIMEOUT_MS;
 }
 
-/* Sleep until the next interrupt, which is the next tick at the latest.
- *
- * AWAKE leaves that out: QEMU's AVR does not go on behind a sleep.
- */
+/* Sleep until the next interrupt, which is the next tick at the latest. */
 static void rest(void)
 {
-#ifndef AWAKE
     cli();
     if (ring_empty(&received) && !byte_lost) {
         sleep_enable();
@@ -188,7 +184,6 @@ static void rest(void)
         sleep_disable();
     }
     sei();
-#endif
 }
 
 /* Tell the robot; a byte that came meanwhile is one that it would throw away. */

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import click
 from click import exceptions
 
+from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.output.help import HELP_NAMES, Group, with_pages
-from bilprov.analyzer.settings import former_name, read_settings
 from bilprov.analyzer.transport.ending import exit_status
 
 
@@ -145,23 +145,9 @@ COMMANDS = {
     "spec emit grammar": Row(
         "", f"{ANALYZER}.spec", "spec_emit_grammar", "The grammar's own text, to be changed."
     ),
-    "config": Row(
-        "Settings",
-        "",
-        "",
-        """Show settings and where they are set.
-
-        Examples:
-          bilprov config show
-          bilprov config show sniff
-
-        Settings are read from config.toml in $XDG_CONFIG_HOME/bilprov (or ~/.config/bilprov), from
-        bilprov.toml in the working folder, and from the environment. Options override all of them.
-        """,
-    ),
-    "config show": Row("", f"{ANALYZER}.config", "show", "Show every setting and its source."),
+    "config": Row("Settings", f"{ANALYZER}.config", "config", "Show the settings in force."),
     "completion": Row(
-        "Settings", f"{ANALYZER}.text_commands", "completion", "Print a shell's completion script."
+        "Settings", f"{ANALYZER}.completion", "completion", "Print a shell's completion script."
     ),
 }
 """Every command by its name, those of a group behind the group's name; `help` is not listed."""
@@ -229,30 +215,14 @@ class Tree(Group):
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
         if ctx.resilient_parsing:
-            from bilprov.analyzer.cli.completion import with_completion
+            from bilprov.analyzer.cli.completion import with_files
 
-            with_completion(command)
+            with_files(command)
         elif not any(word in rest for word in HELP_NAMES):
-            command = self._with_settings(ctx, command, name, rest)
+            from bilprov.analyzer.cli.settings import read_settings, use_settings
+
+            use_settings(ctx, command, self.path + name, read_settings(COMMANDS))
         return name, command, rest
-
-    def _with_settings(
-        self, ctx: click.Context, command: click.Command, name: str, rest: list[str]
-    ) -> click.Command:
-        """The command with the values of files and environment as its defaults."""
-        settings = read_settings(COMMANDS)
-        if settings.empty:
-            return command
-        from bilprov.analyzer.cli.settings import with_settings
-
-        given = ctx.find_root().params.get("grammar")
-        set_value = settings.values_of(self.path + name).get("grammar")
-        if given is None and set_value is not None:
-            _use_grammar(ctx, ctx.command.params[0], str(set_value.value))
-        command, ctx.default_map = with_settings(
-            command, self.path + name, settings, rest, ctx.find_root().params.get("grammar")
-        )
-        return command
 
     def _unknown(self, ctx: click.Context, error: exceptions.NoSuchCommand) -> click.UsageError:
         names = self.list_commands(ctx)
@@ -342,9 +312,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(arguments: list[str]) -> int:
     """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
-    asked = os.environ.get("_BILPROV_COMPLETE")
-    if asked:
-        return _complete(asked)
+    if asked := os.environ.get("_BILPROV_COMPLETE"):
+        from bilprov.analyzer.cli.completion import answer
+
+        return answer(front_door, asked)
     try:
         with front_door.make_context("bilprov", arguments) as context:
             result = front_door.invoke(context)
@@ -353,23 +324,6 @@ def _run(arguments: list[str]) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2 if stop.code else 0
     return result if type(result) is int else 0
-
-
-def _complete(asked: str) -> int:
-    """Print what a shell's completion asks for; nothing where the line has an error."""
-    from contextlib import suppress
-
-    from click.shell_completion import shell_complete
-
-    from bilprov.analyzer.cli.completion import with_completion
-    from bilprov.analyzer.cli.shells import register
-    from bilprov.spec.errors import UserError
-
-    register()
-    with_completion(front_door)
-    with suppress(UserError, OSError):
-        return shell_complete(front_door, {}, "bilprov", "_BILPROV_COMPLETE", asked)
-    return 0
 
 
 if __name__ == "__main__":

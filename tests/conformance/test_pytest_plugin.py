@@ -18,7 +18,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.firmware import AVR, QEMU, built
+from tests.support.firmware import AVR, built
 from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, simulate
 
 pytestmark = pytest.mark.waits
@@ -299,8 +299,7 @@ WRONG = [
     (("--robot-port", "sim", "--robot-probe", "none"), "brings its own probe"),
     (("--robot-port", "emulator:simavr:none.elf"), "there is no firmware none.elf"),
     (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
-    (("--robot-port", f"emulator:qemu:{__file__}"), "is not an ELF file"),
-    (("--robot-port", f"emulator:qemu:{__file__}", "--robot-probe", "ask"), "brings its own"),
+    (("--robot-port", f"emulator:simavr:{__file__}", "--robot-probe", "ask"), "brings its own"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]
 
@@ -386,20 +385,14 @@ def test_the_fixture_has_the_instructions_as_methods_too(run: pytest.Pytester) -
     refused.stdout.fnmatch_lines(["*Refused: LED rgb=5 (R B) (81 05) was answered BAD_HEADER*"])
 
 
-@pytest.mark.parametrize(
-    ("kind", "switches"),
-    [pytest.param("simavr", "", marks=AVR), pytest.param("qemu", "-DAWAKE", marks=QEMU)],
-)
-def test_a_board_s_firmware_is_judged_and_driven(
-    run: pytest.Pytester, kind: str, switches: str
-) -> None:
+@AVR
+def test_a_board_s_firmware_is_judged_and_driven(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine=MINE)
-    target = f"emulator:{kind}:{built(switches)}"
+    target = f"emulator:simavr:{built()}"
 
     result = pytested(run, "-rs", "--robot-port", target, *FEW, "test_mine.py", "conformance")
 
-    unsure = unjudged(result) if kind == "qemu" else 0
-    result.assert_outcomes(passed=19 + PROBES - unsure, failed=1, skipped=unsure)
+    result.assert_outcomes(passed=19 + PROBES, failed=1)
 
 
 def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.Pytester) -> None:

@@ -3,12 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import select
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,10 +11,9 @@ import pytest
 
 from bilprov.conformance.dut.boards import EmulatorError, libsimavr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from tests.support import ROOT
 from tests.support.commands import command, process
-from tests.support.firmware import AVR, QEMU, built, emulator_of
-from tests.support.robots import PATIENCE, sentence, unwell
+from tests.support.firmware import AVR, built
+from tests.support.robots import sentence
 
 pytestmark = pytest.mark.waits
 
@@ -45,76 +38,6 @@ def test_a_board_with_a_bug_does_not_conform() -> None:
     target = f"emulator:simavr:{built('-DBUG_STOP_KEEPS_PWM')}"
 
     assert process("conform", target, "--level", "smoke", "--fail-fast").returncode == 1
-
-
-@QEMU
-def test_a_board_under_qemu_conforms() -> None:
-    target = f"emulator:qemu:{built('-DAWAKE')}"
-    result = process("conform", target, "--level", "smoke", "--json", "-", timeout=110)
-
-    assert unwell(result) == {}  # nothing is skipped: its power is switched too
-    report = msgspec.json.decode(result.stdout)
-    assert (report["device"], report["link"]["probe"]) == (target, "qemu")
-
-
-def judging_under_qemu() -> subprocess.Popen[bytes]:
-    """The command at work on a board under QEMU."""
-    words = ("conform", f"emulator:qemu:{built('-DAWAKE')}", "--level", "smoke", "--json", "-")
-    return subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-    )
-
-
-def somewhere_in(run: subprocess.Popen[bytes]) -> int:
-    """Wait until a run is past its power cycles, each of which is another process of QEMU."""
-    before = None
-    while (emulator := emulator_of(run.pid)) is None or emulator != before:
-        assert run.poll() is None
-        before = emulator
-        time.sleep(1.5)
-    return emulator
-
-
-@QEMU
-def test_an_emulator_that_ends_in_the_middle_is_told_in_one_sentence() -> None:
-    with judging_under_qemu() as run:
-        emulator = somewhere_in(run)
-        os.kill(emulator, signal.SIGKILL)
-        out, err = run.communicate(timeout=PATIENCE)
-
-    assert run.returncode == 2
-    assert b"emulator has ended" in err or b"was closed by the other side" in err, err
-    assert b"Traceback" not in err
-    assert msgspec.json.decode(out)["exit"] == 2
-
-
-@QEMU
-def test_an_emulator_ends_with_the_kit_even_where_that_is_killed() -> None:
-    with judging_under_qemu() as run:
-        emulator = somewhere_in(run)
-        ends = os.pidfd_open(emulator)
-        run.kill()
-
-    ready, _, _ = select.select([ends], [], [], PATIENCE)
-    os.close(ends)
-    if not ready:
-        os.kill(emulator, signal.SIGKILL)
-    assert ready
-
-
-@QEMU
-def test_firmware_that_is_no_robot_is_told_in_one_sentence(tmp_path: Path) -> None:
-    file = tmp_path / "zeros.elf"
-    file.write_bytes(built("-DAWAKE").read_bytes()[:20] + bytes(100))
-
-    result = command("conform", f"emulator:qemu:{file}", "--level", "smoke")
-
-    assert result.returncode == 2
-    assert len(result.stderr.splitlines()) == 1
-    assert b"Traceback" not in result.stderr
 
 
 @AVR
@@ -170,12 +93,11 @@ def test_another_version_of_the_emulator_is_told_and_not_guessed_at(
         ("emulator:simavr", (), "names no board"),
         ("emulator:simavr:none.elf", (), "there is no firmware none.elf"),
         ("emulator:simavr:{text}", (), "is not an ELF file"),
-        ("emulator:qemu:{text}", (), "is not an ELF file"),
+        ("emulator:qemu:{text}", (), "names no board: write emulator:simavr:FIRMWARE.elf"),
         ("emulator:simavr:{intel}", (), "not for an AVR"),
-        ("emulator:qemu:{intel}", (), "neither for an AVR nor for an ARM"),
         ("emulator:simavr:{text}", ("--probe", "none"), "brings its own probe"),
         ("emulator:simavr:{text}", ("--fault", "dead"), "--fault is for the target sim"),
-        ("emulator:qemu:{text}", ("--power", "exec:true"), "is for ports"),
+        ("emulator:simavr:{text}", ("--power", "exec:true"), "is for ports"),
     ],
 )
 def test_wrong_use_is_one_sentence(

@@ -495,7 +495,7 @@ def elf(machine: int) -> bytes:
         (None, "cannot be read (No such file or directory)"),
         (b"", "is not an ELF file: give the one that the linker wrote"),
         (b":100000000C9434000C943E00\n", "is not an ELF file: give the one that the linker wrote"),
-        (elf(40), "is for an ARM, and simavr runs only AVR: QEMU takes it, with bilprov conform "),
+        (elf(40), "is not for an AVR, which is all that simavr runs"),
         (elf(62), "is not for an AVR, which is all that simavr runs"),
     ],
     ids=["missing", "empty", "hex", "ARM", "PC"],

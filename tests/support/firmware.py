@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -38,16 +37,6 @@ def needs(*programs: str, simavr: bool = False, package: str) -> pytest.MarkDeco
 
 
 AVR = needs("avr-gcc", "make", simavr=True, package="make gcc-avr avr-libc simavr")
-QEMU = needs("avr-gcc", "make", "qemu-system-avr", package="make gcc-avr avr-libc qemu-system-misc")
-
-
-def emulator_of(kit: int) -> int | None:
-    """The process of the QEMU that a process of the kit has started, None before it has."""
-    for child in Path(f"/proc/{kit}/task/{kit}/children").read_text().split():
-        with suppress(FileNotFoundError):
-            if Path(f"/proc/{child}/comm").read_text().startswith("qemu-system"):
-                return int(child)
-    return None
 
 
 def make(out: Path, target: str, *words: str) -> None:

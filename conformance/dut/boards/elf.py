@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bilprov.conformance.dut.boards import EmulatorError
 
-AVR, ARM = 83, 40
+AVR = 83
 
 _32_BITS_LITTLE = b"\x01\x01"
 _HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
@@ -19,7 +19,7 @@ _LARGEST = 1 << 24  # bytes of a file
 
 
 def architecture(firmware: Path) -> int:
-    """The file's e_machine, such as AVR or ARM. Raises EmulatorError for a file that is no ELF."""
+    """The file's e_machine, such as AVR. Raises EmulatorError for a file that is no ELF."""
     return int(_header(firmware, _read(firmware))[2])
 
 

@@ -22,18 +22,16 @@ from hypothesis import given, settings
 from bilprov.analyzer.cli.export import FORMATS
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.export.foxglove_layout import foxglove_layout
 from bilprov.analyzer.export.text import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_session
-from bilprov.captures import topics
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.commands import Done, command, process
+from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation, decoded
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wires import PATIENCE, running
@@ -399,47 +397,3 @@ def test_what_is_no_text_is_not_written_to_a_terminal() -> None:
 
     assert code == 2
     assert b"is a terminal" in shown
-
-
-def _property(schema: dict[str, Any], path: str) -> dict[str, Any]:
-    for name in path.split("."):
-        schema = schema["properties"][name]
-    return schema
-
-
-def _panels(layout: Any) -> list[str]:
-    if isinstance(layout, str):
-        return [layout]
-    return _panels(layout["first"]) + _panels(layout["second"])
-
-
-def test_every_path_of_the_foxglove_layout_is_in_a_schema(each_protocol: Protocol) -> None:
-    layout = json.loads(foxglove_layout(each_protocol))
-    known = {topic.name: topic for topic in topics.TOPICS}
-    panels = layout["configById"]
-
-    assert sorted(_panels(layout["layout"])) == sorted(panels)
-    assert {name.split("!")[0] for name in panels} == {
-        *("Plot", "StateTransitions", "RawMessages", "RosOut")
-    }
-    for name, panel in panels.items():
-        for place in ("topicPath", "topicToRender"):
-            assert panel.get(place, "/state") in known
-        for path in panel.get("paths", ()):
-            topic, _, rest = path["value"].partition(".")
-            schema = json.loads(topics.json_schema(known[topic].value))
-            kind = _property(schema, rest.partition(".@")[0])["type"]
-            assert kind == "integer" or name.startswith("StateTransitions")
-    low, high = each_protocol.bounds["steering"]
-    assert panels["Plot!drive"]["minYValue"] <= low <= high <= panels["Plot!drive"]["maxYValue"]
-
-
-def test_the_foxglove_layout_needs_no_capture(tmp_path: Path) -> None:
-    def asked(*more: str) -> Done:
-        return command("export", "--foxglove-layout", *more)
-
-    assert json.loads(asked().stdout)["configById"]
-    out = tmp_path / "layout.json"
-    assert asked("-o", str(out)).returncode == 0
-    assert out.read_bytes() == asked().stdout
-    assert asked("-o", str(out)).returncode == 2

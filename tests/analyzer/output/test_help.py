@@ -90,6 +90,7 @@ def test_a_page_is_as_wide_as_the_terminal_and_ends_no_line_in_a_blank(
     name: str, columns: int
 ) -> None:
     lines = page(*name.split(), columns=columns)
+    lines = [line for line in lines if not line.startswith("    bilprov ")]  # examples, to copy
 
     assert [line for line in lines if len(line) > columns or line != line.rstrip()] == []
     if columns > 40:

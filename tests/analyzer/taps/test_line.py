@@ -7,27 +7,22 @@ import select
 import signal
 import socket
 import termios
-import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from random import Random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.cli.line import nanoseconds
-from bilprov.analyzer.taps.ends import ListeningEnd, OpenedEnd
 from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import join
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.streams import NO_DESCRIPTOR, parse_address
 from tests.support.commands import Done, process
 from tests.support.robots import simulate, unwell
-from tests.support.scarcity import no_descriptor_left
 from tests.support.wires import PATIENCE, Running, running
 
 pytestmark = pytest.mark.waits
@@ -54,7 +49,7 @@ def passed(direction: ImpairedDirection, pieces: Iterable[bytes]) -> bytes:
 def test_the_same_seed_and_bytes_give_the_same_faults_in_whatever_pieces_they_come(
     noise: Noise, seed: int, pieces: list[bytes]
 ) -> None:
-    faults = LineFaults(noise, delay=5 * MS, jitter=3 * MS, late=0.5)
+    faults = LineFaults(noise, delay=5 * MS, jitter=3 * MS)
     whole, split = (
         ImpairedDirection(faults, seed, "A to B"),
         ImpairedDirection(faults, seed, "A to B"),
@@ -64,11 +59,11 @@ def test_the_same_seed_and_bytes_give_the_same_faults_in_whatever_pieces_they_co
     assert whole.account() == split.account()
 
 
-@given(noises, st.integers(), st.binary(max_size=300), st.integers(0, 50 * MS), st.floats(0, 1))
+@given(noises, st.integers(), st.binary(max_size=300), st.integers(0, 50 * MS))
 def test_times_do_not_change_which_bytes_are_hit(
-    noise: Noise, seed: int, data: bytes, delay: int, late: float
+    noise: Noise, seed: int, data: bytes, delay: int
 ) -> None:
-    slow = LineFaults(noise, delay, delay, late)
+    slow = LineFaults(noise, delay, delay)
 
     assert passed(ImpairedDirection(slow, seed, "x"), [data]) == passed(
         ImpairedDirection(LineFaults(noise), seed, "x"), [data]
@@ -108,12 +103,10 @@ def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
 
 
 def test_faults_come_as_often_as_told() -> None:
-    direction = ImpairedDirection(
-        LineFaults(Noise(0.02, 0.05, 0.1), delay=1, late=0.3), 1, "A to B"
-    )
+    direction = ImpairedDirection(LineFaults(Noise(0.02, 0.05, 0.1), delay=1), 1, "A to B")
     passed(direction, [ALL * 80])
 
-    told = {"flipped": 0.02, "dropped": 0.05, "doubled": 0.1, "delayed": 0.3 * 0.95}
+    told = {"flipped": 0.02, "dropped": 0.05, "doubled": 0.1, "delayed": 0.95}
     for harm, rate in told.items():
         assert getattr(direction, harm) / direction.came == pytest.approx(rate, rel=0.15), harm
 
@@ -136,12 +129,11 @@ def test_a_line_without_faults_passes_everything_at_once() -> None:
     st.lists(st.tuples(st.integers(0, 20 * MS), st.binary(min_size=1, max_size=5)), max_size=30),
     st.integers(0, 9 * MS),
     st.integers(0, 9 * MS),
-    st.sampled_from([0.0, 0.3, 1.0]),
 )
 def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
-    seed: int, pieces: list[tuple[int, bytes]], delay: int, jitter: int, late: float
+    seed: int, pieces: list[tuple[int, bytes]], delay: int, jitter: int
 ) -> None:
-    direction = ImpairedDirection(LineFaults(Noise(), delay, jitter, late), seed, "A to B")
+    direction = ImpairedDirection(LineFaults(Noise(), delay, jitter), seed, "A to B")
     now, came, arrived = 0, list[int](), list[int]()
     sent = b"".join(data for _, data in pieces)
     got = bytearray()
@@ -163,18 +155,15 @@ def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
     advance(NEVER)
 
     assert got == sent
-    least = delay if late == 1.0 else 0
     for before, after in zip(came, arrived, strict=True):
-        assert least <= after - before <= delay + jitter
-    if late == 0.0 or (late == 1.0 and delay):
-        assert direction.delayed == (len(sent) if late else 0)
+        assert delay <= after - before <= delay + jitter
+    if delay:
+        assert direction.delayed == len(sent)
 
 
 @pytest.mark.parametrize(
     ("times", "part"),
     [
-        ({"late": 1.5}, "the chance to be late is 1.5"),
-        ({"late": float("nan")}, "the chance to be late is nan"),
         ({"delay": -1}, "delay and jitter are"),
         ({"delay": LONGEST, "jitter": 1}, "together at most 60 s"),
     ],
@@ -189,74 +178,7 @@ def test_a_chance_that_is_no_number_is_refused() -> None:
         Noise(dropped=float("nan"))
 
 
-# the ends
-
-
-def connected(name: str) -> socket.socket:
-    peer = socket.create_connection(parse_address(name.removeprefix("socket://")))
-    peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return peer
-
-
-def test_a_served_end_sends_small_writes_at_once_and_to_nobody_gone() -> None:
-    end = ListeningEnd("127.0.0.1:0")
-    try:
-        assert end.write_some(b"lost") == 4
-        with connected(end.served) as peer:
-            select.select(end.descriptors(), [], [], PATIENCE)
-            assert end.read() == b""
-            _, client = end.descriptors()
-            with socket.socket(fileno=os.dup(client)) as accepted:
-                assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-            assert end.write_some(b"heard") == 5
-            assert peer.recv(99) == b"heard"
-    finally:
-        end.close()
-
-
-class Counted(ListeningEnd):
-    """A listening end that counts how often it is read; from the third time on `timer` runs."""
-
-    reads = 0
-    timer: threading.Timer
-
-    def read(self) -> bytes:
-        self.reads += 1
-        if self.reads == 3:
-            self.timer.start()
-        return super().read()
-
-
-def test_without_a_free_descriptor_a_line_waits_until_one_is_free() -> None:
-    notes: list[str] = []
-    clean = [ImpairedDirection(LineFaults(), 1, way) for way in ("A to B", "B to A")]
-    with Stopper() as stopper, closing(Counted("127.0.0.1:0")) as end, open_pty() as pty:
-        other = OpenedEnd(pty.read, pty.write_some, pty.close, waited=(pty.master,))
-        with connected(end.served):
-            end.timer = threading.Timer(0.5, stopper.stop)
-            with no_descriptor_left():
-                join((end, other), (clean[0], clean[1]), stop=stopper, note=notes.append)
-            end.timer.join()
-            assert end.reads < 50  # a loop that spins makes tens of thousands
-            assert notes == [NO_DESCRIPTOR]
-            end.read()
-            assert len(end.descriptors()) == 2
-
-
 # the command
-
-
-@pytest.mark.parametrize(("host", "open_to_all"), [("127.0.0.1", False), ("0.0.0.0", True)])
-def test_an_address_that_the_network_reaches_is_warned_of(host: str, open_to_all: bool) -> None:
-    with running("lab", "line", f"listen:{host}:0", "pty") as line:
-        served, _ = served_by(line, 2)
-        code, _, err = line.end()
-
-    address = served.removeprefix("socket://")
-    warning = f"{address} is open to the network: anybody there can drive the robot and read"
-    assert code == 0
-    assert (warning in err.decode()) is open_to_all
-    assert ("network" in err.decode()) is open_to_all
 
 
 class Wire:
@@ -280,7 +202,7 @@ class Wire:
         return data
 
 
-def served_by(line: Running, count: int = 1) -> list[str]:
+def served_by(line: Running, count: int = 2) -> list[str]:
     names = [line.stdout.readline().decode().strip() for _ in range(count)]
     assert all(names), line.stderr.read().decode()
     return names
@@ -308,14 +230,11 @@ CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 @pytest.mark.parametrize("delay", [[], ["--delay", "2ms", "--jitter", "1"]])
-def test_every_byte_passes_between_a_pty_and_a_tcp_client(
-    how: signal.Signals, delay: Sequence[str]
-) -> None:
-    with running("lab", "line", *delay, "pty", "listen:127.0.0.1:0") as line:
-        path, address = served_by(line, 2)
-        assert address.startswith("socket://127.0.0.1:")
-        with opened_as_it_is(path) as port, connected(address) as peer:
-            both_ways(Wire(port), Wire(peer.fileno()))
+def test_every_byte_passes_between_two_ptys(how: signal.Signals, delay: Sequence[str]) -> None:
+    with running("lab", "line", *delay, "pty", "pty") as line:
+        near, far = served_by(line)
+        with opened_as_it_is(near) as port, opened_as_it_is(far) as peer:
+            both_ways(Wire(port), Wire(peer))
             code, out, err = line.end(how)
     told = CLEAN.replace("0 delayed", "256 delayed") if delay else CLEAN
     assert (code, out) == (0, b"")
@@ -339,16 +258,15 @@ def test_every_byte_passes_between_two_devices_that_were_cooked() -> None:
 
 
 def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
-    noise = ["--drop", ".1", "--flip", ".05", "--double", "2e-1", "--delay", "0.003s"]
-    faults = LineFaults(Noise(0.05, 0.1, 0.2), delay=3 * MS, late=0.25)
+    noise = ["--drop", ".1", "--flip", ".05", "--double", "2e-1", "--delay", "3"]
+    faults = LineFaults(Noise(0.05, 0.1, 0.2), delay=3 * MS)
     there, back = ImpairedDirection(faults, 7, "A to B"), ImpairedDirection(faults, 7, "B to A")
     expected = passed(there, [ALL * 4]), passed(back, [ALL * 4])
     for piece in (1024, 7):
-        ends = "pty", "listen:127.0.0.1:0"
-        with running("lab", "line", *noise, "--late", ".25", "--seed", "7", *ends) as line:
-            path, address = served_by(line, 2)
-            with open_port(path) as port, connected(address) as peer:
-                a, b = Wire(port.fileno() or -1), Wire(peer.fileno())
+        with running("lab", "line", *noise, "--seed", "7", "pty", "pty") as line:
+            near, far = served_by(line)
+            with open_port(near) as port, open_port(far) as peer:
+                a, b = Wire(port.fileno() or -1), Wire(peer.fileno() or -1)
                 for at in range(0, 1024, piece):
                     a.say((ALL * 4)[at : at + piece])
                     b.say((ALL * 4)[at : at + piece])
@@ -358,54 +276,33 @@ def test_the_command_does_what_its_seed_says_and_accounts_for_it() -> None:
         assert err.decode() == f"{there.account()}; {back.account()}\n"
 
 
-def test_one_client_at_a_time_and_the_next_takes_over() -> None:
-    with running("lab", "line", "listen:127.0.0.1:0", "pty") as line:
-        address, path = served_by(line, 2)
-        with open_port(path) as port:
-            far = Wire(port.fileno() or -1)
-            with connected(address) as first:
-                both_ways(Wire(first.fileno()), far)
-                with connected(address) as second:
-                    assert second.recv(1) == b""
-                first.sendall(b"1")
-                assert far.hear(1) == b"1"
-            with connected(address) as third:
-                both_ways(Wire(third.fileno()), far)
-
-
-def test_a_client_that_only_ended_its_sending_still_hears() -> None:
-    with running("lab", "line", "listen:127.0.0.1:0", "pty", "--delay", "20") as line:
-        address, path = served_by(line, 2)
-        with open_port(path) as port, connected(address) as client:
-            client.sendall(b"asked")
-            client.shutdown(socket.SHUT_WR)
-            assert Wire(port.fileno() or -1).hear(5) == b"asked"
-            port.write(b"answered")
-            assert Wire(client.fileno()).hear(8) == b"answered"
-
-
 def test_who_does_not_read_holds_up_nobody() -> None:
-    with running("lab", "line", "listen:127.0.0.1:0", "pty") as line:
-        address, path = served_by(line, 2)
-        with open_port(path) as port, connected(address) as client:
-            Wire(client.fileno()).say(bytes(200_000))
+    with running("lab", "line", "pty", "pty") as line:
+        near, far = served_by(line)
+        with open_port(near) as client, open_port(far) as port:
+            Wire(client.fileno() or -1).say(bytes(200_000))
             port.write(b"still here")
-            assert Wire(client.fileno()).hear(10) == b"still here"
+            assert Wire(client.fileno() or -1).hear(10) == b"still here"
             assert select.select([line.stderr], [], [], PATIENCE)[0]
             assert b"nobody reads what goes from A to B" in line.stderr.readline()
             assert line.end()[0] == 0
 
 
+@contextmanager
+def served_socket() -> Iterator[tuple[str, socket.socket]]:
+    """A TCP server as a device that a line opens: its URL, and what accepts the line."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"socket://127.0.0.1:{server.getsockname()[1]}", server
+
+
 @pytest.mark.parametrize("lost", ["A", "B"])
 def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        name = f"socket://127.0.0.1:{server.getsockname()[1]}"
-        served = "listen:127.0.0.1:0"
-        ends = [name, served] if lost == "A" else [served, name]
+    with served_socket() as (name, server), served_socket() as (other, far):
+        ends = [name, other] if lost == "A" else [other, name]
         with running("lab", "line", *ends, "--delay", "50ms") as line:
-            (address,) = served_by(line)
-            device, _ = server.accept()
-            with connected(address) as client:
+            device, client = server.accept()[0], far.accept()[0]
+            assert line.stderr.readline().endswith(b"are joined\n")
+            with device, client:
                 both_ways(Wire(client.fileno()), Wire(device.fileno()))
                 device.sendall(b"last words")
                 device.close()
@@ -423,7 +320,7 @@ def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
 def test_an_unplugged_device_is_two() -> None:
     pair = open_pty()
     with running("lab", "line", pair.name, "pty") as line:
-        (path,) = served_by(line)
+        (path,) = served_by(line, 1)
         with open_port(path) as port:
             both_ways(Wire(pair.master), Wire(port.fileno() or -1))
             pair.close()
@@ -434,44 +331,35 @@ def test_an_unplugged_device_is_two() -> None:
     )
 
 
-class Deaf(ListeningEnd):
-    """An end that fails when it is written to, while its last words are still to be read."""
-
-    def __init__(self) -> None:
-        super().__init__("127.0.0.1:0")
-        self.left = [b"last words"]
-        self.failed = False
-
-    def read(self) -> bytes:
-        return self.left.pop() if self.failed and self.left else b""
-
-    def write_some(self, data: bytes) -> int:
-        self.failed = True
-        raise LinkError("it takes nothing any more")
-
-
 def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None:
-    deaf, end = Deaf(), ListeningEnd("127.0.0.1:0")
     directions = (
         ImpairedDirection(LineFaults(), 1, "A to B"),
         ImpairedDirection(LineFaults(), 1, "B to A"),
     )
-    try:
-        with Stopper() as stopper, connected(end.served) as client:
-            client.sendall(b"asked")
-            with pytest.raises(LinkError, match="it takes nothing any more"):
-                join((deaf, end), directions, stop=stopper, note=pytest.fail)
-            assert Wire(client.fileno()).hear(10) == b"last words"
-    finally:
-        deaf.close()
-        end.close()
+    with (
+        Stopper() as stopper,
+        Deaf(*os.openpty()) as deaf,
+        open_pty() as end,
+        open_port(end.name) as client,
+    ):
+        client.write(b"asked")
+        with pytest.raises(LinkError, match="it takes nothing any more"):
+            join((deaf, end), directions, stop=stopper, note=pytest.fail)
+        assert Wire(client.fileno() or -1).hear(10) == b"last words"
 
 
-def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
-    with pytest.raises(ValueError, match=r"'9+…' is not such a time") as raised:
-        nanoseconds("9" * 400_000 + "x")
+class Deaf(PtyPair):
+    """An end that fails when it is written to, while its last words are still to be read."""
 
-    assert len(str(raised.value)) < 400
+    left = b""
+
+    def read(self) -> bytes:
+        left, self.left = self.left, b""
+        return left
+
+    def write_some(self, data: bytes) -> int:
+        self.left = b"last words"
+        raise LinkError("it takes nothing any more")
 
 
 # the suite over the line
@@ -480,7 +368,7 @@ def test_a_time_of_very_many_digits_is_refused_in_one_pass() -> None:
 def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[Done, str]:
     """Run the suite over a line with these faults; gives its end, and the account."""
     with simulate(*robot) as served, running("lab", "line", *faults, served.port, "pty") as line:
-        (path,) = served_by(line)
+        (path,) = served_by(line, 1)
         globs = [word for glob in only for word in ("--only", glob)]
         probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]
         result = process("conform", path, *probe, *globs)

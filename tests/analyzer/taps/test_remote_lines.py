@@ -183,9 +183,9 @@ def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> Non
 @lines
 def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
     """Between two programs of ours: one on the device's pty, one behind the line."""
-    with running("lab", "line", "pty", "listen:127.0.0.1:0") as line:
-        device, address = (line.stdout.readline().decode().strip() for _ in range(2))
-        with behind(device, tmp_path) as url, open_port(url) as near, open_port(address) as far:
+    with running("lab", "line", "pty", "pty") as line:
+        device, other = (line.stdout.readline().decode().strip() for _ in range(2))
+        with behind(device, tmp_path) as url, open_port(url) as near, open_port(other) as far:
             for here, there in ((near, far), (far, near)):
                 here.write(ALL)
                 heard = b""

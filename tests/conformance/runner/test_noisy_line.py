@@ -38,7 +38,7 @@ def test_a_dropped_byte_is_missing_and_a_doubled_one_comes_twice():
 
 @pytest.mark.parametrize("chances", [(-0.1, 0, 0), (1.5, 0, 0), (0.5, 0.5, 0.5)])
 def test_what_is_no_probability_is_refused(chances: tuple[float, float, float]):
-    with pytest.raises(ValueError, match="each is 0 to 1, and all of them together at most 1"):
+    with pytest.raises(ValueError, match="each is 0 to 1, together at most 1"):
         Noise(*chances)
 
 

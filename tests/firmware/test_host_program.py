@@ -1,4 +1,4 @@
-"""Other boards of the reference firmware: a Cortex-M3 under QEMU, and a program on the host."""
+"""The reference firmware as a program on the host."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import random
 import select
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,21 +16,15 @@ import pytest
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import process
 from tests.support.firmware import built, make, needs
-from tests.support.robots import PATIENCE, unwell
+from tests.support.robots import PATIENCE
 from tests.vectors import FRAMES, FrameVector
 
 pytestmark = pytest.mark.waits
 
-CORTEX = needs(
-    *("arm-none-eabi-gcc", "make", "qemu-system-arm"),
-    package="make gcc-arm-none-eabi qemu-system-arm",
-)
 HOST = needs("gcc", "make", package="gcc make")
 
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all"
-BREAK = b"\x01b"  # what QEMU's standard input takes for a break on the line
 
 
 class Robot:
@@ -75,91 +68,6 @@ def robot(*words: str | Path) -> Iterator[Robot]:
             yield Robot(process)
         finally:
             process.kill()
-
-
-# -- Cortex-M3 ------------------------------------------------------------------------------------
-
-
-def emulated(switches: str, *options: str | Path) -> tuple[str | Path, ...]:
-    """The command that runs the Cortex-M3's firmware with its line on standard input and output."""
-    firmware = built(switches, "cortex")
-    return (
-        *("qemu-system-arm", "-M", "lm3s6965evb", "-kernel", firmware),
-        *("-display", "none", "-monitor", "none", "-serial", "chardev:line"),
-        *("-chardev", "stdio,id=line,mux=on,signal=off", *options),
-    )
-
-
-@CORTEX
-def test_a_cortex_under_qemu_conforms() -> None:
-    target = f"emulator:qemu:{built('', 'cortex')}"
-    result = process("conform", target, "--level", "smoke", "--json", "-", timeout=110)
-
-    assert unwell(result) == {}
-
-
-@pytest.mark.sample(1)
-@CORTEX
-@pytest.mark.parametrize("bug", ["BUG_STOP_LEAVES_MOTION", "BUG_TIMEOUT_DRIVES_ON"])
-def test_a_bug_of_the_core_is_found_on_the_cortex_too(bug: str) -> None:
-    target = f"emulator:qemu:{built(f'-D{bug}', 'cortex')}"
-
-    result = process("conform", target, "--level", "smoke", "--fail-fast", timeout=110)
-
-    assert result.returncode == 1, result.stderr
-
-
-@CORTEX
-def test_what_follows_a_break_on_the_cortexs_line_is_no_frame_until_a_pause() -> None:
-    with robot(*emulated("")) as cortex:
-        cortex.send(b"\x90")
-        assert cortex.answers(1) == b"\x01"  # it runs
-
-        cortex.send(b"\x11" + BREAK + b"\x90\xa0")
-        assert cortex.answers(1) == b"\x04"  # after the pause, and no other answer
-        cortex.send(b"\x90" + BREAK + b"\xa0")
-        assert cortex.answers(1) == b"\x01"
-        time.sleep(0.2)
-        cortex.send(b"\x10\x90")
-        assert cortex.answers(2) == b"\x04\x01"
-
-
-@CORTEX
-def test_the_cortexs_watchdog_resets_a_main_loop_that_does_not_feed_it() -> None:
-    with robot(*emulated("-DBUG_WATCHDOG_STARVES", "-action", "watchdog=poweroff")) as cortex:
-        assert cortex.process.wait(PATIENCE) == 0  # QEMU's end when a watchdog bites
-
-
-@CORTEX
-def test_the_cortex_runs_again_after_its_watchdog(tmp_path: Path) -> None:
-    log = tmp_path / "resets"
-
-    def resets() -> int:
-        return log.read_text().count("CPU Reset")
-
-    options = ("-d", "cpu_reset", "-D", log)
-    with robot(*emulated("-DBUG_WATCHDOG_STARVES", *options)) as cortex:
-        cortex.send(b"\x90")
-        assert cortex.answers(1) == b"\x01"
-        before = resets()
-        for _ in range(int(PATIENCE * 100)):
-            if resets() > before:
-                break
-            select.select([], [], [], 0.01)
-        assert resets() > before
-
-        cortex.send(b"\x90\x10")
-        assert cortex.answers(2) == b"\x01\x04"
-
-
-@CORTEX
-def test_a_cortex_that_is_told_nothing_feeds_its_watchdog() -> None:
-    with robot(*emulated("", "-action", "watchdog=poweroff")) as cortex:
-        with pytest.raises(subprocess.TimeoutExpired):
-            cortex.process.wait(3)  # the watchdog's second is over
-
-        cortex.send(b"\x90")
-        assert cortex.answers(1) == b"\x01"
 
 
 # -- the host -------------------------------------------------------------------------------------
