@@ -18,7 +18,6 @@ from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 PIECE = 1 << 16  # bytes
@@ -128,5 +127,5 @@ def _pieces(path: Path | None, sender: Direction) -> Iterator[list[Chunk]]:
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:
-    why = printable(error.strerror or error)
-    return CaptureError(f"{printable(path)} cannot be read ({why}): name a file of raw bytes")
+    why = error.strerror or error
+    return CaptureError(f"{path} cannot be read ({why}): name a file of raw bytes")
