@@ -7,7 +7,6 @@ from pathlib import Path
 
 import bilprov.spec
 from bilprov.analyzer.files import read_bounded
-from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, load
 
 _MOST = 1 << 20  # bytes of a grammar file
@@ -25,7 +24,6 @@ def load_protocol(path: str | None = None) -> Protocol:
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise GrammarError(
-            f"the grammar {printable(file)} cannot be read: {what}; start from a copy of "
-            "spec/grammar.py"
+            f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error
-    return load(source, printable(file.name))
+    return load(source, file.name)

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
-from bilprov.captures.text import printable
 from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
@@ -97,7 +96,7 @@ def select_cases(
     for glob in options.only:
         if not glob.isprintable() or len(glob) > LONGEST_GLOB:
             raise ValueError(
-                f"{printable(glob)} is not a glob of case ids, which are letters, digits, - and /, "
+                f"{glob} is not a glob of case ids, which are letters, digits, - and /, "
                 f"of up to {LONGEST_GLOB} characters; see them with --list"
             )
     if options.only and not reaches(options.only, SEQUENCE_PREFIXES):

@@ -14,13 +14,14 @@ from typing import Any
 
 import msgspec
 
+from bilprov.analyzer.foreign import from_json, safe
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.coverage import COMBINED
 from bilprov.conformance.dut.link import Environment
@@ -42,13 +43,6 @@ SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 _LATER = (
     *("facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels", "preamble_speed"),
     *COMBINED.values(),
-)
-
-
-# What comes of a report that anybody may have written.
-_UNREADABLE = (
-    msgspec.MsgspecError,
-    *(AttributeError, LookupError, TypeError, ValueError, RecursionError),
 )
 
 
@@ -96,6 +90,29 @@ class _Run(msgspec.Struct, frozen=True):
     slow_preambles: bool = False
 
 
+class _CaseVerdicts(msgspec.Struct):
+    id: str
+    verdict: str
+    sent: list[str]
+    received: list[dict[str, Any]]
+    axes: dict[str, dict[str, Any]]
+
+    @property
+    def compared(self) -> dict[str, Any]:
+        """What must come out the same: the verdict, each axis's, and the bytes."""
+        axes = {f"{name} axis": axis.get("verdict") for name, axis in self.axes.items()}
+        return {"verdict": self.verdict, "sent": self.sent, "received": self.received} | axes
+
+
+class _Verdicts(msgspec.Struct):
+    cases: list[_CaseVerdicts]
+    verdict: str | None = None
+    exit: int | None = None
+    counts: dict[str, Any] | None = None
+    coverage: dict[str, Any] | None = None
+    profile: dict[str, Any] | None = None
+
+
 class _Results(RunListener):
     """Keeps the results, also of a run that strays from the recording."""
 
@@ -141,9 +158,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     except Strayed as error:
         strayed = str(error)
     except (ArithmeticError, ValueError) as error:
-        raise CaptureError(
-            f"{printable(path)} cannot be judged again: {printable(error)}"
-        ) from error
+        raise CaptureError(f"{path} cannot be judged again: {error}") from error
     marks = tuple(_marks(evidence))
     recorded = evidence.attachments.get(VERDICT)
     # Another version may make other cases, or make them in another way: that is no difference.
@@ -180,22 +195,20 @@ def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
     if topics.HISTORY in evidence.capture.metadata:
         raise CaptureError(
-            f"{printable(path)} is not a recording as it was made but an edited one (bilprov "
+            f"{path} is not a recording as it was made but an edited one (bilprov "
             "capture "
             "info shows how): judge the recording itself again"
         )
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(
-            f"{printable(path)} is not a recording of a conformance run that can be judged "
+            f"{path} is not a recording of a conformance run that can be judged "
             "again: make "
             "one with bilprov conform PORT --record FILE.mcap"
         )
     try:
-        return msgspec.json.decode(evidence.attachments[RUN], type=_Run)
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise CaptureError(
-            f"{printable(path)}: {RUN} cannot be read: {printable(error)}"
-        ) from error
+        return from_json(evidence.attachments[RUN], _Run)
+    except ValueError as error:
+        raise CaptureError(f"{path}: {RUN} cannot be read: {error}") from error
 
 
 def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
@@ -211,10 +224,10 @@ def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
         require_declarations(text)
     except NotDeclared as error:
         raise GrammarError(
-            f"the grammar in {printable(path)} is not run, because it does more than declare "
-            f"({printable(error)}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
+            f"the grammar in {path} is not run, because it does more than declare "
+            f"({error}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
         ) from error
-    return load(text, printable(run.grammar.get("file", GRAMMAR)))
+    return load(text, run.grammar.get("file", GRAMMAR))
 
 
 def _experiments(evidence: Evidence) -> frozenset[str]:
@@ -225,8 +238,8 @@ def _experiments(evidence: Evidence) -> frozenset[str]:
 def _marks(evidence: Evidence, phase: str = "end") -> Iterator[CaseMark]:
     for message in evidence.capture.messages({topics.CASES}):
         try:
-            mark = msgspec.convert(message.value, CaseMark)
-        except msgspec.ValidationError:
+            mark = msgspec.convert(safe(message.value), CaseMark)
+        except ValueError:
             continue  # the case then has no mark, which counts as a difference
         if mark.phase == phase:
             yield mark
@@ -260,29 +273,21 @@ def _against_marks(marks: tuple[CaseMark, ...], results: list[CaseResult]) -> It
 
 def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Difference]:
     try:
-        was = msgspec.json.decode(recorded, type=dict[str, Any])
-        cases = {case["id"]: _compared(case) for case in was["cases"]}
-    except _UNREADABLE as error:
-        raise CaptureError(
-            f"{printable(path)}: {VERDICT} cannot be read: {printable(error)}"
-        ) from error
-    now = msgspec.json.decode(as_json(report), type=dict[str, Any])
-    for case in now["cases"]:
-        yield from _parts(case["id"], cases.pop(case["id"], {}), _compared(case))
+        was, now = (from_json(text, _Verdicts) for text in (recorded, as_json(report)))
+    except ValueError as error:
+        raise CaptureError(f"{path}: {VERDICT} cannot be read: {error}") from error
+    cases = {case.id: case.compared for case in was.cases}
+    for case in now.cases:
+        yield from _parts(case.id, cases.pop(case.id, {}), case.compared)
     for ident in cases:
         yield Difference(ident, "verdict", "judged", "no such case")
     for name in SUMMED:
-        before, after = was.get(name), now.get(name)
+        before, after = getattr(was, name), getattr(now, name)
         if isinstance(before, dict) and isinstance(after, dict):
-            now[name] = {k: v for k, v in after.items() if k in before or k not in _LATER}
-    summed = ({name: part.get(name) for name in SUMMED} for part in (was, now))
+            after = {k: v for k, v in after.items() if k in before or k not in _LATER}
+            setattr(now, name, after)
+    summed = ({name: getattr(part, name) for name in SUMMED} for part in (was, now))
     yield from _parts("the report", *summed)
-
-
-def _compared(case: dict[str, Any]) -> dict[str, Any]:
-    """What must come out the same of a case: its verdict, each axis's, and its bytes."""
-    axes = {f"{name} axis": axis["verdict"] for name, axis in case["axes"].items()}
-    return {name: case[name] for name in ("verdict", "sent", "received")} | axes
 
 
 def _parts(about: str, was: dict[str, Any], now: dict[str, Any]) -> Iterator[Difference]:
@@ -302,14 +307,14 @@ def _notes(
 ) -> Iterator[str]:
     if run.kit != kit_version():
         yield (
-            f"it was recorded by bilprov {printable(run.kit)}, this is "
+            f"it was recorded by bilprov {run.kit}, this is "
             f"{kit_version()}: differences may come from the kit"
         )
     if run.grammar.get("sha256") != grammar.sha256:
-        yield f"it was recorded with another grammar than {printable(grammar.origin)}"
+        yield f"it was recorded with another grammar than {grammar.origin}"
     if evidence.capture.unfinished:
         yield "it was never finished; the checksums (CRC) of what is there match"
     if cut:
         yield "it ends before its run did: what is there was judged again"
     elif report is not None and report.ended:
-        yield f"the run ended early: {printable(report.ended)}"
+        yield f"the run ended early: {report.ended}"

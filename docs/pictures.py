@@ -26,11 +26,12 @@ from bilprov.analyzer.cli.plot import plot
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told
-from bilprov.analyzer.doctor.drawing import INDENT, conclusion, drawn, heading, title
+from bilprov.analyzer.doctor.drawing import INDENT, conclusion, drawn, title
 from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.doctor.listening import heard
 from bilprov.analyzer.doctor.system import examined, subject
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.console import heading
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.recording import Recording

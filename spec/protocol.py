@@ -19,7 +19,7 @@ from typing import Any
 
 from construct import BitsInteger, BitStruct, Construct, Renamed, Struct
 
-from bilprov.spec.errors import UserError
+from bilprov.spec.errors import UserError, one_line
 from bilprov.spec.fields import (
     Answers,
     Clauses,
@@ -34,13 +34,13 @@ from bilprov.spec.fields import (
 from bilprov.spec.motion import Effect, Motion, State
 from bilprov.spec.value_checks import (
     WrongValue,
-    one_line,
     require_name,
     require_text,
     require_whole,
     shown,
 )
 
+_LONGEST = 200  # characters of what Python says about a grammar, and of the name of its file
 _MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square of their number
 
 
@@ -251,6 +251,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     `origin` is the file's name, used in messages. Raises GrammarError, in one sentence, for text
     that does not run or does not declare what a grammar must.
     """
+    origin = one_line(origin, _LONGEST)
     space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
     try:
         with warnings.catch_warnings():  # Python's remarks about the text are not ours to print
@@ -265,9 +266,9 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         ) from error
     except (Exception, SystemExit) as error:
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        what = error.msg if isinstance(error, SyntaxError) else error
+        what = one_line(error.msg if isinstance(error, SyntaxError) else error, _LONGEST)
         raise GrammarError(
-            f"the grammar {origin} does not load: {type(error).__name__}: {one_line(what)}{line}; "
+            f"the grammar {origin} does not load: {type(error).__name__}: {what}{line}; "
             "start from a copy of spec/grammar.py"
         ) from error
     try:
@@ -277,7 +278,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
-            f"the grammar {origin} cannot be used: {one_line(error)}; "
+            f"the grammar {origin} cannot be used: {one_line(error, _LONGEST)}; "
             "compare it with spec/grammar.py"
         ) from error
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import warnings
 
-from bilprov.spec.value_checks import one_line
+from bilprov.spec.errors import one_line
 
 WORDS = {
     "__future__": {"annotations"},
@@ -174,4 +174,4 @@ def _check_constant(node: ast.expr, value: object) -> None:
 
 
 def _refused(node: ast.AST, what: str) -> NotDeclared:
-    return NotDeclared(f"{one_line(what)} in line {getattr(node, 'lineno', 0)}")
+    return NotDeclared(f"{one_line(what, 200)} in line {getattr(node, 'lineno', 0)}")

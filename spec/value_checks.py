@@ -9,7 +9,7 @@ from __future__ import annotations
 import reprlib
 from typing import Any
 
-from bilprov.spec.errors import UserError
+from bilprov.spec.errors import UserError, one_line
 
 LONGEST_NAME = 64
 LONGEST_TEXT = 1000
@@ -24,13 +24,6 @@ class WrongValue(UserError):
 def shown(value: object) -> str:
     """A value in a few characters, all of which print."""
     return one_line(reprlib.repr(value), LONGEST_NAME)
-
-
-def one_line(text: object, most: int = 200) -> str:
-    """Text in one line of at most `most` characters, without any that does not print."""
-    line = " ".join(str(text)[: 4 * most].split())
-    safe = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-    return safe if len(safe) <= most else f"{safe[: most - 1]}…"
 
 
 def require_text(what: str, value: Any, most: int = LONGEST_TEXT) -> None:

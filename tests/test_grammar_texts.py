@@ -11,7 +11,7 @@ import pytest
 from benchmarks.hostile_grammars import mutated
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support.commands import command, process
-from tests.support.robots import sentence, simulate
+from tests.support.robots import simulate
 from tests.support.wires import running
 
 # Every text that a grammar has, `~` where more can be put in.
@@ -40,33 +40,6 @@ PLACES = {
 def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
     """The grammar's text with a piece put into its texts at these places."""
     return mutated(grammar_text, {old: new.replace("~", piece) for old, new in places.items()})
-
-
-UNSEEN = {
-    "an escape": "\\x1b[2J",
-    "a bidi mark": "\\u202e",
-    "a line": "\\n",
-    "a null": "\\0",
-    "a C1 control": "\\x9b31m",
-    "a space of no width": "\\u200b",
-    "half a character": "\\ud800",
-}
-
-
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("unseen", UNSEEN)
-def test_a_text_that_does_not_print_is_refused(
-    grammar_text: str, tmp_path: Path, place: str, unseen: str
-) -> None:
-    file = tmp_path / "hostile.py"
-    text = with_texts(grammar_text, UNSEEN[unseen], PLACES[place])
-    file.write_text(text, encoding="utf-8")
-
-    refused = command("--grammar", str(file), "decode", "11 05")
-
-    assert (refused.returncode, refused.stdout) == (2, b"")
-    assert "allowed are characters that print" in sentence(refused)
-    assert sentence(refused).rstrip("\n").isprintable()
 
 
 def test_the_files_name_is_made_safe(grammar_text: str, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""Hostile texts from every source on every surface: each is shown as text, and does nothing.
+"""Hostile texts of captures, settings and grammars on every surface: each is shown as text.
 
-The tables pair the sources of foreign text (captures, reports, names of files, arguments, settings,
-probes, grammars) with the surfaces that show them; there is one check for each kind of surface.
+The tables pair the sources of foreign text with the surfaces that show them; there is one check for
+each kind of surface. Of all other sources `test_doors.py` shows that only safe texts come in.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from typing import Any
 
 import pytest
 from mcap.writer import Writer
-from msgspec.structs import replace
 
 from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json, printable
@@ -27,16 +26,11 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
 from bilprov.conformance.learning.machine import Machine, Transition
 from bilprov.conformance.learning.output import Output
-from bilprov.conformance.report.expected import ExpectedError
-from bilprov.conformance.report.expected_file import ExpectedFile
-from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.emit.python_stub import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import Done, command
-from tests.support.reports import a_run, hostile
-from tests.support.robots import ProbeServer, sentence, simulate
 from tests.support.surfaces import (
     BROKEN,
     HOSTILE,
@@ -233,140 +227,7 @@ def test_names_of_other_topics_do_nothing(name: str, surface: str, tmp_path: Pat
     seen(result.stdout + result.stderr)
 
 
-# -- reports ---------------------------------------------------------------------------------------
-
-# That Markdown stays text is tested in conformance/report/test_markdown.py, by what makes markup.
-REPORT_SURFACES: dict[str, tuple[str, Check]] = {
-    "report": ("report {file} --verbose", terminal),
-    "two reports": ("report {file} {file} --verbose", terminal),
-    "html": ("report {file} --html -", html),
-    "junit": ("report {file} --junit -", xml),
-    "merge": ("merge {file} --json -", terminal),
-}
-
-
-@pytest.fixture(scope="module")
-def reports(protocol: Protocol, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """A report in which every text is a hostile one, by its name, or a tame one."""
-    folder = tmp_path_factory.mktemp("reports")
-
-    @cache
-    def made(name: str) -> Path:
-        text = EVERY.get(name, TAME).encode(errors="replace").decode()
-        path = folder / f"{name}.json"
-        path.write_bytes(as_json(hostile(protocol, text)))
-        return path
-
-    return made
-
-
-@pytest.mark.sample(12)
-@pytest.mark.parametrize("surface", REPORT_SURFACES)
-@pytest.mark.parametrize("name", EVERY)
-def test_a_reports_texts_do_nothing(
-    name: str, surface: str, reports: Callable[[str], Path]
-) -> None:
-    words, check = REPORT_SURFACES[surface]
-
-    held(check, *(command(*words.format(file=reports(which)).split()) for which in (name, TAME)))
-
-
-def test_a_report_in_json_prints_and_keeps_its_values(protocol: Protocol) -> None:
-    text = HOSTILE["terminal"] + HOSTILE["direction"]
-    told = replace(a_run(protocol, "valid/LED/1"), device=text)
-
-    seen(as_json(told))
-    assert json.loads(as_json(told))["device"] == text
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_lines_of_expected_failures_do_nothing(name: str, tmp_path: Path) -> None:
-    file = tmp_path / "known.txt"
-    file.write_bytes(f"{EVERY[name]} : {EVERY[name]}\n".encode(errors="surrogateescape"))
-
-    with pytest.raises(ExpectedError) as refused:
-        ExpectedFile(str(file), lambda: {"valid/LED/1"}, {"valid/LED/1"})
-
-    assert len(seen(str(refused.value).encode())) < 1000
-
-
-# -- names, arguments, settings --------------------------------------------------------------------
-
-WITH_FILE = {
-    "info": ("capture", "info", "{file}"),
-    "decode": ("decode", "{file}"),
-    "recheck": ("recheck", "{file}"),
-    "report": ("report", "{file}"),
-    "merge": ("merge", "{file}"),
-    "check": ("capture", "check", "{file}"),
-    "stats": ("stats", "{file}"),
-    "plot": ("plot", "{file}", "--html", "-"),
-    "export": ("export", "{file}", "--format", "csv", "-o", "-"),
-    "compare": ("capture", "diff", "{file}", "{file}"),
-    "replay": ("replay", "{file}", "--rate", "0"),
-    "no command": ("{file}",),
-    "--grammar": ("--grammar", "{file}", "spec", "show"),
-    "--profile": ("conform", "sim", "--only", "valid/LED/1", "--profile", "{file}"),
-    "--expect-failures": ("conform", "sim", "--only", "valid/LED/1", "--expect-failures", "{file}"),
-    "--json": ("conform", "sim", "--only", "valid/LED/1", "--json", "{file}"),
-    "--record": ("conform", "sim", "--only", "valid/LED/1", "--record", "{file}"),
-    "spec emit": ("spec", "emit", "c", "-o", "{file}"),
-    "a firmware": ("conform", "emulator:simavr:{file}"),
-    "a port": ("sniff", "{file}"),
-}
-
-
-@pytest.mark.sample(16)
-@pytest.mark.parametrize("exists", [True, False])
-@pytest.mark.parametrize("words", WITH_FILE)
-@pytest.mark.parametrize("name", [*HOSTILE, "broken"])
-def test_the_name_of_a_file_does_nothing(
-    name: str, words: str, exists: bool, tmp_path: Path
-) -> None:
-    file = tmp_path / EVERY[name].replace("/", "_")
-    if exists:
-        file.write_bytes(b"content")
-
-    result = command(*(word.format(file=file) for word in WITH_FILE[words]))
-
-    assert b"Traceback" not in result.stderr
-    assert len(seen(result.stdout + result.stderr)) < MOST
-
-
-ARGUMENTS = {
-    "a command": ("{text}",),
-    "an option": ("decode", "--{text}"),
-    "hex": ("decode", "{text}"),
-    "an instruction": ("encode", "{text}"),
-    "a value": ("encode", "LED", "{text}={text}"),
-    "explained": ("explain", "{text}"),
-    "a filter": ("decode", "--filter", "{text}", "00"),
-    "columns": ("decode", "--format", "csv", "--columns", "{text}", "00"),
-    "a port": ("send", "{text}", "Stop", "--yes"),
-    "an item": ("send", "/dev/null", "{text}", "--yes"),
-    "a target": ("conform", "{text}", "--level", "smoke"),
-    "a probe": ("conform", "/dev/null", "--level", "smoke", "--probe", "{text}", "--yes"),
-    "a case": ("conform", "sim", "--only", "{text}"),
-    "a fault": ("conform", "sim", "--level", "smoke", "--fault", "{text}"),
-    "a level": ("conform", "sim", "--level", "{text}"),
-    "a choice": ("conform", "sim", "--allow", "{text}"),
-    "a reading": ("spec", "readings", "{text}"),
-    "a line": ("lab", "line", "{text}", "pty"),
-    "a served fault": ("simulate", "--fault", "{text}"),
-    "an address": ("simulate", "--listen", "{text}"),
-}
-
-
-@pytest.mark.sample(16)
-@pytest.mark.parametrize("words", ARGUMENTS)
-@pytest.mark.parametrize("name", [*HOSTILE, "long"])
-def test_an_argument_does_nothing(name: str, words: str) -> None:
-    result = command(*(word.format(text=EVERY[name]) for word in ARGUMENTS[words]))
-
-    assert result.returncode == 2
-    assert sentence(result).startswith("bilprov: ")
-    assert len(seen(result.stdout + result.stderr)) < 5000
-
+# -- settings --------------------------------------------------------------------------------------
 
 SETTINGS = {
     "a key": "{text} = 1",
@@ -392,32 +253,6 @@ def test_settings_do_nothing(name: str, what: str, tmp_path: Path) -> None:
         result = command(*words, cwd=tmp_path, XDG_CONFIG_HOME=str(tmp_path))
         assert b"Traceback" not in result.stderr
         seen(result.stdout + result.stderr)
-
-
-@pytest.mark.waits
-@pytest.mark.sample(1)
-@pytest.mark.parametrize("name", [name for name in EVERY if name != "broken"])
-def test_what_a_probe_says_does_nothing(name: str, tmp_path: Path) -> None:
-    pages = {kind: tmp_path / kind for kind in ("html", "junit", "markdown", "json")}
-    said = [
-        {"moving": False, "motion": EVERY[name][:500]},
-        {"moving": False, EVERY[name]: EVERY[name]},
-    ]
-    answers = [json.dumps(value).encode() + b"\n" for value in said]
-    with simulate() as robot, ProbeServer(*answers) as probe:
-        options = [word for kind, page in pages.items() for word in (f"--{kind}", str(page))]
-        result = command(
-            *("conform", robot.port, "--yes", "--probe", probe.name, "--only", "valid/LED/1"),
-            *options,
-        )
-
-    seen(result.stdout + result.stderr)
-    assert not {"script", "img", "a"} & {
-        kind for kind, *_ in html_elements(pages["html"].read_bytes())
-    } - {"script", "a"}
-    xml_elements(pages["junit"].read_bytes())
-    seen(pages["markdown"].read_bytes())
-    seen(pages["json"].read_bytes())
 
 
 # -- grammars --------------------------------------------------------------------------------------

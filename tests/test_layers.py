@@ -39,7 +39,7 @@ ROOMS = (
         "captures.reader",
         "captures.writer",
     ),
-    ("analyzer",),  # files, grammar_file, version
+    ("analyzer",),  # files, foreign, grammar_file, version
     ("analyzer.html",),
     ("analyzer.transport",),
     ("analyzer.taps",),

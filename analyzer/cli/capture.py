@@ -140,7 +140,7 @@ def cut(
             size = write_selected(
                 lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
             )
-    note(f"{printable(new)} holds {quantity(size, 'byte')} of {printable(path)}")
+    note(f"{new} holds {quantity(size, 'byte')} of {path}")
 
 
 @click.command()
@@ -180,7 +180,7 @@ def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
         size = write_window(opened_at(path, protocol, 0), protocol, out, Window(), progress)
-    note(f"{printable(new)} holds {quantity(size, 'byte')} of {printable(path)}")
+    note(f"{new} holds {quantity(size, 'byte')} of {path}")
     if capture.left_out or not capture.damage:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
@@ -236,7 +236,7 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
         new_capture(new, joined.start, joined.metadata(), force=force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
-    note(f"{printable(new)} holds {quantity(size, 'byte')} of {len(paths)} captures")
+    note(f"{new} holds {quantity(size, 'byte')} of {len(paths)} captures")
 
 
 @click.command()
@@ -265,7 +265,7 @@ def decode(grammar: str | None, path: str, new: str) -> None:
     _say_left_out(capture)
     with reading([capture], least=0) as progress:  # each frame is written: that takes long
         write_decoded(capture, protocol, new, progress)
-    note(f"{printable(path)} is in {printable(new)}, with everything decoded from it")
+    note(f"{path} is in {new}, with everything decoded from it")
 
 
 @click.command()
@@ -354,4 +354,4 @@ def _say_left_out(capture: Capture) -> None:
 
     known = {topic.name for topic in TOPICS}
     if others := [topic for topic in capture.contents.counts if topic not in known]:
-        note(f"left out, since they are not bilprov's topics: {printable(', '.join(others))}")
+        note(f"left out, since they are not bilprov's topics: {', '.join(others)}")

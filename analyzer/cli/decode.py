@@ -18,7 +18,6 @@ from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
-from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -145,5 +144,5 @@ def _of_bytes(path: Path | None, sender: Direction, protocol: Protocol) -> Itera
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:
-    why = printable(error.strerror or error)
-    return CaptureError(f"{printable(path)} cannot be read ({why}): name a file of raw bytes")
+    why = error.strerror or error
+    return CaptureError(f"{path} cannot be read ({why}): name a file of raw bytes")

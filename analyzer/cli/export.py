@@ -21,7 +21,6 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, require_writable
 from bilprov.analyzer.cli.progress import reading
-from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
 if TYPE_CHECKING:
@@ -201,5 +200,5 @@ def _opened(output: str, inputs: list[str], force: bool, *, text: bool) -> Itera
         with whole_file(Path(output), replace=force) as stream:
             yield stream
     except OSError as error:
-        why = printable(error.strerror or error)
-        raise UserError(f"{printable(output)} cannot be written: {why}") from error
+        why = error.strerror or error
+        raise UserError(f"{output} cannot be written: {why}") from error

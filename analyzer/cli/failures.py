@@ -18,10 +18,8 @@ import click
 from click import exceptions
 
 from bilprov.analyzer.cli.settings import as_set, is_setting
-from bilprov.captures.text import escape_controls
-from bilprov.spec.errors import UserError
+from bilprov.spec.errors import UserError, one_line
 
-_LONGEST = 4000  # characters of a sentence
 _AGAIN = 0.05  # s
 
 
@@ -81,10 +79,7 @@ def report(error: BaseException) -> int:
 
 def say(sentence: str) -> None:
     """Print a sentence on standard error as one safe line of at most 4,000 characters."""
-    line = escape_controls(" ".join(sentence.split()))
-    if len(line) > _LONGEST:  # what came stands first, what to do last
-        line = f"{line[: _LONGEST // 2]} … {line[3 - _LONGEST // 2 :]}"
-    click.echo(f"bilprov: {line}", err=True)
+    click.echo(f"bilprov: {one_line(sentence)}", err=True)
 
 
 # The beginnings of click's own sentences; ours may begin with a name, which keeps its case.

@@ -13,7 +13,7 @@ import click
 from click.core import ParameterSource
 
 from bilprov.analyzer.cli.settings import naming_file
-from bilprov.captures.text import escape_controls
+from bilprov.spec.errors import one_line
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
@@ -241,7 +241,7 @@ def note(sentence: str) -> None:
 
     It is made safe to show; one line, which a terminal shows broken between words.
     """
-    click.echo(_wrapped(escape_controls(sentence)), err=True)
+    click.echo(_wrapped(one_line(sentence)), err=True)
 
 
 def _wrapped(text: str) -> str:
@@ -291,5 +291,5 @@ def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "-
         raise NotConfirmed(
             f"{what}: there is no terminal to ask on, so give {option} if it may move"
         )
-    if not click.confirm(_wrapped(f"{what}. Is there room, and may it move?"), err=True):
+    if not click.confirm(_wrapped(one_line(f"{what}. Is there room, and may it move?")), err=True):
         raise NotConfirmed("nothing was sent: the device may not move")

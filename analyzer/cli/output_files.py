@@ -9,7 +9,6 @@ import click
 
 from bilprov.analyzer.files import real_path, why_not_writable, write_whole
 from bilprov.captures.parts import kept_parts
-from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
 
 STANDARD_OUTPUT = "-"
@@ -56,7 +55,7 @@ def require_writable(
         if lost:
             raise click.UsageError(f"{option} {path} would overwrite {lost}: name another file")
         if regular and (parts := kept_parts(file)):
-            first = printable(next(iter(parts.values())))
+            first = next(iter(parts.values()))
             raise click.UsageError(
                 f"{option} {path} is the name of a recording in parts, {first} and so on, which it "
                 "would hide: name another file"
@@ -90,4 +89,4 @@ def write_output(path: str, data: bytes) -> None:
         write_whole(Path(path), data)
     except OSError as error:
         why = error.strerror or "it cannot be written"
-        raise UserError(f"{printable(path)} cannot be written: {why}") from error
+        raise UserError(f"{path} cannot be written: {why}") from error

@@ -188,7 +188,8 @@ class Findings:
         """Begin the findings of a port, or of what is heard on both."""
         self._section = section
         if not self._as_json:
-            from bilprov.analyzer.doctor.drawing import heading, title
+            from bilprov.analyzer.doctor.drawing import title
+            from bilprov.analyzer.output.console import heading
 
             show(heading(title(section)))
 

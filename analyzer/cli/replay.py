@@ -55,7 +55,6 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line, Look
-from bilprov.captures.text import printable
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
@@ -174,7 +173,7 @@ def replay(
             note(sentence)
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
-            raise click.UsageError(f"{printable(path)} holds no bytes of the host to send")
+            raise click.UsageError(f"{path} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
         if not yes:  # what moves is in the whole capture
             what = _what_moves(protocol, port, path, capture, timeout, window)
@@ -238,7 +237,7 @@ def _what_moves(
             yield from (r.data for r in batch.records() if isinstance(r, HostRecord))
 
     words = movement_words(protocol, movement_of(protocol, frames()))
-    return f"the device at {port} will move as recorded in {printable(path)}: {words}"
+    return f"the device at {port} will move as recorded in {path}: {words}"
 
 
 def _window(start: float | None, end: float | None, duration: float | None) -> Window:
@@ -291,7 +290,7 @@ def _look_through(
     sentences = (*said_about(named, protocol), opened.note)
     feed.notice = "; ".join(filter(None, sentences))
     told = Told(
-        printable(capture.path.name),
+        capture.path.name,
         capture.start,
         capture_line(capture, protocol).byte_time,
         rows,

@@ -45,11 +45,6 @@ def title(name: str, machine: Machine | None = None) -> str:
     return f"{name}: {known}" if known else name
 
 
-def heading(text: str) -> Text:
-    """The line above the findings of a port."""
-    return Text(escape_controls(text), style="bold")
-
-
 def drawn(finding: Finding) -> RenderableType:
     """A finding without its command, which must stay on one line to be copied."""
     grid = Table.grid(padding=(0, 2, 0, 0))

@@ -10,7 +10,7 @@ from shlex import quote
 from urllib.parse import urlsplit
 
 from bilprov.analyzer.transport.machine import Held, Machine, Process
-from bilprov.spec.errors import UserError
+from bilprov.spec.errors import UserError, one_line
 
 SIM = "sim"  # a target that is no port
 
@@ -56,8 +56,7 @@ class LinkError(UserError):
 
     def __init__(self, sentence: str, command: str = "") -> None:
         super().__init__(f"{sentence}: {command}" if command else sentence)
-        self.sentence = sentence
-        self.command = command
+        self.sentence, self.command = one_line(sentence), one_line(command)
 
 
 def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError:

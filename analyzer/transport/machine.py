@@ -9,13 +9,14 @@ from __future__ import annotations
 import grp
 import os
 import pwd
+import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from bilprov.captures.text import printable
+from bilprov.spec.errors import one_line
 
 _COMMAND_CHARACTERS = 40  # of a command line, which is enough to recognise a program
 _PTYS = "/dev/pts/"
@@ -150,7 +151,7 @@ class Machine:
 
     def process(self, pid: int) -> Process:
         """What anybody may see of a process."""
-        name = printable(self._read(f"/proc/{pid}/comm"))
+        name = one_line(self._read(f"/proc/{pid}/comm"))
         words = [word for word in self._read(f"/proc/{pid}/cmdline").split("\0") if word]
         # Of a program in Python its name is what counts, not where that is.
         if words and Path(words[0]).name.startswith("python"):
@@ -158,7 +159,7 @@ class Machine:
         line = " ".join([Path(words[0]).name, *words[1:]]) if words else name
         if len(line) > _COMMAND_CHARACTERS:
             line = line[: _COMMAND_CHARACTERS - 1] + "…"
-        return Process(pid, name, printable(line) or "a process without a name")
+        return Process(pid, name, one_line(line) or "a process without a name")
 
     def is_own(self, pid: int) -> bool:
         """Whether a process is this user's, who may then end it."""
@@ -172,8 +173,8 @@ class Machine:
         for folder in ("/run/lock", "/var/lock", "/var/spool/lock"):
             path = f"{folder}/LCK..{self.title(name)}"
             words = self._read(path).split()
-            if words and words[0].isascii() and words[0].isdigit():
-                return path, int(words[0])
+            if words and (pid := _number(words[0])) is not None:
+                return path, pid
         return None
 
     def is_running(self, pid: int) -> bool:
@@ -223,8 +224,7 @@ class Machine:
 
     def latency_timer(self, name: str) -> int | None:
         """For how many ms the adapter holds bytes back; None for one that has no such timer."""
-        said = _text(self._folder(name) / "latency_timer")
-        return int(said) if said.isascii() and said.isdigit() else None
+        return _number(_text(self._folder(name) / "latency_timer"))
 
     def no_hardware(self, name: str) -> bool:
         """Whether the port is a name that the driver keeps ready for a chip that is not there."""
@@ -269,8 +269,8 @@ class Machine:
     def _processes(self) -> Iterator[int]:
         with suppress(OSError):
             for entry in self.file("/proc").iterdir():
-                if entry.name.isascii() and entry.name.isdigit():
-                    yield int(entry.name)
+                if (pid := _number(entry.name)) is not None:
+                    yield pid
 
     def _lockers(self, path: str) -> set[int]:
         """The processes that hold a lock (flock) on a device; anybody may see those."""
@@ -280,9 +280,9 @@ class Machine:
             return set()
         where = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
         locks = (line.split() for line in self._read("/proc/locks").splitlines())
-        held = (lock[4] for lock in locks if len(lock) > 5 and lock[5] == where)
+        held = (_number(lock[4]) for lock in locks if len(lock) > 5 and lock[5] == where)
         # 0 and -1 stand for a process that this one cannot see, as from inside a container.
-        return {int(pid) for pid in held if pid.isdigit() and pid != "0"}
+        return {pid for pid in held if pid}
 
     def _read(self, path: str) -> str:
         return _text(self.file(path))
@@ -297,8 +297,8 @@ def _usb(folder: Path) -> UsbDevice | None:
     vendor = _text(folder / "idVendor")
     if not vendor:
         return None
-    says = (printable(_text(folder / name)) for name in ("idProduct", "serial", "product"))
-    return UsbDevice(folder, printable(vendor), *says)
+    says = (one_line(_text(folder / name)) for name in ("idProduct", "serial", "product"))
+    return UsbDevice(folder, one_line(vendor), *says)
 
 
 def _text(path: Path) -> str:
@@ -307,6 +307,11 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except (OSError, ValueError):  # ValueError: a name with a NUL
         return ""
+
+
+def _number(text: str) -> int | None:
+    """The number that a file or its name says, None for anything else."""
+    return int(text) if re.fullmatch("[0-9]{1,18}", text) else None
 
 
 def _target(link: Path) -> str:

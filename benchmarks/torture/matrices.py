@@ -26,6 +26,7 @@ PLACES: dict[str, tuple[str, ...]] = {
         "tests/analyzer/test_files.py",
     ),
     "hostile text from devices, names, metadata, probes and grammars, on each surface": (
+        "tests/test_doors.py",
         "tests/test_hostile_texts.py",
         "tests/test_grammar_texts.py",
     ),

@@ -10,7 +10,6 @@ import msgspec
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_named
-from bilprov.captures.text import printable
 from bilprov.conformance.api import Options, select_cases
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli.options import expect_failures_option, expected_file, with_expected
@@ -82,12 +81,9 @@ def _options(part: ShardReport) -> Options:
     try:
         options = replace(msgspec.convert(part.report.options, Options), shard=None)
     except msgspec.ValidationError as error:
-        raise MergeError(
-            f"{part.name} names options that are unknown ({printable(error)})"
-        ) from error
+        raise MergeError(f"{part.name} names options that are unknown ({error})") from error
     if options.level not in LEVELS:
         raise MergeError(
-            f"{part.name} names an unknown level: {printable(options.level)!r}; there are "
-            f"{', '.join(LEVELS)}"
+            f"{part.name} names an unknown level: {options.level!r}; there are {', '.join(LEVELS)}"
         )
     return options

@@ -15,7 +15,6 @@ import click
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.files import read_bounded
-from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
     from bilprov.analyzer.transport.line_settings import LineSettings
@@ -136,7 +135,7 @@ def with_expected(report: Report, file: ExpectedFile | None, path: str | None) -
     if change is not None:
         for sign, lines in (("-", change.removed), ("+", change.added)):
             for line in lines[:_SHOWN]:
-                note(f"{sign} {printable(line)}")
+                note(f"{sign} {line}")
             if len(lines) > _SHOWN:
                 note(f"{sign} and {len(lines) - _SHOWN} more")
         added, removed = len(change.added), len(change.removed)

@@ -13,7 +13,6 @@ from rich.progress import (
 from rich.progress import Progress as Bar
 
 from bilprov.captures.closing import Closing
-from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.listeners.listener import RunListener
 
@@ -59,8 +58,7 @@ class Progress(Closing, RunListener):
 
     def note(self, sentence: str) -> None:
         """Print a sentence above the bar, on standard error."""
-        safe = escape_controls(sentence)
-        self._bar.console.print(safe, highlight=False, markup=False, soft_wrap=True)
+        self._bar.console.print(sentence, highlight=False, markup=False, soft_wrap=True)
 
     def close(self) -> None:
         """Remove the bar."""

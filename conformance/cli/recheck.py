@@ -56,17 +56,14 @@ def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
             click.echo(_line(difference), err=to_stdout)
         click.echo(_sum(found), err=to_stdout)
     if outputs and found.report is None:
-        raise CaptureError(
-            f"{printable(path)} has no new report to write: the run strayed from its recording"
-        )
+        raise CaptureError(f"{path} has no new report to write: the run strayed from its recording")
     return found.exit
 
 
 def _line(difference: Difference) -> str:
     return (
-        f"{printable(difference.about)}: {difference.what} recorded: "
-        f"{printable(difference.recorded)}; "
-        f"judged again: {printable(difference.judged)}"
+        f"{difference.about}: {difference.what} recorded: "
+        f"{printable(difference.recorded)}; judged again: {printable(difference.judged)}"
     )
 
 

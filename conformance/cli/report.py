@@ -17,6 +17,7 @@ from bilprov.conformance.cli.outputs import (
 )
 from bilprov.conformance.report.formats import SEVERAL
 from bilprov.conformance.report.json_report import ReportError, read_report
+from bilprov.spec.errors import one_line
 
 *_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
 _HELP = f"""Write pages from what conform --json wrote, several runs side by side.
@@ -45,7 +46,7 @@ def report(
     promise_verdict()
     require_writable(outputs, inputs=results)
     try:
-        reports = [structs.replace(read_report(path), file=path) for path in results]
+        reports = [structs.replace(read_report(path), file=one_line(path)) for path in results]
     except ReportError as error:
         raise click.UsageError(str(error)) from error
     protocol = load_protocol(grammar)

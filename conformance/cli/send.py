@@ -20,7 +20,6 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.text import printable
 from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
@@ -107,7 +106,7 @@ def send(
         raise click.UsageError(f"--{option} is {use}")
     if target.startswith(BOARD):
         raise click.UsageError(
-            f"{printable(target)} is for conform: start `bilprov simulate --firmware FILE.elf` and "
+            f"{target} is for conform: start `bilprov simulate --firmware FILE.elf` and "
             "name the pty that it prints"
         )
     with ExitStack() as stack:

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from bilprov.captures.schemas import Look
-from bilprov.captures.text import printable
 from bilprov.conformance.dut.link import Device
+from bilprov.spec.errors import UserError
 
 _METHODS = ("receive", "advance", "deadline")
 
 
-class DeviceError(TypeError):
+class DeviceError(UserError, TypeError):
     """A device object breaks the interface `bilprov.conformance.dut.link.Device`. One sentence."""
 
 
@@ -52,7 +52,7 @@ class CheckedDevice:
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now`."""
         look = self._call("look", self._device.look, now)
-        if not isinstance(look, Look):
+        if not isinstance(look, Look) or not str(look.motion).isprintable():
             raise self._gave("look", look, "an instance of bilprov.Look")
         return look
 
@@ -64,10 +64,8 @@ class CheckedDevice:
         try:
             return method(*arguments)
         except Exception as error:
-            what = f"{type(error).__name__}: {printable(error)}"
-            raise DeviceError(f"the device's {name} raised {what}") from error
+            what = f"the device's {name} raised {type(error).__name__}: {error}"
+            raise DeviceError(what) from error
 
     def _gave(self, name: str, value: object, wanted: str) -> DeviceError:
-        return DeviceError(
-            f"the device's {name} gave {printable(repr(value))}; it must give {wanted}"
-        )
+        return DeviceError(f"the device's {name} gave {value!r:.200}; it must give {wanted}")

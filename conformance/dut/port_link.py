@@ -24,6 +24,7 @@ from bilprov.conformance.dut.operations import (
     Send,
 )
 from bilprov.conformance.dut.probes import Probe, ProbeError
+from bilprov.spec.errors import UserError
 
 Power = Callable[[], None]
 """Switches the robot off and on; returns once it has its power again. Raises PowerError."""
@@ -32,7 +33,7 @@ _PATIENCE = 60  # s that a command may take
 _PARTING = 5.0  # s that a run which was stopped waits for a lost port, to home the robot there
 
 
-class PowerError(Exception):
+class PowerError(UserError):
     """The power switch did not work; the message says why, in one sentence."""
 
 

@@ -18,6 +18,7 @@ from typing import Annotated
 
 import msgspec
 
+from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
@@ -25,6 +26,7 @@ from bilprov.captures.text import printable, quantity
 from bilprov.spec.errors import UserError
 
 _LONGEST = 1 << 16  # bytes of a line of the tcp probe
+_LONGEST_NAME = 200  # characters of a motion
 _LOOKS = 5  # to measure how long one takes
 
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
@@ -96,8 +98,8 @@ def parse_look(line: bytes, now: int) -> Look:
 
 def _facets(line: bytes) -> _Facets:
     try:
-        return msgspec.json.decode(line.decode(), type=_Facets)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return from_json(line, _Facets)
+    except ValueError as error:
         raise ProbeError(
             f"the probe answered {printable(line.decode(errors='replace'))!r}, "
             "which is not a line of "
@@ -110,7 +112,7 @@ def _look(facets: _Facets, now: int) -> Look:
         name: _whole(getattr(facets, name))
         for name in ("speed", "steering", "led", "left", "right")
     }
-    motion = None if facets.motion is None else printable(facets.motion)
+    motion = facets.motion and facets.motion[:_LONGEST_NAME]
     return Look(t=now, moving=facets.moving, motion=motion, **numbers)
 
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import msgspec
 
+from bilprov.analyzer.foreign import safe
 from bilprov.captures import topics
 from bilprov.captures.reader import Message
 from bilprov.captures.schemas import Asked, Look
@@ -148,8 +149,8 @@ class RecordedLink:
 
     def _value(self, value: object, kind: type[Read]) -> Read:
         try:
-            return msgspec.convert(value, kind)
-        except msgspec.ValidationError as error:
+            return msgspec.convert(safe(value), kind)
+        except ValueError as error:
             raise Strayed(f"{self._where} cannot be read: {error}") from error
 
 

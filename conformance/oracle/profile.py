@@ -6,12 +6,12 @@ keep to it.
 
 from __future__ import annotations
 
-import tomllib
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from bilprov.analyzer.foreign import from_toml
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
@@ -141,8 +141,8 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
     `allowed` are the options of the run: a choice that needs one is refused without it.
     """
     try:
-        told = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        told = from_toml(text)
+    except ValueError as error:
         raise ValueError(f"it is not TOML ({error}); give a file that conform wrote") from error
     if told.get("sha256") != protocol.sha256:
         raise ValueError("it was made with another grammar; leave it out and make a new one")

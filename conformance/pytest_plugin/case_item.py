@@ -9,7 +9,6 @@ from typing import NoReturn
 
 import pytest
 
-from bilprov.captures.text import printable
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
@@ -51,7 +50,7 @@ class CaseItem(pytest.Item):
         if result is None:
             why = bench.why_not(self.name)
             if bench.told_why or not why:
-                _skip(f"not judged: {printable(why) or 'this run did not need it'}")
+                _skip(f"not judged: {why or 'this run did not need it'}")
             bench.told_why = True  # said once: the reason is the same for all that are left
             _fail(f"not judged: {why}")
         self._result = result
@@ -67,11 +66,9 @@ class CaseItem(pytest.Item):
         if result.verdict is Verdict.FAIL:
             _fail(self._evidence(result))
         if result.verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED):
-            _skip(f"{result.verdict.label}: {printable(result.reason)}")
+            _skip(f"{result.verdict.label}: {result.reason}")
         if result.verdict is not Verdict.PASS:
-            self.add_report_section(
-                "call", NAME, f"{result.verdict.label}: {printable(result.reason)}"
-            )
+            self.add_report_section("call", NAME, f"{result.verdict.label}: {result.reason}")
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """The location that pytest shows: a path made of the suite's name, which has no file."""
@@ -84,7 +81,7 @@ class CaseItem(pytest.Item):
             bench.protocol, (), (), Profile(), options, device=bench.target, link=link
         )
         rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
-        lines = [f"{label:10}{printable(words)}" for label, words in rows]
+        lines = [f"{label:10}{words}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
 
 

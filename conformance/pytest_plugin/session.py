@@ -16,7 +16,6 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import handled_endings
-from bilprov.captures.text import printable
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
@@ -28,6 +27,7 @@ from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
+from bilprov.spec.errors import one_line
 from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import GrammarError, Protocol
 
@@ -55,7 +55,7 @@ class RobotSession:
                 fault=_fault(protocol, option("robot_port"), option("robot_fault")),
             )
         except (GrammarError, ValueError, OSError) as error:
-            raise pytest.UsageError(printable(error)) from error
+            raise pytest.UsageError(one_line(error)) from error
         if self.bench.own_probe and option("robot_probe") not in (None, SIM):
             raise pytest.UsageError(
                 f"--robot-port {self.bench.target} brings its own probe: leave --robot-probe out"
@@ -75,7 +75,7 @@ class RobotSession:
         named = {arg.removeprefix(f"{NAME}::") for arg in mine} - {NAME}
         unknown = sorted(named - self.bench.order.keys())
         if unknown:
-            raise pytest.UsageError(f"there is no case {printable(unknown[0])}; see --collect-only")
+            raise pytest.UsageError(f"there is no case {one_line(unknown[0])}; see --collect-only")
         config.args[:] = [arg for arg in config.args if arg not in mine]
         return frozenset(named if named and NAME not in mine else self.bench.order)
 
@@ -196,7 +196,7 @@ class RobotSession:
             unasked = result.id in self.bench.order and result.id not in self._left
             if unasked and result.verdict >= Verdict.FAIL:
                 what = f"{result.id}, which opens every run, is {result.verdict.label} too"
-                terminalreporter.write_line(f"robot: {what}: {printable(result.reason)}")
+                terminalreporter.write_line(f"robot: {what}: {result.reason}")
 
 
 def _require_one_process(config: pytest.Config) -> None:
@@ -210,8 +210,7 @@ def _options(protocol: Protocol, option: Callable[[str], Any]) -> Options:
     seed, level = option("robot_seed"), option("robot_level") or STANDARD.name
     if level not in LEVELS:
         raise ValueError(
-            f"--robot-level is {printable(level)}; allowed are "
-            f"{', '.join(LEVELS)}: give one of them"
+            f"--robot-level is {level}; allowed are {', '.join(LEVELS)}: give one of them"
         )
     allow = tuple(option("robot_allow") or ())
     parse_allowed(protocol, allow)

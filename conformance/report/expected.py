@@ -18,7 +18,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-from bilprov.captures.text import printable
+from bilprov.captures.text import escape_controls, printable
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.errors import UserError
@@ -48,7 +48,7 @@ class Entry:
 
     def __str__(self) -> str:
         failure = f"{self.axis}: {self.message}" if self.message else self.axis
-        return f"{printable(self.glob)}{_SEPARATOR}{printable(failure)}"
+        return f"{self.glob}{_SEPARATOR}{failure}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
     """The entries of a file's text. Raises ExpectedError, naming file and line."""
     entries = []
     for number, line in enumerate(_lines(text), 1):
-        words = line.strip()
+        words = escape_controls(line.replace("\t", " ").strip())
         if not words or words.startswith("#"):
             continue
         glob, _, failure = words.partition(_SEPARATOR)
@@ -95,7 +95,7 @@ def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
                 f"{file}, line {number}: the glob {printable(glob)!r} has {len(glob)} characters, "
                 f"allowed are {LONGEST_GLOB}; see the ids with bilprov conform sim --list"
             )
-        entries.append(Entry(glob, axis, _plain(message), number))
+        entries.append(Entry(glob, axis, printable(_plain(message)), number))
         if len(entries) > _MOST:
             raise ExpectedError(f"{file} has more than {_MOST} entries; name several with one glob")
     return tuple(entries)
@@ -112,7 +112,7 @@ def require_known(entries: Iterable[Entry], file: str, known: Collection[str]) -
         if not _ids(entry, known):
             raise ExpectedError(
                 f"{file}, line {entry.line}: no case matches "
-                f"{printable(entry.glob)!r}; see the ids "
+                f"{entry.glob!r}; see the ids "
                 "with bilprov conform sim --list, or take the entry out"
             )
 
@@ -148,7 +148,7 @@ def compare(
     for entry in entries:
         its = _ids(entry, suite)
         if entry not in used and its and fine.issuperset(its):
-            what = f"{printable(its[0])} does" if len(its) == 1 else f"its {len(its)} cases do"
+            what = f"{its[0]} does" if len(its) == 1 else f"its {len(its)} cases do"
             stale.append(
                 f"{file}, line {entry.line}: {entry}: {what} "
                 "not fail any more; take the entry out, or run with --update-expected"

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
-from bilprov.captures.text import printable
 from bilprov.conformance.report.expected import (
     FORM,
     ExpectedError,
@@ -18,6 +17,7 @@ from bilprov.conformance.report.expected import (
     updated,
 )
 from bilprov.conformance.report.run_report import Report, compared
+from bilprov.spec.errors import one_line
 
 _MOST = 1 << 20  # bytes
 
@@ -41,7 +41,7 @@ class ExpectedFile:
         update: bool = False,
     ) -> None:
         self._path = Path(path)
-        self._name = printable(path)
+        self._name = one_line(path)
         self._known, self._suite = known, suite
         self._update = update
         self._text = _read(self._path, self._name, missing_ok=update)

@@ -46,24 +46,17 @@ def rows(reports: Sequence[Report]) -> list[Row]:
 
     A case that only later reports have stands after the one that it follows there.
     """
-    order: list[tuple[str, int]] = []
-    found: list[dict[tuple[str, int], CaseResult]] = []
-    for report in reports:
-        seen: Counter[str] = Counter()
-        results: dict[tuple[str, int], CaseResult] = {}
-        for result in report.results:
-            # An id stands once in a report; if a file has it more often, no result is lost.
-            results[result.id, seen[result.id]] = result
-            seen[result.id] += 1
-        found.append(results)
+    found = [{result.id: result for result in report.results} for report in reports]
+    order: list[str] = []
+    for results in found:
         order = _merged(order, list(results))
-    return [Row(key[0], tuple(results.get(key) for results in found)) for key in order]
+    return [Row(ident, tuple(results.get(ident) for results in found)) for ident in order]
 
 
-def _merged(order: list[tuple[str, int]], more: list[tuple[str, int]]) -> list[tuple[str, int]]:
+def _merged(order: list[str], more: list[str]) -> list[str]:
     known = set(order)
-    after: dict[tuple[str, int] | None, list[tuple[str, int]]] = {}
-    last: tuple[str, int] | None = None
+    after: dict[str | None, list[str]] = {}
+    last: str | None = None
     for key in more:
         if key in known:
             last = key

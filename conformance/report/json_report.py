@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 
 from bilprov.analyzer.files import read_bounded
-from bilprov.captures.text import escape_json, printable
+from bilprov.analyzer.foreign import from_json
+from bilprov.captures.text import escape_json
 from bilprov.conformance.oracle.verdicts import (
     LABELS,
     AnswerByte,
@@ -113,7 +114,7 @@ def report_file(path: str) -> bytes:
         return read_bounded(Path(path), _MOST, pipes=True)
     except OSError as error:
         raise ReportError(
-            f"{printable(path)} cannot be read ({error.strerror}); name what conform --json wrote"
+            f"{path} cannot be read ({error.strerror}); name what conform --json wrote"
         ) from error
 
 
@@ -123,11 +124,17 @@ def read_report(path: str) -> Report:
     Raises ReportError, in one sentence, for a file that cannot be read, that is no such result, or
     whose verdict and counts are not those of its cases.
     """
-    data = report_file(path)
+    return parse_report(report_file(path), path)
+
+
+def parse_report(data: bytes, path: str) -> Report:
+    """The report that the JSON of a file of that name holds. Raises ReportError, in one sentence.
+
+    What comes out is safe, whatever the file holds: every text prints and is bounded.
+    """
     try:
-        document = msgspec.json.decode(data, type=schema.Document)
-        msgspec.json.decode(data, type=schema.OpenParts)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        document = from_json(data, schema.Document)
+    except ValueError as error:
         raise ReportError(
             f"{path} is not a report of bilprov ({error}); give a file that conform --json wrote"
         ) from error
@@ -140,6 +147,9 @@ def read_report(path: str) -> Report:
             f"that of its cases is {report.verdict.label} ({_counted(found)}); run conform "
             "--json again"
         )
+    twice = [ident for ident, count in Counter(r.id for r in report.results).items() if count > 1]
+    if twice:
+        raise ReportError(f"{path} holds the case {twice[0]} twice; run conform --json again")
     return report
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import conclusion
 from bilprov.conformance.report.grouping import by_group
@@ -26,16 +25,16 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
     """
     root = Element("testsuites", name="bilprov conform")
     for report in reports:
-        before = f"{escape_controls(report.device)}: " if len(reports) > 1 else ""
+        before = f"{report.device}: " if len(reports) > 1 else ""
         for name, results in by_group(report.results).items():
-            suite = _suite(root, report, before + escape_controls(name))
+            suite = _suite(root, report, before + name)
             for result in results:
                 _case(suite, report, result, before)
         if report.unusable:
             suite = _suite(root, report, before + _NOT_RUN)
             classname = before + _NOT_RUN
             case = SubElement(suite, "testcase", classname=classname, name="usable", time="0")
-            SubElement(case, "error", type="error", message=escape_controls(report.unusable))
+            SubElement(case, "error", type="error", message=report.unusable)
     for suite in root:
         for kind, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
             suite.set(kind, str(len(suite.findall(f"testcase/{tag}"))))
@@ -52,9 +51,9 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
 def _suite(root: Element, report: Report, name: str) -> Element:
     suite = SubElement(root, "testsuite", name=name)
     if report.begun:
-        suite.set("timestamp", escape_controls(report.begun))
+        suite.set("timestamp", report.begun)
     if report.host:
-        suite.set("hostname", escape_controls(report.host))
+        suite.set("hostname", report.host)
     properties = SubElement(suite, "properties")
     grammar = report.grammar
     facts = {
@@ -66,7 +65,7 @@ def _suite(root: Element, report: Report, name: str) -> Element:
     }
     facts |= run_facts(report)
     for key, value in facts.items():
-        SubElement(properties, "property", name=key, value=escape_controls(value))
+        SubElement(properties, "property", name=key, value=value)
     return suite
 
 
@@ -75,18 +74,18 @@ def _case(suite: Element, report: Report, result: CaseResult, before: str) -> No
     case = SubElement(
         suite,
         "testcase",
-        classname=before + escape_controls(result.own_clause),
-        name=escape_controls(result.id),
+        classname=before + result.own_clause,
+        name=result.id,
         time=f"{seconds:.6f}",
     )
     properties = SubElement(case, "properties")
     for key, value in (("verdict", result.verdict.label), ("reading", result.reading)):
         if value:
-            SubElement(properties, "property", name=key, value=escape_controls(value))
+            SubElement(properties, "property", name=key, value=value)
     if result.verdict is Verdict.PASS:
         return
-    words = "\n".join(escape_controls(line) for line in _lines(report, result))
-    reason = escape_controls(result.reason) or result.verdict.label
+    words = "\n".join(line for line in _lines(report, result))
+    reason = result.reason or result.verdict.label
     tag = outcome(result.verdict, strict=bool(report.options.get("strict")))
     if tag == "skipped":
         SubElement(case, tag, type=result.verdict.label, message=reason)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import by_group, by_reason, tally
@@ -67,7 +66,7 @@ def _block(text: str) -> str:
 
 
 def _clipped(text: str) -> str:
-    text = escape_controls(text)
+    text = text
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from bilprov.analyzer.foreign import safe
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import covered
@@ -98,6 +99,7 @@ def make_report(
     """
     ended_by = "" if ended is None else ended.by
     measured = _measured(profile)
+    foreign = {"ended": "" if ended is None else str(ended), "unusable": unusable, **facts}
     return Report(
         grammar={
             "name": protocol.name,
@@ -105,18 +107,16 @@ def make_report(
             "sha256": protocol.sha256,
             "file": protocol.origin,
         },
-        options=options,
+        options=safe(options),
         seed=options["seed"],
         exit=decided_exit(results, options, unusable, ended_by),
-        unusable=unusable,
-        ended="" if ended is None else str(ended),
         ended_by=ended_by,
         profile=measured,
         coverage=coverage(protocol, results, cases),
         results=tuple(results),
         proof=proven(protocol, results, options, measured),
         kit=kit_version(),
-        **facts,
+        **safe(foreign),
     )
 
 

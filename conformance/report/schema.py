@@ -144,12 +144,6 @@ class Head(msgspec.Struct, kw_only=True):
     notices: tuple[str, ...] = ()
 
 
-class Document(Head, kw_only=True):
-    """A whole report."""
-
-    cases: list[LoggedCase]
-
-
 class Link(msgspec.Struct, kw_only=True):
     """The keys of `link` that this kit reads."""
 
@@ -193,7 +187,7 @@ class WheelCurve(msgspec.Struct):
 
 
 class _Profile(msgspec.Struct):
-    truncation_timeout_ms: Milliseconds | None = None
+    truncation_timeout_ms: Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None = None
     latency_median_ms: Milliseconds | None = None
     latency_max_ms: Milliseconds | None = None
     facets: list[str] | None = []  # these and the readings are null where merged shards differ
@@ -201,12 +195,20 @@ class _Profile(msgspec.Struct):
     readings: dict[str, Any] | None = {}
 
 
-class OpenParts(msgspec.Struct, kw_only=True):
-    """The objects of a report that may have any further keys; those read here have their type.
-
-    A file is decoded as this too, beside its struct above, which keeps every key of these objects.
-    """
+class _OpenParts(msgspec.Struct, kw_only=True):
+    """The objects of a report that may have any further keys; those read here have their type."""
 
     link: Link
     options: _Options
     profile: _Profile
+
+
+class Document(Head, kw_only=True):
+    """A whole report."""
+
+    cases: list[LoggedCase]
+
+    def __post_init__(self) -> None:
+        """Check the known keys of the objects that keep every key of the file."""
+        open_parts = {"link": self.link, "options": self.options, "profile": self.profile}
+        msgspec.convert(open_parts, _OpenParts)

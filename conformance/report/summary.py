@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bilprov.captures.text import escape_all_controls
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import STYLES, conclusion
@@ -45,17 +44,11 @@ def summary_console(*, stderr: bool = False) -> Console:
     return console
 
 
-def _visible(report: Report) -> Report:
-    """The report with all control characters escaped, so that it cannot control the terminal."""
-    return msgspec.convert(escape_all_controls(msgspec.to_builtins(report)), Report)
-
-
 def show(report: Report, console: Console, *, everything: bool = False) -> None:
     """Print the summary; `everything` lists every case that did not pass.
 
     What matters most is printed last, where a terminal stays: the failures, then the conclusion.
     """
-    report = _visible(report)
     if not report.unusable:
         if report.results:
             console.print(_table(report))
@@ -186,7 +179,6 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
 
 def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:
     """Print one column for each report; `everything` lists every case on which they differ."""
-    reports = [_visible(report) for report in reports]
     told = names(reports)
     cases = rows(reports)
     console.print(_compared(told, cases))

@@ -486,17 +486,8 @@ def test_a_grammar_that_is_given_is_used_instead(
     assert "no case matches" in sentence(other)
 
 
-HOSTILE = {
-    "no object": b"[]",
-    "no JSON": b"{",
-    "deep": b"[" * 100_000,
-    "empty": b"{}",
-    "other types": b'{"kit":1,"grammar":{},"options":{},"circumstances":{}}',
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.parametrize("content", [b"{}", b"[" * 100_000], ids=["empty", "deep"])
 def test_what_the_run_rests_on_may_be_anything(
     faulty: Path, tmp_path: Path, content: bytes
 ) -> None:

@@ -7,7 +7,6 @@ grammar that the user names is loaded without that; the same sentences come for 
 from __future__ import annotations
 
 import json
-from random import Random
 
 import pytest
 
@@ -17,10 +16,7 @@ from benchmarks.hostile_grammars import (
     WRONG,
     bomb,
     embedded,
-    loaded_or_said,
-    mutant,
     mutated,
-    use,
 )
 from bilprov.spec.protocol import GrammarError, load
 from bilprov.spec.safe_grammar import NotDeclared
@@ -138,21 +134,3 @@ def test_a_bomb_is_a_sentence_in_little_memory_and_time(
     assert said.isprintable()
     assert len(said) < 400
     assert "MemoryError" not in said
-
-
-@pytest.mark.sample(3)
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
-def test_a_random_grammar_is_used_or_refused_in_a_sentence(grammar_text: str, seed: int) -> None:
-    random = Random(seed)
-    used = 0
-    for _ in range(250):
-        text = mutant(grammar_text, random)
-        protocol = loaded_or_said(text)
-        if isinstance(protocol, str):
-            assert protocol.isprintable(), text
-            assert len(protocol) < 400, text
-        else:
-            use(protocol, random.sample(range(256), 16))
-            used += 1
-    assert used

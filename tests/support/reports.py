@@ -10,6 +10,8 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.report.expected import Comparison
+from bilprov.conformance.report.json_report import as_json, parse_report
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
@@ -21,7 +23,7 @@ EVIL = (
     "]]><a href='javascript:window.hit=1'>x</a>",
     "| a | `b` ```\n# c\n- [d](javascript:e) @everyone www.example.org <!--",
     "[x](evil) ![y](evil.png) **z** ~~w~~ [v](http://evil.example/)",
-    "\x00\x1b[31m\x9b\u202e\u2028\ufffe\udcff",
+    "\x00\x1b[31m\x9b\u202e\u2028\ufffe",
     "${7*7}{{7*7}}%s\\",
 )
 
@@ -65,7 +67,7 @@ def every_verdict(protocol: Protocol, *, strict: bool = False) -> Report:
 
 
 def hostile(protocol: Protocol, evil: str) -> Report:
-    """A report in which every text that can come from outside is hostile."""
+    """A report read from a file in which every text is hostile."""
     case = a_case(f"{evil}/{evil}", Verdict.FAIL)
     case = replace(
         case,
@@ -78,7 +80,7 @@ def hostile(protocol: Protocol, evil: str) -> Report:
     )
     unsure = replace(case, id=f"unsure/{evil}", verdict=Verdict.INCONCLUSIVE)
     base = a_run(protocol, "valid/LED/1")
-    return replace(
+    report = replace(
         base,
         device=evil,
         kit=evil,
@@ -88,9 +90,17 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         profile={evil: evil, "deep": {evil: [evil, {evil: evil}]}, "readings": {evil: evil}},
         coverage={evil: (1, 2)},
         ended=evil,
+        begun=evil,
+        host=evil,
+        versions={evil: evil},
+        unseen=(evil,),
+        notices=(evil,),
+        proof=evil,
+        comparison=Comparison(evil, frozenset(), 1, (evil,)),
         results=(case, unsure),
         exit=1,
     )
+    return parse_report(as_json(report), evil)
 
 
 _WHEN = re.compile(

@@ -13,7 +13,6 @@ from typing import Any
 
 from bilprov.analyzer.html.markup import Safe, joined, tag
 from bilprov.captures.schemas import MS
-from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
 from bilprov.conformance.oracle.wording import code_words
 from bilprov.conformance.report.grouping import Row
@@ -66,7 +65,7 @@ class _Strings:
         self._numbers: dict[str, int] = {}
 
     def __call__(self, words: str) -> int:
-        return self._numbers.setdefault(escape_controls(words), len(self._numbers))
+        return self._numbers.setdefault(words, len(self._numbers))
 
     @property
     def all(self) -> list[str]:
@@ -100,7 +99,7 @@ def case_data(
         if reading.id in rest_on
     }
     return {
-        "runs": [escape_controls(name) for name in told],
+        "runs": list(told),
         "known": [told_by.known for told_by in words],
         "readings": readings,
         "cases": drawn,
@@ -148,11 +147,7 @@ class WireWords:
         self.known = report.grammar["sha256"] == protocol.sha256
         self._protocol = protocol
         measured = report.profile.get("truncation_timeout_ms")
-        usual = protocol.timing.truncation_timeout
-        # The profile may come from a file, where True is a number too.
-        if not isinstance(measured, bool) and isinstance(measured, int | float):
-            usual = measured if 0 < measured < 1e6 else usual
-        self._timeout = int(usual * MS)
+        self._timeout = int((measured or protocol.timing.truncation_timeout) * MS)
         self._frame = lru_cache(maxsize=None)(self._describe)
 
     def of(self, log: Iterable[WireEvent]) -> Iterator[str]:

@@ -12,7 +12,6 @@ from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.readings import READINGS
 
 _POINTS = {reading.id: reading for reading in READINGS}
-_DEEPEST = 6  # levels of a value that is shown; a file may hold more
 _UNSAID: tuple[Any, ...] = (None, False, "", (), [], {})
 
 
@@ -74,19 +73,14 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         if any(told_of):
             lines[name] = [_value(value) for value in told_of]
     for key in keys:
-        choices = [report.profile.get(key) for report in reports]
-        if key == "readings" and all(isinstance(value, dict | None) for value in choices):
-            continue
-        if key == "wheels":
-            continue
-        lines[_words(key)] = [_value(value) for value in choices]
+        if key not in ("readings", "wheels"):
+            lines[_words(key)] = [_value(report.profile.get(key)) for report in reports]
     return joined([_table(lines, told), wheel_curves(reports, told), _readings(reports, told)])
 
 
 def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     """A table of each device's choices where the document is silent."""
-    shown = [report.profile.get("readings") for report in reports]
-    chosen: list[dict[str, Any]] = [value if isinstance(value, dict) else {} for value in shown]
+    chosen: list[dict[str, Any]] = [report.profile.get("readings") or {} for report in reports]
     points = dict.fromkeys(point for values in chosen for point in values)
     if not points:
         return Safe("")
@@ -147,7 +141,7 @@ def _words(key: object) -> str:
     )
 
 
-def _value(value: object, deep: int = 0) -> Safe:
+def _value(value: object) -> Safe:
     """Any value of a JSON file as HTML."""
     if isinstance(value, Safe):
         return value
@@ -155,16 +149,14 @@ def _value(value: object, deep: int = 0) -> Safe:
         return tag("span", "not known", class_="dim")
     if isinstance(value, bool):
         return text("yes" if value else "no")
-    if deep >= _DEEPEST:
-        return tag("span", "…", class_="dim")
     if isinstance(value, dict):
         lines = [
-            tag("div", tag("dt", _words(key)), tag("dd", _value(inner, deep + 1)))
+            tag("div", tag("dt", _words(key)), tag("dd", _value(inner)))
             for key, inner in value.items()
         ]
         return tag("dl", *lines)
     if isinstance(value, list | tuple):
         if not value:
             return tag("span", "none", class_="dim")
-        return tag("ul", *(tag("li", _value(inner, deep + 1)) for inner in value))
+        return tag("ul", *(tag("li", _value(inner)) for inner in value))
     return text(value)

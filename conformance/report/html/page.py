@@ -7,7 +7,6 @@ from pathlib import Path
 
 from bilprov.analyzer.html.markup import Safe, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
-from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import Row, names, rows, tally
@@ -85,9 +84,7 @@ def _sections(reports: Sequence[Report], told: list[str], cases: list[Row]) -> I
 
 def _columns(told: list[str]) -> Safe:
     """A numbered list that says which column of the list of cases is which report."""
-    entries = [
-        tag("li", tag("b", index), " ", escape_controls(name)) for index, name in enumerate(told, 1)
-    ]
+    entries = [tag("li", tag("b", index), " ", name) for index, name in enumerate(told, 1)]
     return tag("ol", *entries, class_="columns")
 
 

@@ -81,7 +81,8 @@ def test_a_line_of_json_is_a_look(line: str, look: Look) -> None:
     [
         *("", "moving", "true", "[]", "null", '{"moving": "yes"}', '{"moving": 1}'),
         *('{"moving": true', '{"speed": "fast"}', '{"motion": 3}', '{"moving": true} {}'),
-        *("\xff\xfe", '{"moving": NaN}', "x" * 5000),
+        *("\xff\xfe", '{"moving": NaN}', "x" * 5000, '{"speed": true}', '[{"moving": true}]'),
+        *('{"moving": true}\0', '{"speed": 1e300}', '{"mood": "\xff"}', '{"a":' * 10_000),
     ],
 )
 def test_what_is_not_such_a_line_is_refused_in_one_sentence(line: str) -> None:
@@ -92,47 +93,12 @@ def test_what_is_not_such_a_line_is_refused_in_one_sentence(line: str) -> None:
     assert len(str(error.value)) < 500
 
 
-HOSTILE = {
-    "motion not UTF-8": b'{"moving": true, "motion": "\xff"}',
-    "motion cut within a character": b'{"motion": "caf\xc3"}',
-    "unknown key not UTF-8": b'{"moving": true, "\xff": 1}',
-    "unknown value not UTF-8": b'{"moving": true, "mood": "\xff"}',
-    "all of it not UTF-8": b"\x80\x81",
-    "half of a surrogate pair": b'{"motion": "\\ud800"}',
-    "nul bytes": b"\0" * 20,
-    "nul byte after it": b'{"moving": true}\0',
-    "nested without end": b'{"mood": ' + b"[" * 60_000,
-    "nested too deep": b'{"mood": ' + b"[" * 30_000 + b"]" * 30_000 + b"}",
-    "nested objects": b'{"a":' * 10_000,
-    "not a number": b'{"speed": NaN}',
-    "infinite": b'{"speed": -Infinity}',
-    "beyond a float": b'{"speed": 1e999}',
-    "beyond a float in digits": b'{"speed": ' + b"9" * 50_000 + b"}",
-    "huge": b'{"speed": 1e300}',
-    "beyond 64 bits": b'{"moving": true, "left": 123456789012345678901234567890}',
-    "a truth as a number": b'{"speed": true}',
-    "a number as a truth": b'{"moving": 0}',
-    "a list": b'[{"moving": true}]',
-    "a byte order mark": b'\xef\xbb\xbf{"moving": true}',
-}
-
-
-@pytest.mark.parametrize("line", HOSTILE.values(), ids=HOSTILE)
-def test_whatever_bytes_a_probe_answers_it_is_one_short_sentence(line: bytes) -> None:
-    with pytest.raises(ProbeError, match="not a line of JSON") as error:
-        parse_look(line, 0)
-
-    assert "\n" not in str(error.value)
-    assert len(str(error.value)) < 600
-    str(error.value).encode()  # fit for a report
-
-
 @pytest.mark.parametrize(
     "answer",
     [
-        HOSTILE["motion not UTF-8"] + b"\n",
-        HOSTILE["nested without end"] + b"\n",
-        HOSTILE["beyond 64 bits"] + b"\n",
+        b'{"moving": true, "motion": "\xff"}\n',
+        b'{"mood": ' + b"[" * 60_000 + b"\n",
+        b'{"moving": true, "left": 123456789012345678901234567890}\n',
         b"{" + b" " * (1 << 20) + b"}\n",
     ],
     ids=["not UTF-8", "nested", "huge number", "a line of 1 MB"],

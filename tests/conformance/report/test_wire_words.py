@@ -58,7 +58,7 @@ def test_after_the_time_out_a_byte_is_a_header_again(protocol: Protocol) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("odd", [None, "50", True, -1, 0, 1e300, [1]])
+@pytest.mark.parametrize("odd", [None, 0])
 def test_a_measured_time_out_that_is_none_is_passed_over(protocol: Protocol, odd: object) -> None:
     log = (sent("11"), sent("20", 30))
 
