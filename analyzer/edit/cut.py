@@ -191,7 +191,8 @@ class _Part:
         if self._left_out or self._now is not None:
             what = f"{self._left_out} {'byte' if self._left_out == 1 else 'bytes'}"
             said = f"{what} left out here by bilprov capture cut"
-            gap = Line(t if self._now is None else self._now, "gap", "", said)
+            begin = min(t, state.time) if self._now is None else self._now
+            gap = Line(begin, "gap", "", said)
         write_resumption(self._out, self._protocol, state, t, gap)
         self._left_out = 0
 
