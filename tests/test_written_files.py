@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import resource
-import secrets
 from pathlib import Path
 
 import pytest
@@ -143,7 +142,7 @@ def test_the_temporary_file_beside_is_a_new_one_whoever_planted_what(
     folder = tmp_path / "shared"
     folder.mkdir()
     asked = folder / "asked"
-    monkeypatch.setattr(secrets, "token_hex", lambda size: "0" * 2 * size)
+    monkeypatch.setattr(os, "urandom", bytes)
     for planted in (f".asked.{'0' * 16}.part", f".asked.{os.getpid()}.part", ".asked.part"):
         (folder / planted).symlink_to(victim)
 

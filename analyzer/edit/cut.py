@@ -73,7 +73,8 @@ def write_window(
         # A part of a part may begin before that does; then it has a checkpoint already.
         begun = begin and isinstance(begin.value, Resumption) and begin.value.silent
         if not begun:
-            write_resumption(out, protocol, state, window.first)
+            at = window.first if begin is None else min(window.first, begin.now)
+            write_resumption(out, protocol, state, at)
     kept = 0
     behind: list[Timed] = []
     checkpoints = Checkpoints(protocol.sha256)
@@ -139,7 +140,7 @@ class _Part:
         self._known = first_state(decoder)  # the last state in which boundaries were known
         self._since: list[Timed] = []  # what came since then
         self._left_out = 0  # bytes since the last one that was kept
-        self._now: int | None = None  # the time (ns) of the last thing that was kept
+        self._now: int | None = None  # up to when (ns) the part is decoded as the whole is
         self._in_step = False
 
     def take(self, batch: list[Timed], *, kept: bool, counted: bool) -> None:
@@ -151,6 +152,8 @@ class _Part:
             begin = self._since[0].now if self._since else batch[0].now
             self._resume(self._known, begin)
             self._write(self._since)
+        elif not kept and self._in_step:
+            self._now = batch[0].now  # what falls due before this one still does
         self._in_step = kept
         if kept:
             self._write(batch)
@@ -165,7 +168,7 @@ class _Part:
 
     def close(self) -> None:
         """End the part where the recording goes on: nothing is under way there."""
-        if self._in_step or not (self._left_out or self._now is None):
+        if self._in_step:
             return
         quiet = replace(
             self._known,
@@ -178,7 +181,7 @@ class _Part:
             lost_at=None,
             unsynced_since=None,
         )
-        self._resume(quiet, self._known.time)
+        self._resume(quiet, max(self._known.time, self._now or 0))
 
     def _write(self, batch: list[Timed]) -> None:
         for event in events_in(batch):
