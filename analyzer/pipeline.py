@@ -110,7 +110,7 @@ class Pipeline:
     def _handled(self, batches: list[Batch], now: int) -> list[Batch]:
         for batch in batches:
             if self.recorder:
-                self.recorder.decoded(batch.host_count, now, batch.records)
+                self.recorder.decoded(batch.counts.frames, now, batch.records)
             if self.judge:
                 for record in batch.records():
                     if self.shown.window.has(record.t):

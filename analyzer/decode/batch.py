@@ -59,6 +59,14 @@ class Selection(NamedTuple):
         return all(bool(mask.all()) for mask in self)
 
 
+class Counts(NamedTuple):
+    """How many frames and answers there are, and anomalies without those of severity info."""
+
+    frames: int
+    answers: int
+    faults: int
+
+
 class Kinds(NamedTuple):
     """Each row's place in `kinds`, which has the kinds of its anomalies without those of info."""
 
@@ -224,16 +232,6 @@ class Batch(ABC):
 
     @property
     @abstractmethod
-    def host_count(self) -> int:
-        """How many rows of the host there are, garbage left out."""
-
-    @property
-    @abstractmethod
-    def device_count(self) -> int:
-        """How many rows of the device there are."""
-
-    @property
-    @abstractmethod
     def hosts(self) -> HostRows:
         """The host's rows."""
 
@@ -292,12 +290,14 @@ class Batch(ABC):
         sides = (self.hosts.t, self.devices.t, self.others.t)
         return Selection(*((t >= low) & (t < high) for t in sides))
 
-    @property
-    def fault_count(self) -> int:
-        """How many anomalies there are, without those of severity info."""
+    @cached_property
+    def counts(self) -> Counts:
+        """How many frames, answers and anomalies there are."""
         sides = (self.hosts.faults, self.devices.faults)
-        count = sum(int(kinds.amounts.take(kinds.code).sum()) for kinds in sides)
-        return count + sum(len(serious_faults(record)) for record in self.others.listed)
+        faults = sum(int(kinds.amounts.take(kinds.code).sum()) for kinds in sides)
+        faults += sum(len(serious_faults(record)) for record in self.others.listed)
+        frames = int(np.count_nonzero(self.hosts.verdict != NO_VERDICT))
+        return Counts(frames, len(self.devices), faults)
 
     @property
     def serious(self) -> Selection:
@@ -320,20 +320,20 @@ class Records(Batch):
     def __len__(self) -> int:
         return len(self._listed)
 
-    @property
-    def host_count(self) -> int:
-        """How many rows of the host there are, garbage left out."""
-        return sum(1 for record in self._listed if type(record) is HostRecord and record.judgement)
-
-    @property
-    def device_count(self) -> int:
-        """How many rows of the device there are."""
-        return sum(1 for record in self._listed if type(record) is DeviceRecord)
-
-    @property
-    def fault_count(self) -> int:
-        """How many anomalies there are, without those of severity info."""
-        return sum(len(serious_faults(record)) for record in self._listed)
+    @cached_property
+    def counts(self) -> Counts:
+        """How many frames, answers and anomalies there are."""
+        frames = answers = faults = 0
+        for record in self._listed:  # in one go, since a line of its own makes many small batches
+            if type(record) is DeviceRecord:
+                answers += 1
+            elif type(record) is HostRecord and record.judgement:
+                frames += 1
+                if record.judgement.valid:
+                    continue
+            if record.faults:
+                faults += len(serious_faults(record))
+        return Counts(frames, answers, faults)
 
     def records(self, chosen: Selection | None = None) -> Sequence[Record]:
         """The rows in order as records; the chosen ones, None for all."""

@@ -102,16 +102,6 @@ class RegularBatch(Batch):
     def __len__(self) -> int:
         return len(self.start) + len(self.t) + len(self.lines)
 
-    @property
-    def host_count(self) -> int:
-        """How many rows of the host there are, garbage left out."""
-        return len(self.start)
-
-    @property
-    def device_count(self) -> int:
-        """How many rows of the device there are."""
-        return len(self.t)
-
     @cached_property
     def hosts(self) -> HostRows:
         """The host's rows."""

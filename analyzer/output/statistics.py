@@ -46,10 +46,10 @@ class Statistics:
 
     def batch(self, batch: Batch, now: int) -> None:
         """Count a batch that was complete at `now` (ns)."""
-        frames = batch.host_count
+        frames, answers, faults = batch.counts
         self.instructions += frames
-        self.responses += batch.device_count
-        self.faults += batch.fault_count
+        self.responses += answers
+        self.faults += faults
         if frames:
             self._frames.add(now, frames)
 

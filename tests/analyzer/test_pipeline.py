@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from bilprov.analyzer.totals.decoder import Part, Records, StreamDecoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.captures.schemas import Chunk
-from bilprov.spec.codec import raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, conversation
 from tests.support.traffic import ACTS, BATCHES, Act, played
@@ -87,15 +86,16 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
         "window": Window(first, None if first is None else 3 * first),
     }
 
-    assert shown(protocol, events, batches, patience, **more) == shown(
-        protocol, events, [1], 0, **more
-    )
+    text, counts = shown(protocol, events, batches, patience, **more)
+    expected, one_by_one = shown(protocol, events, [1], 0, **more)
+    assert text == expected
+    assert counts[:3] == one_by_one[:3]  # a rate counts frames when they are decoded
 
 
 @pytest.mark.slow
 @settings(max_examples=80)
 @given(ACTS, BATCHES)
-def test_parts_are_counted_as_their_records_are(
+def test_batches_are_counted_as_their_records_are(
     protocol: Protocol, acts: list[Act], batches: list[int]
 ) -> None:
     events = played(protocol, acts)
@@ -103,20 +103,9 @@ def test_parts_are_counted_as_their_records_are(
     session, statistics = Session(protocol), Statistics()
     for event in events:
         _count(statistics, event, Records(session.feed(event)))
-    statistics.part(Records(session.finish()))
+    statistics.batch(Records(session.finish()), 0)
 
     assert counts[:3] == _counts(statistics, 0)[:3]
-
-
-def test_each_frame_of_a_part_counts_when_it_came(protocol: Protocol) -> None:
-    stop = raw_frame(protocol, protocol.stop.id, 0)
-    session, statistics = Session(protocol), Statistics()
-    frames = [Chunk(second * 1000 * MS, "host", stop) for second in range(10)]
-    part = Records([record for event in frames for record in session.feed(event)])
-
-    statistics.part(part)
-
-    assert statistics.rates(9000 * MS).frames == 1.0
 
 
 def test_statistics_count_what_passed(protocol: Protocol) -> None:
@@ -128,9 +117,9 @@ def test_statistics_count_what_passed(protocol: Protocol) -> None:
     assert statistics.rates(200 * MS) == Rates(3 / 0.25, (5 / 0.25, 3 / 0.25))
 
 
-def _count(statistics: Statistics, event: Event, part: Part) -> None:
+def _count(statistics: Statistics, event: Event, batch: Batch) -> None:
     statistics.events([event])
-    statistics.part(part)
+    statistics.batch(batch, event.t)
 
 
 def _counts(statistics: Statistics, now: int) -> Counts:

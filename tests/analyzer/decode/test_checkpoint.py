@@ -89,7 +89,7 @@ def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: P
     assert decoder.deadline == 57 * MS
     assert decoder.advance(57 * MS - 1) == []
     (part,) = decoder.advance(57 * MS)
-    assert part.host_count == 1
+    assert part.counts.frames == 1
 
 
 def some_state(protocol: Protocol) -> DecoderState:

@@ -70,8 +70,7 @@ def require_same(batch: Batch, listed: Batch) -> None:
     assert [place.tolist() for place in batch.places] == [p.tolist() for p in listed.places]
     assert kinds(batch.hosts.faults) == kinds(listed.hosts.faults)
     assert kinds(batch.devices.faults) == kinds(listed.devices.faults)
-    for count in ("host_count", "device_count", "fault_count"):
-        assert getattr(batch, count) == getattr(listed, count)
+    assert batch.counts == listed.counts
     rows = np.arange(len(batch)) % 3 == 1
     chosen = batch.selection(rows)
     assert batch.in_order(chosen).tolist() == rows.tolist()
@@ -159,7 +158,7 @@ def test_traffic_without_oddities_is_columns_alone(each_protocol: Protocol) -> N
     parts = same(each_protocol, conversation(each_protocol, 3000, 1), [700])
 
     assert {type(batch) for batch in parts} == {RegularBatch}
-    assert sum(batch.host_count for batch in parts) == 3000
+    assert sum(batch.counts.frames for batch in parts) == 3000
 
 
 @pytest.mark.parametrize("seed", range(3))
