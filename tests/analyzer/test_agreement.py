@@ -25,7 +25,7 @@ from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, stream_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_parts import decoded_parts
+from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import (
     capture_decoder,
     capture_session,
@@ -70,7 +70,7 @@ def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]
     """Time, arrow, and what begins with the bytes, of the text lines of `replay` for frames."""
     text: list[str] = []
     output = stream_output("lines", text.append)
-    for part in decoded_parts(capture, protocol, lambda size: None):
+    for part in decoded_batches(capture, protocol, lambda size: None):
         output.show(part)
     lines = re.findall(r"^ *(-?[\d.]+) ([→←]|->|<-) (.*)$", "".join(text), re.M)
     return [(t, "host" if arrow in ("→", "->") else "device", rest) for t, arrow, rest in lines]
