@@ -20,6 +20,7 @@ TEXT_BATCH = 1 << 15
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
 BATCH_BYTES = 1 << 18
+_BYTES_A_READ = 8  # as many reads as there would be of so many bytes come at once at most
 _FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
 
 WHOLE = Window()
@@ -43,7 +44,8 @@ def event_batches(
         at = 0
         while at < len(read):
             done = int(read.end[at - 1]) if at else 0
-            stop = max(at + 1, int(read.end.searchsorted(done + most, "right")))
+            stop = int(read.end.searchsorted(done + most, "right"))
+            stop = max(at + 1, min(stop, at + most // _BYTES_A_READ))
             batch, at, most = read.part(at, stop), stop, min(2 * most, largest)
             if window.after is not None:
                 late = batch.t > window.after + AFTERMATH

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.captures.events import Events
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Line, Recorded
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.captures.events import Events
 
 
 class Opened(NamedTuple):

@@ -29,8 +29,9 @@ Event = Chunk | Line
 _PAUSES = (
     *(0, 0, 1, 1000, 100_000, MS, MS, 3 * MS, 5 * MS, 15 * MS, 20 * MS - 1, 20 * MS, 25 * MS),
     *(50 * MS - 1, 50 * MS, 100 * MS, 120 * MS, 999 * MS, 1000 * MS, 1001 * MS, 2500 * MS, -MS),
-    *(-30 * MS, 1 << 53, 1 << 61),
+    *(-30 * MS, 1 << 53, 1 << 60),
 )
+_LATEST = 1 << 61  # ns; an opened capture gives no time that is much later
 _WORDS = ("open", "break", "parity", "modem", "gap", "overrun", "unplugged", "reconnected", "x")
 _TAPS: tuple[Direction | str, ...] = ("host", "device", "")
 _TIMEOUTS = (None, None, None, None, 1, 5 * MS, 1500 * MS)
@@ -85,7 +86,8 @@ def events(protocol: Protocol, tape: Tape) -> list[Event]:
     t = 0
     while not tape.over and len(found) < 200:
         what, when = tape.byte(), tape.byte()
-        t += _PAUSES[when % len(_PAUSES)] if when < 128 else when * 1000
+        pause = _PAUSES[when % len(_PAUSES)] if when < 128 else when * 1000
+        t = min(t + pause, _LATEST)
         kind, count = what % 8, what // 8
         if kind <= 2:
             frames = b"".join(_frame(protocol, tape) for _ in range(1 + count % 4))

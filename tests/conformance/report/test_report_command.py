@@ -6,7 +6,6 @@ import json
 import os
 import re
 import resource
-import secrets
 import stat
 import threading
 from pathlib import Path
@@ -342,10 +341,10 @@ def test_a_link_stays_a_link_and_a_pipe_a_pipe(tmp_path: Path) -> None:
 def test_a_link_under_the_temporary_name_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(secrets, "token_hex", lambda size: "guessed")
+    monkeypatch.setattr(os, "urandom", bytes)
     somebodys = tmp_path / "somebody's"
     somebodys.write_text("theirs")
-    (tmp_path / ".run.json.guessed.part").symlink_to(somebodys)
+    (tmp_path / f".run.json.{bytes(8).hex()}.part").symlink_to(somebodys)
 
     with pytest.raises(FileExistsError):
         write_whole(tmp_path / "run.json", b"ours")
