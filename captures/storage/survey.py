@@ -53,6 +53,7 @@ class _Survey:
         self._bad_lines = 0
         self._order: TimeWindow[None] = TimeWindow()
         self._in_order = True
+        self._kept = np.zeros(0, np.uint64), np.zeros(0, np.int64)  # times and sizes
         self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
@@ -193,11 +194,18 @@ class _Survey:
     def _put_in_order(
         self, times: NDArray[np.uint64], sizes: NDArray[np.int64], latest: int
     ) -> None:
-        """Pass the messages of a block through the window that puts them in order of time."""
-        if int(times[0]) >= latest and bool((times[1:] >= times[:-1]).all()):
-            self._order.pass_over(times[:-WINDOW_MESSAGES].tolist())
-            times, sizes = times[-WINDOW_MESSAGES:], sizes[-WINDOW_MESSAGES:]
-        else:
+        """Pass the messages of a block through the window that puts them in order of time.
+
+        As long as all are in order, those that the window would hold are only kept.
+        """
+        if self._in_order:
+            straight = int(times[0]) >= latest and bool((times[1:] >= times[:-1]).all())
+            times = np.concatenate([self._kept[0], times])
+            sizes = np.concatenate([self._kept[1], sizes])
+            if straight:
+                self._order.pass_over(times[:-WINDOW_MESSAGES][-1:].tolist())
+                self._kept = times[-WINDOW_MESSAGES:], sizes[-WINDOW_MESSAGES:]
+                return
             self._in_order = False
         for time, size in zip(times.tolist(), sizes.tolist(), strict=True):
             for _ in self._order.push(time, size, None):
