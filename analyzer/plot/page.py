@@ -18,6 +18,7 @@ from bilprov.spec.tables import MOTIONS
 
 _ASSETS = Path(__file__).parent / "assets"
 SECOND = 1e9  # ns
+_SHARE = 10  # an idle time is folded if it is longer than this part of the rest of the recording
 
 _KEYS = (
     "Wheel, pinch or + and - zoom; drag or Shift with the arrows moves; the arrows move the line "
@@ -63,6 +64,7 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
     return {
         "begin": timeline.begin,
         "end": timeline.end,
+        "folds": [(first, last, _long(last - first)) for first, last in _folds(timeline)],
         "motions": [motion.value.replace("_", " ") for motion in MOTIONS],
         "bounds": {name: protocol.bounds[name] for name in ("speed", "steering")},
         "states": {
@@ -81,6 +83,13 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
         "marks": {"t": _deltas([mark.t for mark in marks]), "n": [mark.amount for mark in marks]},
         "steps": [states.step, latencies.step],
     }
+
+
+def _folds(timeline: Timeline) -> list[tuple[int, int]]:
+    """The idle times that the axis leaves out: from when to when (ns)."""
+    idle = timeline.idle()
+    rest = timeline.end - timeline.begin - sum(last - first for first, last in idle)
+    return [(first, last) for first, last in idle if last - first > rest / _SHARE]
 
 
 def _deltas(times: list[int]) -> list[int]:
@@ -164,10 +173,23 @@ def _picture(timeline: Timeline) -> Safe:
             aria_describedby="keys",
         ),
         tag("canvas", id="map", aria_hidden="true"),
-        tag("p", _KEYS, id="keys", class_="dim"),
-        tag("p", _reduced(timeline), id="reduced", class_="dim"),
+        tag("p", _KEYS, id="keys", class_="dim small"),
+        *(tag("p", said, class_="dim small") for said in _folded(timeline)),
+        tag("p", _reduced(timeline), id="reduced", class_="dim small"),
         id="time",
     )
+
+
+def _folded(timeline: Timeline) -> Iterator[str]:
+    """What the time axis leaves out."""
+    folds = _folds(timeline)
+    amount = _long(sum(last - first for first, last in folds))
+    if len(folds) == 1:
+        yield f"A stretch of {amount} without traffic is folded on the time axis."
+    elif folds:
+        yield (
+            f"{len(folds)} stretches without traffic, {amount} in all, are folded on the time axis."
+        )
 
 
 def _reduced(timeline: Timeline) -> str:
@@ -289,6 +311,16 @@ def _more(mark: Mark) -> Iterator[Safe]:
     """How many more there are at a mark."""
     if mark.amount > 1:
         yield tag("span", f" and {mark.amount - 1:,} more", class_="dim")
+
+
+def _long(ns: int) -> str:
+    """A long duration in its two largest units, rounded down: `7 h 42 min`."""
+    seconds = ns // 10**9
+    for unit, size, less, part in (("d", 86400, "h", 3600), ("h", 3600, "min", 60)):
+        if seconds >= size:
+            return f"{seconds // size:,} {unit} {seconds % size // part} {less}"
+    minutes = f"{seconds // 60} min " if seconds >= 60 else ""
+    return f"{minutes}{seconds % 60} s"
 
 
 def _span(seconds: float) -> str:

@@ -26,6 +26,12 @@ MOST = 1 << 14
 MOST_MARKS = 1000
 """Marks of anomalies at most."""
 
+SHORTEST_IDLE = 10_000_000_000
+"""Ns without traffic that count as idle at the least."""
+
+MOST_IDLE = 20
+"""Idle times at most: the longest."""
+
 _FINEST = 1000  # ns of the narrowest step
 
 Table: TypeAlias = NDArray[np.int64]
@@ -91,6 +97,7 @@ class Timeline:
         self._latencies = _Rows(_merged_latencies, 4)
         self._marks = _Marks()
         self._end: int | None = None
+        self._idle: list[tuple[int, int]] = []
         self.begin = 0
 
     @property
@@ -102,8 +109,7 @@ class Timeline:
         """Take the next batch."""
         hosts, devices, serious = batch.hosts, batch.devices, batch.serious
         odd = batch.others.t[serious.other]
-        ends = [(t.min(), t.max()) for t in (hosts.t, hosts.end, devices.t, odd) if len(t)]
-        self._reach(np.array(ends, np.int64).ravel())
+        self._reach(np.concatenate([hosts.t, hosts.end, devices.t, odd]))
         code = 2 * hosts.states["motion"].astype(np.int64) + hosts.states.moving
         self._add_states(hosts.known, code, hosts.states["speed"], hosts.states["steering"])
         answering = devices.answering
@@ -128,6 +134,10 @@ class Timeline:
         """The anomalies in order, and the width (ns) of the steps; 0 where each has its mark."""
         return self._marks.reduced()
 
+    def idle(self) -> list[tuple[int, int]]:
+        """The longest times without a byte or an anomaly, in order: from when to when (ns)."""
+        return sorted(self._idle)
+
     def _reach(self, times: NDArray[np.int64]) -> None:
         """Take in bytes and anomalies at these times (ns)."""
         if not len(times):
@@ -138,7 +148,18 @@ class Timeline:
                 rows.begin = self.begin
             first = (self.begin, *self._power_on)
             self._add_states(*(np.array([value], np.int64) for value in first))
-        self._end = max(self.end, int(times.max()))
+        before, self._end = self.end, max(self.end, int(times.max()))
+        if self._end - before >= SHORTEST_IDLE:
+            self._add_idle(np.append(before, times[times > before]))
+
+    def _add_idle(self, times: NDArray[np.int64]) -> None:
+        """Take in the times (ns) between which there may be idle ones."""
+        times = np.sort(times)
+        long = np.flatnonzero(np.diff(times) >= SHORTEST_IDLE)
+        ends = zip(times[long].tolist(), times[long + 1].tolist(), strict=True)
+        self._idle += ends
+        self._idle.sort(key=lambda idle: idle[0] - idle[1])
+        del self._idle[MOST_IDLE:]
 
     def _add_states(
         self,

@@ -37,6 +37,34 @@
   latencies.high ??= latencies.low;
   const marks = { ...data.marks, t: times(data.marks.t) };
 
+  // -- the axis ------------------------------------------------------------------------------------
+
+  // A place on the axis is a time (ns) of which every fold before it has taken away most of its length.
+  const rest = data.folds.reduce((left, [from, to]) => left - (to - from), end - begin);
+  const FOLD = Math.max(rest, FINEST) / 30; // the length of a fold on the axis
+  const pieces = []; // each has the same scale from one end to the other
+  for (const [from, to, idle] of [...data.folds, [end, end, ""]]) {
+    const last = pieces.at(-1) ?? { to: begin, until: begin };
+    const since = last.until + (from - last.to);
+    pieces.push({ from: last.to, to: from, since: last.until, until: since, idle: "" });
+    if (idle) pieces.push({ from, to, since, until: since + FOLD, idle });
+  }
+  const LAST = pieces.at(-1).until; // the place of the recording's end; that of its begin is `begin`
+
+  /** Where a time is on the axis. */
+  function along(t) {
+    const one = pieces.find((piece) => t <= piece.to) ?? pieces.at(-1);
+    const scale = (one.until - one.since) / (one.to - one.from || 1);
+    return one.since + (Math.max(t, begin) - one.from) * scale;
+  }
+
+  /** The time at a place of the axis. */
+  function timeOf(place) {
+    const one = pieces.find((piece) => place <= piece.until) ?? pieces.at(-1);
+    const scale = (one.to - one.from) / (one.until - one.since || 1);
+    return Math.min(one.from + Math.max(0, place - one.since) * scale, one.to);
+  }
+
   /** The place of the last time that is not after `t`, -1 if all are. */
   function placeOf(t, list) {
     let low = 0, high = list.length;
@@ -90,7 +118,7 @@
 
   // -- the view ------------------------------------------------------------------------------------
 
-  let view = [begin, end];
+  let view = [begin, LAST]; // places on the axis
   let cursor = null;
   let due = 0;
   const context = canvas.getContext("2d");
@@ -105,34 +133,40 @@
   }
 
   function show(from, to) {
-    const least = Math.min(FINEST, end - begin);
-    const span = Math.min(Math.max(to - from, least), end - begin);
+    const least = Math.min(FINEST, LAST - begin);
+    const span = Math.min(Math.max(to - from, least), LAST - begin);
     const middle = (from + to) / 2;
-    const first = Math.min(Math.max(middle - span / 2, begin), end - span);
+    const first = Math.min(Math.max(middle - span / 2, begin), LAST - span);
     const changed = view[0] !== first || view[1] !== first + span;
     view = [first, first + span];
     redraw();
     return changed;
   }
 
-  function zoom(factor, t = cursor ?? (view[0] + view[1]) / 2) {
-    return show(t - (t - view[0]) * factor, t + (view[1] - t) * factor);
+  function zoom(factor, t = cursor ?? timeOf((view[0] + view[1]) / 2)) {
+    const held = along(t);
+    return show(held - (held - view[0]) * factor, held + (view[1] - held) * factor);
   }
 
   function move(share) {
     const by = (view[1] - view[0]) * share;
     const [from, to] = view;
-    const held = Math.min(Math.max(by, begin - from), end - to);
+    const held = Math.min(Math.max(by, begin - from), LAST - to);
     return show(from + held, to + held);
   }
 
   function x(t) {
-    return gutter + ((t - view[0]) / (view[1] - view[0])) * (width - gutter);
+    return gutter + ((along(t) - view[0]) / (view[1] - view[0])) * (width - gutter);
   }
 
   function timeAt(px) {
     const share = (px - gutter) / (width - gutter);
-    return view[0] + Math.min(Math.max(share, 0), 1) * (view[1] - view[0]);
+    return timeOf(view[0] + Math.min(Math.max(share, 0), 1) * (view[1] - view[0]));
+  }
+
+  /** The times at the view's ends. */
+  function shown() {
+    return view.map(timeOf);
   }
 
   function aim(t) {
@@ -174,7 +208,7 @@
 
   /** Move the line to the next anomaly (or with -1 to the previous), and the view along with it. */
   function step(way) {
-    const from = cursor ?? view[0];
+    const from = cursor ?? shown()[0];
     let place = placeOf(from, marks.t);
     if (way > 0) place += 1;
     else if (marks.t[place] === from) place -= 1;
@@ -182,8 +216,9 @@
   }
 
   function goTo(t) {
-    const [from, to] = view;
-    if (t < from || t > to) show(t - (to - from) / 2, t + (to - from) / 2);
+    const [[from, to], middle] = [view, along(t)];
+    const half = (to - from) / 2;
+    if (middle < from || middle > to) show(middle - half, middle + half);
     aim(t);
   }
 
@@ -221,11 +256,11 @@
     const bottom = height - AXIS;
     grid(bottom);
     let top = 0;
+    const words = []; // drawn last, above the folds
     for (const lane of LANES) {
       top += heading;
-      context.fillStyle = colours.ink;
-      context.textAlign = "left";
-      context.fillText(lane.name, 0, narrow ? top - 9 : top + 7);
+      const above = narrow ? top - 9 : top + 7;
+      words.push(() => name(lane.name, above));
       context.strokeStyle = colours.line;
       context.strokeRect(gutter + 0.5, top + 0.5, width - gutter - 1, lane.height);
       context.save();
@@ -234,15 +269,24 @@
       context.clip();
       const labels = lane.draw(lane, top);
       context.restore();
-      labels?.(narrow);
+      words.push(() => labels?.(narrow));
       top += lane.height + GAP;
     }
-    if (cursor !== null && cursor >= view[0] && cursor <= view[1]) {
+    drawFolds(bottom);
+    for (const write of words) write();
+    const [from, to] = shown();
+    if (cursor !== null && cursor >= from && cursor <= to) {
       context.fillStyle = colours.ink;
       context.fillRect(Math.round(x(cursor)), 0, 1, bottom);
     }
     drawMap();
-    tools.querySelector('[data-do="all"]').disabled = view[0] === begin && view[1] === end;
+    tools.querySelector('[data-do="all"]').disabled = view[0] === begin && view[1] === LAST;
+  }
+
+  function name(lane, y) {
+    context.fillStyle = colours.ink;
+    context.textAlign = "left";
+    context.fillText(lane, 0, y);
   }
 
   /** Round times in the view: those that are a multiple of 1, 2 or 5 times a power of ten. */
@@ -252,29 +296,67 @@
     let size = [1, 2, 5, 10].map((times) => times * power).find((one) => one >= least);
     const clocks = [15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400];
     if (size > 10e9) size = clocks.map((s) => s * 1e9).find((one) => one >= least) ?? size;
+    const [first, last] = shown();
     const found = [];
-    for (let t = Math.ceil(view[0] / size) * size; t <= view[1]; t += size) found.push(t);
+    for (const { from, to, idle } of pieces) {
+      if (idle || to < first || from > last) continue;
+      const before = found.length;
+      const start = Math.max(from, first);
+      for (let t = Math.ceil(start / size) * size; t <= Math.min(to, last); t += size) found.push(t);
+      if (found.length === before) found.push(start); // what stands between two folds has a time too
+    }
     return [found, size];
   }
 
   function grid(bottom) {
     const [found, size] = ticks(Math.max(2, (width - gutter) / 110));
     context.textAlign = "center";
+    let free = gutter;
     for (const t of found) {
       const at = Math.round(x(t));
       context.fillStyle = colours.line;
       context.fillRect(at, 0, 1, bottom);
       const word = clock(t, size);
       const half = context.measureText(word).width / 2;
+      const middle = Math.min(Math.max(at, gutter + half), width - half);
+      if (middle - half < free) continue;
+      free = middle + half + 6;
       context.fillStyle = colours.dim;
-      context.fillText(word, Math.min(Math.max(at, gutter + half), width - half), bottom + 12);
+      context.fillText(word, middle, bottom + 12);
+    }
+  }
+
+  /** Break marks where time is folded: two jagged edges and how long nothing came. */
+  function drawFolds(bottom) {
+    for (const [from, to, idle] of data.folds) {
+      const [left, right] = [x(from), x(to)];
+      if (right < gutter || left > width) continue;
+      context.save();
+      context.beginPath();
+      context.rect(gutter, 0, width - gutter, bottom);
+      context.clip();
+      context.fillStyle = colours.paper;
+      context.fillRect(left, 0, right - left, bottom);
+      context.strokeStyle = colours.dim;
+      for (const at of [left, right]) {
+        context.beginPath();
+        for (let y = 0; y <= bottom; y += 6) context.lineTo(at + ((y / 6) % 2 ? 1.5 : -1.5), y);
+        context.stroke();
+      }
+      context.translate((left + right) / 2, (bottom - GAP) / 2);
+      context.rotate(-Math.PI / 2);
+      context.textAlign = "center";
+      context.fillStyle = colours.dim;
+      if (right - left >= 14) context.fillText(`${idle} without traffic`, 0, 0);
+      context.restore();
     }
   }
 
   /** Calls `each` with every row that is in the view, and where it begins and ends (px). */
   function eachState(each) {
-    const first = Math.max(0, placeOf(view[0], states.t));
-    for (let row = first; row < states.t.length && states.t[row] <= view[1]; row += 1) {
+    const [since, until] = shown();
+    const first = Math.max(0, placeOf(since, states.t));
+    for (let row = first; row < states.t.length && states.t[row] <= until; row += 1) {
       const next = row + 1 < states.t.length ? states.t[row + 1] : end;
       const [from, to] = [x(states.t[row]), x(next)].map((at) => Math.round(at));
       each(row, Math.max(from, gutter), Math.min(to, width));
@@ -358,9 +440,10 @@
 
   function drawMarks(lane, top) {
     const most = Math.max(1, ...marks.n);
-    const first = Math.max(0, placeOf(view[0], marks.t));
+    const [since, until] = shown();
+    const first = Math.max(0, placeOf(since, marks.t));
     context.fillStyle = colours["fail-bar"];
-    for (let place = first; place < marks.t.length && marks.t[place] <= view[1]; place += 1) {
+    for (let place = first; place < marks.t.length && marks.t[place] <= until; place += 1) {
       const at = x(marks.t[place]);
       const share = most === 1 ? 0.6 : 0.35 + (0.5 * Math.log(marks.n[place])) / Math.log(most);
       const height = lane.height * share;
@@ -388,10 +471,11 @@
       context.fillStyle = colours.line;
       context.fillRect(gutter, Math.round(y(line)), width - gutter, 1);
     }
-    const first = Math.max(0, placeOf(view[0], latencies.t));
+    const [since, until] = shown();
+    const first = Math.max(0, placeOf(since, latencies.t));
     const span = (data.steps[1] / (view[1] - view[0])) * (width - gutter);
     context.fillStyle = colours.device;
-    for (let row = first; row < latencies.t.length && latencies.t[row] <= view[1]; row += 1) {
+    for (let row = first; row < latencies.t.length && latencies.t[row] <= until; row += 1) {
       const [high, low] = [y(latencies.high[row]), y(latencies.low[row])];
       const size = Math.max(span, 3);
       context.fillRect(x(latencies.t[row]) - (span ? 0 : 1.5), high - 1.5, size, low - high + 3);
@@ -400,8 +484,8 @@
   }
 
   function drawMap() {
-    const shown = [view, gutter];
-    [view, gutter] = [[begin, end], canvas.clientWidth < 560 ? 0 : LEFT];
+    const [region, margin] = [view, gutter];
+    [view, gutter] = [[begin, LAST], canvas.clientWidth < 560 ? 0 : LEFT];
     fit(overview, calm, MAP);
     const [low, high] = data.bounds.speed;
     calm.fillStyle = colours.raised;
@@ -415,7 +499,9 @@
     calm.globalAlpha = 1;
     calm.fillStyle = colours["fail-bar"];
     for (const t of marks.t) calm.fillRect(x(t) - 0.5, 0, 1, 8);
-    const [from, to] = [x(shown[0][0]), x(shown[0][1])];
+    calm.fillStyle = colours.paper;
+    for (const [first, last] of data.folds) calm.fillRect(x(first), 0, x(last) - x(first), MAP);
+    const [from, to] = region.map((place) => x(timeOf(place)));
     calm.globalAlpha = 0.65;
     calm.fillStyle = colours.paper;
     calm.fillRect(gutter, 0, from - gutter, MAP);
@@ -424,7 +510,7 @@
     calm.strokeStyle = colours.accent;
     calm.lineWidth = 2;
     calm.strokeRect(from + 1, 1, Math.max(to - from - 2, 1), MAP - 2);
-    [view, gutter] = shown;
+    [view, gutter] = [region, margin];
   }
 
   // -- hands ---------------------------------------------------------------------------------------
@@ -490,7 +576,7 @@
     overview.addEventListener(kind, (event) => {
       if (!event.buttons) return;
       const share = (place(event) - gutter) / (width - gutter);
-      const [middle, half] = [begin + share * (end - begin), (view[1] - view[0]) / 2];
+      const [middle, half] = [begin + share * (LAST - begin), (view[1] - view[0]) / 2];
       show(middle - half, middle + half);
     });
   }
@@ -498,15 +584,16 @@
   function arrow(way, event) {
     if (event.shiftKey) return move(way * 0.25);
     const px = (view[1] - view[0]) / (width - gutter);
-    return goTo(Math.min(Math.max((cursor ?? view[0]) + way * 4 * px, begin), end));
+    const from = cursor === null ? view[0] : along(cursor);
+    return goTo(timeOf(Math.min(Math.max(from + way * 4 * px, begin), LAST)));
   }
 
   const KEYS = {
     "+": () => zoom(0.5),
     "=": () => zoom(0.5),
     "-": () => zoom(2),
-    0: () => show(begin, end),
-    Escape: () => show(begin, end),
+    0: () => show(begin, LAST),
+    Escape: () => show(begin, LAST),
     n: () => step(1),
     N: () => step(-1),
     ArrowLeft: (event) => arrow(-1, event),
@@ -526,7 +613,7 @@
   const BUTTONS = {
     in: () => zoom(0.5),
     out: () => zoom(2),
-    all: () => show(begin, end),
+    all: () => show(begin, LAST),
     previous: () => step(-1),
     next: () => step(1),
   };
@@ -536,10 +623,11 @@
   function follow() {
     const time = /^#t=(\d+)$/.exec(location.hash);
     const both = /^#view=(\d+)-(\d+)$/.exec(location.hash);
-    if (both) show(Number(both[1]), Number(both[2]));
+    if (both) show(along(Number(both[1])), along(Number(both[2])));
     if (!time) return;
-    const half = Math.min(view[1] - view[0], (end - begin) / 8) / 2;
-    show(Number(time[1]) - half, Number(time[1]) + half);
+    const half = Math.min(view[1] - view[0], (LAST - begin) / 8) / 2;
+    const middle = along(Number(time[1]));
+    show(middle - half, middle + half);
     aim(Number(time[1]));
     canvas.scrollIntoView({ block: "center" });
     canvas.focus({ preventScroll: true });

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from html.parser import HTMLParser
 from itertools import accumulate
 from pathlib import Path
@@ -12,6 +12,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import Record, serious_faults
 from bilprov.analyzer.replay.capture_session import capture_session
@@ -93,6 +94,13 @@ def drive(protocol: Protocol, frames: int, seed: int = 1) -> list[Event]:
         answer = bytes([judge(protocol, frame).response.code])
         events.append(Chunk(t + random.randrange(MS, 9 * MS), "device", answer))
     return events
+
+
+def exchanges(times: Iterable[int]) -> list[Event]:
+    """An instruction and its answer at each of some times (ns)."""
+    return [
+        Chunk(t, side, data) for t in times for side, data in (("host", b"\x20"), ("device", b"\0"))
+    ]
 
 
 # -- what is in the file --------------------------------------------------------------------------
@@ -199,32 +207,40 @@ def test_hostile_text_makes_no_element_and_no_attribute(
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u202e\ud800-\udfff]", wild[2])
 
 
-def test_another_grammar_draws_its_own(tmp_path: Path, horn_text: str, horn: Protocol) -> None:
-    grammar = tmp_path / "horn.py"
-    grammar.write_text(horn_text, encoding="utf-8")
-    file = written(tmp_path / "c.mcap", drive(horn, 60))
-
-    text = page_of(file, "--grammar", str(grammar))
-
-    assert '<th scope="row">Horn</th>' in text
-    assert len(data_of(text)["marks"]["t"]) < len(data_of(page_of(file))["marks"]["t"])
-
-
-def test_a_recording_of_nothing_still_makes_a_page(tmp_path: Path) -> None:
-    text = page_of(written(tmp_path / "c.mcap", []))
-
+def test_a_recording_of_nothing_and_times_of_a_forged_one_make_a_page(tmp_path: Path) -> None:
+    text = page_of(written(tmp_path / "empty.mcap", []))
     assert "No answer was paired" in text
     assert "None." in text
 
+    times = (0, 1, (1 << 63) + 5)
+    data = data_of(page_of(written(tmp_path / "forged.mcap", exchanges(times))))
+    assert len(data["latencies"]["t"]) == 3
+    assert len(data["folds"]) == 1
 
-def test_times_that_only_a_forged_file_has_make_a_page_too(tmp_path: Path) -> None:
-    path = tmp_path / "c.mcap"
-    with CaptureWriter(path, start_wall=0, metadata={"attached": "no"}, version="1") as writer:
-        for t in (0, 1, (1 << 63) + 5):
-            writer.chunk(Chunk(t, "host", b"\x20"))
-            writer.chunk(Chunk(t, "device", b"\0"))
 
-    assert len(data_of(page_of(str(path)))["latencies"]["t"]) == 3
+@pytest.mark.parametrize(
+    ("pauses", "words"),
+    [
+        ([], []),
+        ([9], []),  # shorter than any that is folded
+        ([11], ["11 s"]),
+        ([11, 27_725], ["11 s", "7 h 42 min"]),
+        ([100_000], ["1 d 3 h"]),
+        ([60] * 19, ["1 min 0 s"] * 19),
+        ([60] * 300, []),  # that is how often something comes here
+    ],
+)
+def test_long_times_without_traffic_are_folded(
+    tmp_path: Path, pauses: list[int], words: list[str]
+) -> None:
+    times = [t * SECOND for t in accumulate([3, *pauses])]
+
+    text = page_of(written(tmp_path / "c.mcap", exchanges(times)))
+
+    folds = data_of(text)["folds"]
+    assert [says for *_, says in folds] == words
+    assert all(last - first in {pause * SECOND for pause in pauses} for first, last, _ in folds)
+    assert ("folded on the time axis" in text) is bool(words)
 
 
 # -- in the browser -------------------------------------------------------------------------------
@@ -286,6 +302,18 @@ def span(page: Page) -> float:
     return time_at(page, 0.9) - time_at(page, 0.5)
 
 
+def press(page: Page, key: str, code: int) -> None:
+    """A key that comes to the canvas."""
+    page.eval("document.querySelector('#plot').focus()")
+    page.press(key, code, key)
+    settle(page)
+
+
+def click(page: Page, button: str) -> None:
+    page.click(f"#tools [data-do={button}]")
+    settle(page)
+
+
 def colours(page: Page) -> int:
     """How many colours the canvas shows."""
     return int(
@@ -310,47 +338,57 @@ def test_look_zoom_move_and_read(
     show(written(tmp_path / "c.mcap", drive(protocol, 400)))
 
     # Nothing is wider than the window, the ground is as asked for, and the canvas is not empty.
-    assert page.eval("document.documentElement.scrollWidth") == width
     red = page.eval("+getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0]")
     assert (red > 128) is (scheme == "light")
     assert colours(page) > 20
-    disabled = "document.querySelector('[data-do=all]').disabled"
-    assert page.eval(disabled)
 
-    # The wheel zooms at the place where it is turned, and back; a button shows all again.
+    # The wheel zooms at the place where it is turned; a button shows all again.
     whole, held = span(page), time_at(page, 0.7)
     mouse(page, "mouseWheel", spot(page, 0.7), deltaX=0, deltaY=-600)
     assert span(page) < whole / 2
     assert time_at(page, 0.7) == pytest.approx(held, abs=0.05)
-    assert not page.eval(disabled)
     assert page.eval("document.documentElement.scrollWidth") == width
-    near = span(page)
-    mouse(page, "mouseWheel", spot(page, 0.7), deltaX=0, deltaY=300)
-    assert near < span(page) < whole
-    page.click("#tools [data-do=all]")
-    settle(page)
+    click(page, "all")
     assert span(page) == pytest.approx(whole, rel=0.01)
 
     # A drag moves what is under the pointer along.
-    page.click("#tools [data-do=in]")
-    settle(page)
+    click(page, "in")
     held = time_at(page, 0.6)
     mouse(page, "mousePressed", spot(page, 0.6), button="left", clickCount=1)
-    mouse(page, "mouseMoved", spot(page, 0.7), button="left", buttons=1)
-    mouse(page, "mouseMoved", spot(page, 0.8), button="left", buttons=1)
+    for share in (0.7, 0.8):
+        mouse(page, "mouseMoved", spot(page, share), button="left", buttons=1)
     mouse(page, "mouseReleased", spot(page, 0.8), button="left", clickCount=1)
     assert time_at(page, 0.8) == pytest.approx(held, abs=whole / 50)
 
     # Keys do the same.
-    page.eval("document.querySelector('#plot').focus()")
     before = span(page)
-    page.press("+", 187, "+")
-    settle(page)
+    press(page, "+", 187)
     assert span(page) == pytest.approx(before / 2, rel=0.05)
-    page.press("0", 48, "0")
-    settle(page)
+    press(page, "0", 48)
     assert span(page) == pytest.approx(whole, rel=0.01)
-    assert page.complaints == []
+    assert page.eval("document.querySelector('[data-do=all]').disabled")
+
+
+@needs_chromium
+def test_the_line_crosses_a_fold_and_the_times_beside_it_are_the_recordings(
+    protocol: Protocol, page: Page, show: Open, tmp_path: Path
+) -> None:
+    first, second = drive(protocol, 200), drive(protocol, 200, 2)
+    later = [replace(event, t=event.t + 3600 * SECOND) for event in second]
+    show(written(tmp_path / "c.mcap", [*first, *later]))
+
+    # On both sides of the fold, which stands in the middle, a pixel is as long as on the other.
+    early, late = (time_at(page, share + 0.1) - time_at(page, share) for share in (0.2, 0.8))
+    assert early == pytest.approx(late, rel=0.03)
+    assert time_at(page, 0.45) < 8
+    assert time_at(page, 0.65) > 3600
+
+    # Its middle is at the middle of the axis, and stays there while it is zoomed.
+    page.eval(f"location.hash = '#t={1805 * SECOND}'")
+    settle(page)
+    press(page, "+", 187)
+    assert 8 < seconds(page) < 3600
+    assert time_at(page, 0.99) > 3600
 
 
 @needs_chromium
@@ -410,37 +448,28 @@ def test_an_anomaly_is_told_with_its_reason(protocol: Protocol, show: Open, tmp_
     faults = [fault for r in records_of(file, protocol) for fault in serious_faults(r)]
     page = show(file)
 
-    page.eval("document.querySelector('#plot').focus()")
     for fault in faults[:3]:
-        page.press("n", 78, "n")
-        settle(page)
+        press(page, "n", 78)
         assert fault.reason in told(page, "anomaly")
         assert fault.kind in told(page, "anomaly")
-    page.press("N", 78, "N")
-    settle(page)
+    press(page, "N", 78)
     assert seconds(page) == pytest.approx(faults[1].t / 1e9, abs=0.02)
     page.click("#anomalies tbody tr:nth-child(4) a")
     settle(page)
     assert seconds(page) == pytest.approx(faults[3].t / 1e9, abs=0.02)
     assert page.eval("document.activeElement.id") == "plot"
-    page.click("#tools [data-do=all]")
-    page.click("#tools [data-do=next]")
-    settle(page)
+    click(page, "all")
+    click(page, "next")
     assert faults[4].reason in told(page, "anomaly")
 
 
 @needs_chromium
-@pytest.mark.usefixtures("little_room")
-def test_a_long_recording_and_one_of_nothing_are_shown_without_a_complaint(
-    protocol: Protocol, page: Page, show: Open, tmp_path: Path
+def test_a_recording_of_nothing_is_shown_without_a_complaint(
+    page: Page, show: Open, tmp_path: Path
 ) -> None:
-    for events in ([], drive(protocol, 3000)):
-        show(written(tmp_path / f"{len(events)}.mcap", events))
-        page.click("#tools [data-do=in]")
-        settle(page)
-        assert page.complaints == []
-        page.requests.clear()
-    assert " to " in told(page, "speed")
+    show(written(tmp_path / "c.mcap", []))
+    click(page, "in")
+    assert page.complaints == []
 
 
 @needs_chromium
@@ -471,10 +500,8 @@ def test_the_read_out_covers_nothing_cuts_nothing_and_moves_nothing(
     for place in range(5):
         mouse(page, "mouseMoved", spot(page, 0.2 + place / 7))
         seen.append(layout())
-    page.eval("document.querySelector('#plot').focus()")
     for _ in range(5):
-        page.press("n", 78, "n")
-        settle(page)
+        press(page, "n", 78)
         seen.append(layout())
 
     assert len({one["words"] for one in seen}) > 5
@@ -483,3 +510,5 @@ def test_the_read_out_covers_nothing_cuts_nothing_and_moves_nothing(
         assert one["over"] >= 0
         assert (one["wide"], one["high"], one["reaches"]) == ([], [], True), one["words"]
     assert len({(one["height"], one["down"]) for one in seen}) == 1
+    assert any(" to " in one["words"] for one in seen)
+    assert page.complaints == []
