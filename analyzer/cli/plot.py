@@ -27,8 +27,9 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
       bilprov plot drive.mcap --html drive.html
 
     Motion, speed and steering as the instructions predict them, anomalies with their reasons, and
-    latencies share one time axis, which the mouse wheel, touch and keys zoom. A long recording is
-    reduced to steps of time, as the page then states, so that it has a few MB at most.
+    latencies share one time axis, which the mouse wheel, touch and keys zoom. A long time without
+    traffic is folded there, with its duration beside the break. A long recording is reduced to
+    steps of time, as the page then states, so that it has a few MB at most.
     """
     from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats
