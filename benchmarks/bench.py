@@ -76,7 +76,7 @@ def main() -> int:
         setting = Setting(Path(folder), sizes, seconds)
         try:
             for work in works:
-                rows.append(_measured(setting, work))
+                rows.append(measured(setting, work))
         except KeyboardInterrupt:
             interrupted = True
             _tell("interrupted: the rows that were measured are written")
@@ -103,7 +103,7 @@ def _options() -> argparse.Namespace:
     return options
 
 
-def _measured(setting: Setting, work: Work) -> Row:
+def measured(setting: Setting, work: Work) -> Row:
     """Measure one row and tell it; what is missing or breaks ends that row alone."""
     begun = time.monotonic()
     try:

@@ -25,7 +25,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from benchmarks.hostile_grammars import PIECES, VALUE, loaded_or_said, mutated, use
 from bilprov.__main__ import main
 from bilprov.analyzer.cli.typed_input import bytes_or_pause
 from bilprov.analyzer.foreign import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
@@ -47,6 +46,7 @@ from bilprov.conformance.report.summary import show, show_compared
 from bilprov.spec.errors import LONGEST_SENTENCE, UserError, one_line
 from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
+from tests.support.grammars import PIECES, VALUE, loaded_or_said, mutated, use
 from tests.support.surfaces import BROKEN, HOSTILE, NUL, seen
 from tests.test_grammar_texts import PLACES, with_texts
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hostile_grammars import mutated
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support.commands import command, process
+from tests.support.grammars import mutated
 from tests.support.robots import simulate
 from tests.support.wires import running
 

@@ -1,26 +1,24 @@
-"""`python -m benchmarks.torture [HARM ...]`: does the long harms and says what each came to.
+"""`python -m benchmarks.torture [HARM ...]`: does the long harms and shows what was lost.
 
-With --page what each came to replaces its section of docs/RELIABILITY.md, as soon as it is done.
-Ends with 1 if a robot, a message or a verdict was lost that may
-not be.
+With --page the rows of each harm replace its section of docs/RELIABILITY.md as soon as it is done.
+Exits with status 1 if a robot, a message or a verdict was lost that may not be.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
+import time
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 
+from benchmarks.commands import ROOT
 from benchmarks.dispositions import usual_for_children
-from benchmarks.torture.harm import Harm, Measured, measured
-from benchmarks.torture.harms import HARMS
-from benchmarks.torture.page import page
+from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harms import HARMS, page
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE = ROOT / "docs" / "RELIABILITY.md"
 
 
@@ -38,28 +36,30 @@ def main() -> int:
     if given.runs is not None and given.runs < 1:
         parser.error(f"--runs {given.runs}: one at least")
     usual_for_children()
-    chosen = [HARMS[name] for name in given.harm or HARMS]
     held = True
-    for harm in chosen:
-        done = _done(harm, given.runs or harm.runs, given.seed)
-        held &= done.held
+    for harm in [HARMS[name] for name in given.harm or HARMS]:
+        begun, runs = time.perf_counter(), given.runs or harm.runs
+        rows = _done(harm, runs, given.seed)
+        held &= all(row.held for row in rows)
         if given.page:
-            PAGE.write_text(page([done], PAGE.read_text() if PAGE.exists() else ""))
+            options, took = f"--runs {runs} --seed {given.seed}", time.perf_counter() - begun
+            section = harm.section(rows, options, took)
+            PAGE.write_text(page({harm.name: section}, PAGE.read_text()))
     return 0 if held else 1
 
 
-def _done(harm: Harm, runs: int, seed: int) -> Measured:
+def _done(harm: Harm, runs: int, seed: int) -> list[Row]:
+    """Do a harm, and print its rows."""
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(harm.name, total=runs)
-        done = measured(harm, runs, seed, lambda count: progress.advance(task, count))
+        rows = harm.measure(runs, seed, lambda count: progress.advance(task, count))
     console = Console(highlight=False, soft_wrap=True)
-    for row in done.rows:
+    for row in rows:
         state = "held" if row.held else "WRONG"
         console.print(escape(f"{state:5}  {row.times:>9,}  {row.harm}: {row.lost}"))
         for sentence in row.wrong:
             console.print(escape(f"       {sentence}"))
-    console.print(f"{harm.name}: {done.seconds:.0f} s")
-    return done
+    return rows
 
 
 if __name__ == "__main__":

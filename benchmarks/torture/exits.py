@@ -380,7 +380,7 @@ def ended(case: Case, seed: int) -> Exit:
     fault = ["--fault", command.fault] if command.fault else []
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        _, port, probe = stack.enter_context(served(*fault))
+        port, probe = stack.enter_context(served(*fault))
         line = Line(port)
         stack.callback(line.close)
         told = stack.enter_context(tempfile.TemporaryFile())
@@ -502,10 +502,12 @@ def _row(name: str, how: str, exits: list[Exit]) -> Row:
     )
 
 
-HARM = Harm("exits", "commands that drive are ended from outside", 200, _measure)
-SIGNALS_HARM = Harm(
-    "signals",
-    "each signal is sent to commands that drive",
-    len(SIGNAL_CASES) // len(DRIVING),
-    _measure_signals,
+HARMS = (
+    Harm("exits", "commands that drive are ended from outside", 200, _measure),
+    Harm(
+        "signals",
+        "each signal is sent to commands that drive",
+        len(SIGNAL_CASES) // len(DRIVING),
+        _measure_signals,
+    ),
 )

@@ -1,15 +1,14 @@
-"""A harm that is done to the product so often, and the rows of docs/RELIABILITY.md it gives."""
+"""A harm that is done to the product again and again, and the rows and the section it gives."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What one kind of harm came to: how often it was done, what was lost, whether all held."""
+    """The result of one kind of harm: how often it was done, what was lost, whether all held."""
 
     harm: str
     times: int
@@ -24,7 +23,7 @@ class Row:
 
 
 Progress = Callable[[int], object]
-"""Is told how many more runs are done."""
+"""Is called with how many more runs are done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +38,21 @@ class Harm:
     runs: int
     measure: Callable[[int, int, Progress], list[Row]]
 
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """The rows of a harm, with the command that makes them and how long it took (s)."""
-
-    name: str
-    command: str
-    seconds: float
-    rows: tuple[Row, ...]
-
     @property
-    def held(self) -> bool:
-        """Whether every row held."""
-        return all(row.held for row in self.rows)
+    def title(self) -> str:
+        """The title of its section."""
+        return f"{self.what[0].upper()}{self.what[1:]}"
+
+    def section(self, rows: Sequence[Row], options: str, seconds: float) -> str:
+        """Its section of docs/RELIABILITY.md: the rows, and the command that made them."""
+        lines = [self.title, "", "| harm | times | what was lost | held |", "|---|---|---|---|"]
+        for row in rows:
+            cells = (row.harm, f"{row.times:,}", row.lost, "yes" if row.held else "**no**")
+            lines.append(f"| {' | '.join(map(_cell, cells))} |")
+        took = f"{seconds / 60:.0f} minutes" if seconds > 90 else f"{seconds:.0f} s"
+        command = f".venv/bin/python -m benchmarks.torture {self.name} {options}"
+        return "\n".join([*lines, "", f"    {command}  # {took}", ""])
 
 
-def measured(harm: Harm, runs: int, seed: int, progress: Progress = lambda done: None) -> Measured:
-    """Do a harm so many times."""
-    begin = time.perf_counter()
-    rows = tuple(harm.measure(runs, seed, progress))
-    command = f"python -m benchmarks.torture {harm.name} --runs {runs} --seed {seed}"
-    return Measured(harm.name, command, round(time.perf_counter() - begin, 1), rows)
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

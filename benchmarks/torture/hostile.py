@@ -7,18 +7,17 @@ own. It may be read or refused with a sentence, in at most 200 MB and 120 s of c
 from __future__ import annotations
 
 import multiprocessing
-import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from struct import pack
-from subprocess import run
 from typing import NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
+from benchmarks.commands import Skipped, bilprov_words, run_any
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.recorder import session_metadata
@@ -233,31 +232,18 @@ class Used(NamedTuple):
     wrong: str = ""
 
 
-# A small program between: what the one that starts a process holds counts as that process's peak.
-_BETWEEN = """
-import resource, subprocess, sys
-try:
-    null = subprocess.DEVNULL
-    code = subprocess.call(sys.argv[2:], stdin=null, stdout=null, timeout=float(sys.argv[1]))
-except subprocess.TimeoutExpired:
-    code = -1
-took = resource.getrusage(resource.RUSAGE_CHILDREN)
-print(code, took.ru_utime + took.ru_stime, took.ru_maxrss)
-"""
-
-
 def used(words: list[str]) -> Used:
     """Run a command and see what it takes."""
-    between = [sys.executable, "-c", _BETWEEN, str(_PATIENCE), *words]
-    done = run(between, capture_output=True, check=True, text=True, errors="replace")
-    code, seconds, kilobytes = done.stdout.split()
-    memory, computing = int(kilobytes) * 1024, float(seconds)
+    try:
+        ended = run_any(words, patience=_PATIENCE)
+    except Skipped as hangs:
+        return Used(_PATIENCE, 0, str(hangs))
     wrong = ""
-    if int(code) not in (0, 1, 2, 3) or "Traceback" in done.stderr:
-        wrong = f"exit code {code}: {done.stderr[-200:]}"
-    elif memory > MOST_MEMORY or computing > MOST_COMPUTING:
-        wrong = f"{computing:.0f} s of computing, {memory / 1e6:.0f} MB"
-    return Used(computing, memory, wrong)
+    if ended.code not in (0, 1, 2, 3) or "Traceback" in ended.error:
+        wrong = f"exit code {ended.code}: {ended.error[-200:]}"
+    elif ended.memory > MOST_MEMORY or ended.cpu > MOST_COMPUTING:
+        wrong = f"{ended.cpu:.0f} s of computing, {ended.memory / 1e6:.0f} MB"
+    return Used(ended.cpu, ended.memory, wrong)
 
 
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
@@ -273,7 +259,7 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
             if maker.exitcode:
                 raise RuntimeError(f"the file with {name} cannot be made")
             for command, words in COMMANDS.items():
-                one = used([sys.executable, "-m", "bilprov", *words(str(path))])
+                one = used(bilprov_words(*words(str(path))))
                 held[command].append(one._replace(wrong=one.wrong and f"{name}: {one.wrong}"))
             path.unlink()
             progress(1)

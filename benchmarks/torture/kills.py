@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import tempfile
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from random import Random
 from statistics import median
-from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
+from subprocess import PIPE, Popen, TimeoutExpired
 from typing import NamedTuple
 
+from benchmarks.commands import bilprov_words, started
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.errors import CaptureError
@@ -60,16 +60,7 @@ def killed(form: str, seed: int) -> Kill:
         ports = ["--bridge", device.name] if form == "--bridge" else [host.name, device.name]
         rotated = ["--rotate", "100kB"] if "--rotate" in form else []
         words = ["sniff", *ports, "-w", str(path), *rotated, "--quiet", "--yes"]
-        process = stack.enter_context(
-            Popen(
-                [sys.executable, "-m", "bilprov", *words],
-                stdin=DEVNULL,
-                stdout=DEVNULL,
-                stderr=PIPE,
-                text=True,
-            )
-        )
-        stack.callback(process.kill)
+        process = stack.enter_context(started(bilprov_words(*words), stderr=PIPE))
         port = host.master
         if form == "--bridge":
             port = os.open(_bridge_name(process), os.O_RDWR | os.O_NOCTTY)
@@ -85,11 +76,11 @@ def killed(form: str, seed: int) -> Kill:
         return judged(path, fed, end)
 
 
-def _bridge_name(process: Popen[str]) -> str:
+def _bridge_name(process: Popen[bytes]) -> str:
     """The pty that `sniff --bridge` names."""
     assert process.stderr is not None
     for line in process.stderr:
-        if found := [word for word in line.split() if word.startswith("/dev/")]:
+        if found := [word for word in line.decode().split() if word.startswith("/dev/")]:
             return found[0].rstrip(".,:;")
     raise ValueError("sniff named no pty")
 

@@ -6,51 +6,42 @@ same share of bad bytes, at level standard in virtual time (`benchmarks.noise`).
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor
-from typing import NamedTuple
 
 from benchmarks.noise import Trial, noisy_run, simulated
 from benchmarks.torture.harm import Harm, Progress, Row
-from benchmarks.torture.robots import verdicts
 
 RATES = (1e-3, 3e-4, 1e-4)
 """Shares of bad bytes."""
 
 
-class Ended(NamedTuple):
-    """How a trial ended: its exit code, and what it told."""
-
-    trial: Trial
-    code: int
-    told: str
-
-    @property
-    def wrong(self) -> str:
-        """What went otherwise than it may, "" if nothing did."""
-        if self.code in self.trial.expected:
-            return ""
-        what = self.trial.fault or "the reference"
-        return f"{what}, seed {self.trial.seed}: exit {self.code}: {self.told}"
-
-
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
     """Run so many seeds in two processes; a row for each kind of line and rate."""
     trials = simulated(range(seed, seed + runs), RATES)
-    rows = defaultdict[tuple[str, float], list[Ended]](list)
+    rows = defaultdict[str, list[tuple[Trial, int, str]]](list)
     with ProcessPoolExecutor(2) as pool:
         for trial, ended in zip(trials, pool.map(noisy_run, trials), strict=True):
-            rows[trial.line, trial.rate].append(Ended(trial, *ended))
+            rows[f"bytes {trial.line} at {trial.rate:g}"].append((trial, *ended))
             progress(int(not trial.fault))  # a run is two trials
-    return [_row(f"bytes {line} at {rate:g}", ended) for (line, rate), ended in rows.items()]
+    return [_row(line, ended) for line, ended in rows.items()]
 
 
-def _row(line: str, ended: list[Ended]) -> Row:
+def _row(line: str, ended: list[tuple[Trial, int, str]]) -> Row:
+    codes = Counter((trial.fault != "", code) for trial, code, _ in ended)
+    shown = ", ".join(
+        f"{'faulty' if faulty else 'good'}: exit {code} in {times}"
+        for (faulty, code), times in sorted(codes.items())
+    )
     return Row(
         f"the suite with {line}",
         len(ended),
-        verdicts((not one.trial.fault, one.code) for one in ended),
-        tuple(one.wrong for one in ended if one.wrong),
+        f"{codes[False, 1]} good robots failed, {codes[True, 0]} faulty ones passed ({shown})",
+        tuple(
+            f"{trial.fault or 'the reference'}, seed {trial.seed}: exit {code}: {reason}"
+            for trial, code, reason in ended
+            if code not in trial.expected
+        ),
     )
 
 

@@ -105,7 +105,7 @@ def driven(name: str, seed: int) -> Unplugged:
     away = draw.uniform(*_AWAY) if seed % 2 else None
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        _, line, probe = stack.enter_context(served())
+        line, probe = stack.enter_context(served())
         adapter = stack.enter_context(Adapter(folder / "port", line, [after], away, late))
         errors = stack.enter_context(tempfile.TemporaryFile())
         words = command.words(str(folder / "port"), probe.name, folder)

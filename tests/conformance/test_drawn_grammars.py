@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.hostile_grammars import use
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.report.run_report import Report
@@ -22,6 +21,7 @@ from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.motion import Effect, Motion, State
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support.drawn_grammars import Drawn, drawn
+from tests.support.grammars import use
 
 Value = int | Motion | tuple[str, int]
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.hostile_grammars import mutated
 from bilprov.spec.codec import bit_names, judge
 from bilprov.spec.protocol import Protocol, load
+from tests.support.grammars import mutated
 from tests.vectors import (
     COLOURS,
     FRAMES,

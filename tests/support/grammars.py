@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.spec.codec import judge, nearest
+from bilprov.spec.errors import UserError
+from bilprov.spec.explain import explain
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+
 # Each edit: a piece of the grammar's text that stands there once, and what takes its place.
 _WIDE = {
     "BitStruct, Byte,": "BitStruct, Byte, BytesInteger, Int8sb, Int16sl, Int16ub,",
@@ -51,3 +61,58 @@ def wide_grammar(text: str) -> str:
         text = text.replace(old, new)
     before, middle = text.split('    6: "RotateRight"')
     return before + _CRUISE + middle[middle.index("}\n\nFRAME =") :]
+
+
+def mutated(text: str, changes: dict[str, str]) -> str:
+    """The text with every change made at once; each must have something to change."""
+    for old, new in changes.items():
+        assert old in text, f"the grammar does not say {old!r}"
+        assert old != new
+    pattern = "|".join(re.escape(old) for old in sorted(changes, key=len, reverse=True))
+    return re.sub(pattern, lambda found: changes[found[0]], text)
+
+
+def embedded(text: str) -> Protocol:
+    """Load a grammar's text as that of a capture is loaded."""
+    require_declarations(text)
+    return load(text)
+
+
+# Pieces that take the place of others in random grammars.
+PIECES = (
+    *("0", "-1", "1", "255", "256", "4294967296", "1.5", "1e999", "None", "True", "False", '""'),
+    *('"a"', '"\\x1b[2J"', '"\\u202e"', '"[/x]"', "[]", "()", "{}", "[1]", "{1: 2}", "this"),
+    *("this.a.b", "Byte", "HEADER", "INSTRUCTIONS", "Motion", "Motion.FORWARD", "Outcome.VALID"),
+    *("BitsInteger(64)", "BitsInteger(0)", "BitsInteger(-1)", "Struct()", "Sets()", 'From("rgb")'),
+    *("Sets(speed=-1)", 'Sets(led=From("speed", 0))', "Ranged(Byte, 0, 7)", "Answers(Byte, {})"),
+    *('"a" / Byte', 'Byte * "a"', "Instruction(document='')", "Switch(this.x, {})", "BitStruct()"),
+)
+VALUE = re.compile(r"""[+-]?\b\d+\b|"[^"\n]*"|\b[A-Z][A-Za-z.]*\b(?:\([^()\n]*\))?""")
+
+
+def loaded_or_said(text: str) -> Protocol | str:
+    """The protocol of an embedded grammar, or what is said about it."""
+    try:
+        require_declarations(text)
+        return load(text)
+    except (NotDeclared, UserError) as error:
+        return str(error)
+
+
+def use(protocol: Protocol, headers: Iterable[int]) -> None:
+    """Decode, judge, explain and apply frames with some data, and compute with what is declared."""
+    assert protocol.timing.truncation_timeout + protocol.timing.answer_deadline > 0
+    assert LineSettings(protocol.line.baud, protocol.line.parity, protocol.line.stopbits).byte_time
+    for header in headers:
+        for data in (b"", b"\0", b"\xff"):
+            frame = (bytes([header]) + data * protocol.lengths[header])[:9]
+            judgement = judge(protocol, frame)
+            assert judgement.describe().isprintable()
+            assert judgement.reason.isprintable()
+            assert judge(protocol, nearest(protocol, frame)).valid
+            assert explain(protocol, frame).frames
+            if judgement.valid and judgement.instruction:
+                effect = judgement.instruction.effect
+                assert effect.apply(protocol.power_on, dict(judgement.fields)).moving in (0, 1)
+    assert protocol.bounds
+    assert protocol.longest_frame > 0
