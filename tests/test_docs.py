@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.captures.storage import messages, records, recovery
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from tests.support import ROOT
@@ -24,7 +23,6 @@ from tests.support.pages import (
     blocks,
     matches,
     pages,
-    paragraphs,
     snippets,
     steps,
 )
@@ -161,39 +159,6 @@ def test_a_page_shows_what_happens(page: str, folder: Path) -> None:
     typed(page, folder)
 
 
-@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
-def test_a_block_of_commands_is_shown_as_one(text: str) -> None:
-    lines = [line for paragraph in paragraphs(text) for line in paragraph.splitlines()]
-
-    assert [line for line in lines if re.match(r"(bilprov|pip|make|sudo) [^`]*  # ", line)] == []
-
-
-def test_the_readme_is_short() -> None:
-    assert len(TEXTS["README.md"].splitlines()) <= 150
-    assert len(TEXTS["README.md"].encode()) <= 9_000
-
-
-def test_what_is_not_run_is_on_a_page() -> None:
-    lines = [step.line for text in TEXTS.values() for step in steps(text)]
-
-    assert [p for p in NOT_RUN if not any(re.match(p, line) for line in lines)] == []
-
-
-def test_a_page_is_held_to_what_it_shows() -> None:
-    printed = "one 1.5 ms\ntwo\nthree\n"
-
-    for shown in ("one 2 ms\ntwo\nthree\n", "...\nthree\n", "one ...\n...\n", "...\n"):
-        assert matches(shown, printed), shown
-    for shown in ("one\ntwo\nthree\n", "two\n", "...\ntwo\n", "one ...\nthree\n", ""):
-        assert not matches(shown, printed), shown
-
-
-def test_the_exit_status_of_a_command_is_the_one_that_its_comment_names() -> None:
-    assert Step("bilprov ports").statuses == {0}
-    assert Step("bilprov conform sim   # 6 s; exit status 3: nothing sees it").statuses == {3}
-    assert Step("bilprov capture diff a b   # exit status 1 if they differ").statuses == {0, 1}
-
-
 def _values(instruction: InstructionSpec) -> str:
     return ", ".join(f"{one.low} to {one.high}" for one in instruction.fields)
 
@@ -221,31 +186,6 @@ def test_the_protocol_page_is_what_the_grammar_says(protocol: Protocol) -> None:
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_a_command_line_is_one_that_exists(page: str, line: str) -> None:
     parsed(line)
-
-
-def test_the_limits_of_a_reader_are_those_that_it_has() -> None:
-    text = (ROOT / "docs" / "captures.md").read_text()
-    said = dict(re.findall(r"^\| (.+?) \| (.+?) \|$", text, re.MULTILINE))
-    mib, kib = 1 << 20, 1 << 10
-    limits = {
-        "bytes unpacked of all chunks": f"{recovery.UNPACKED_FREE // mib} MiB, and "
-        f"{recovery.UNPACKED_SHARE:,} for each byte of the file",
-        "messages in chunks": f"{recovery.MESSAGES_FREE:,}, and one for every two bytes "
-        "of the file",
-        "records outside of chunks, without messages and index": f"{recovery.LOOSE_RECORDS:,}",
-        "one chunk, packed or unpacked; any other record": f"{records.CHUNK_BYTES // mib} MiB",
-        "data of one message; one text of a header or a channel": (
-            f"{records.MESSAGE_BYTES // kib} KiB"
-        ),
-        "one attachment whose content is read": f"{records.ATTACHMENT_BYTES // mib} MiB",
-        "channels; other records in a chunk": f"{records.CHANNELS}; {records.DESCRIPTIONS:,}",
-        "messages held back to bring a foreign file into time order": (
-            f"{messages.WINDOW_MESSAGES:,}, or {messages.WINDOW_BYTES // mib} MiB"
-        ),
-    }
-
-    assert {name: said.get(name) for name in limits} == limits
-    assert records.RECORD_BYTES == records.CHUNK_BYTES
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])

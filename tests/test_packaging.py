@@ -1,4 +1,4 @@
-"""The lock, and the wheel in a clean environment: built from the checkout, and from the sdist.
+"""The lock, and the wheel that is built from the sdist, in a clean environment.
 
 The wheel stands beside a user's own `spec/`, `tests/` and `analyzer.py`: no names collide.
 """
@@ -91,20 +91,6 @@ def link_libraries(packages: Path) -> None:
                 (packages / top).symlink_to(Path(str(library.locate_file(top))))
 
 
-def build_wheel(source: Path, folder: Path) -> Path:
-    """The wheel of a folder or an sdist, built with the tools of this environment."""
-    run(sys.executable, *PIP, "wheel", *OFFLINE, "--no-build-isolation", source, cwd=folder)
-    (wheel,) = folder.glob("*.whl")
-    return wheel
-
-
-@pytest.fixture
-def source(tmp_path: Path) -> Path:
-    """A copy of the checkout, with nothing in it that was made."""
-    made = shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__")
-    return Path(shutil.copytree(ROOT, tmp_path / "source", symlinks=True, ignore=made))
-
-
 def installed(wheel: Path) -> Path:
     """A folder of a user's: the wheel in a clean environment, and what collided once.
 
@@ -163,10 +149,6 @@ def runs_the_command(site: Path) -> None:
     assert "sim conforms" in run(bilprov, *smoke, cwd=site / "project")
 
 
-def runs_a_script(site: Path) -> None:
-    assert run(site / "venv/bin/python", "drive.py", cwd=site / "project") == "LED\n"
-
-
 def type_checks_a_script(site: Path) -> None:
     mypy = (sys.executable, "-m", "mypy", "--strict", "--no-incremental")
     python = f"--python-executable={site / 'venv/bin/python'}"
@@ -185,30 +167,24 @@ def runs_the_users_tests(site: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.waits
 @pytest.mark.timeout(300)
-def test_the_installed_wheel_works_beside_the_users_own_modules(
-    source: Path, tmp_path: Path
+def test_a_wheel_built_from_the_sdist_is_whole_and_works_beside_the_users_own_modules(
+    tmp_path: Path,
 ) -> None:
-    # One test, so that no second process builds the wheel again.
-    site = installed(build_wheel(source, tmp_path))
+    made = shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__")
+    source = shutil.copytree(ROOT, tmp_path / "source", symlinks=True, ignore=made)
+    run(sys.executable, "-c", BUILD_SDIST, tmp_path, cwd=source)
+    shutil.rmtree(source)
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    run(sys.executable, *PIP, "wheel", *OFFLINE, "--no-build-isolation", sdist, cwd=tmp_path)
+    (wheel,) = tmp_path.glob("*.whl")
+
+    site = installed(wheel)
+
     holds_one_package_and_all_of_it(site)
     runs_the_command(site)
-    runs_a_script(site)
+    assert run(site / "venv/bin/python", "drive.py", cwd=site / "project") == "LED\n"
     type_checks_a_script(site)
     runs_the_users_tests(site)
-
-
-@pytest.mark.slow
-@pytest.mark.waits
-@pytest.mark.timeout(300)
-def test_a_wheel_built_from_the_sdist_is_whole_and_works(source: Path, tmp_path: Path) -> None:
-    run(sys.executable, "-c", BUILD_SDIST, tmp_path, cwd=source)
-    (sdist,) = tmp_path.glob("*.tar.gz")
-    shutil.rmtree(source)
-
-    site = installed(build_wheel(sdist, tmp_path))
-
-    holds_one_package_and_all_of_it(site)
-    runs_the_command(site)
 
 
 def test_the_lock_is_packages_with_their_hashes_and_names_no_registry() -> None:

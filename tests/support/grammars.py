@@ -116,3 +116,31 @@ def use(protocol: Protocol, headers: Iterable[int]) -> None:
                 assert effect.apply(protocol.power_on, dict(judgement.fields)).moving in (0, 1)
     assert protocol.bounds
     assert protocol.longest_frame > 0
+
+
+# Every text that a grammar has, `~` where more can be put in.
+PLACES = {
+    "the name": {'NAME = "robot-car"': 'NAME = "car~"'},
+    "the version": {'VERSION = "1.1"': 'VERSION = "1~"'},
+    "the document": {'DOCUMENT = "': 'DOCUMENT = "~'},
+    "a part of the header": {'"which instruction it is"': '"~which"'},
+    "an instruction": {'1: "Speed"': '1: "Sp~eed"'},
+    "an instruction's document": {'document="Hastighet"': 'document="~Hastighet"'},
+    "an instruction's prose": {"Sets the speed with": "Sets ~ the speed with"},
+    "a field": {'"speed" /': '"sp~eed" /', 'From("speed")': 'From("sp~eed")'},
+    "a field's prose": {'"speed that the': '"~speed that the'},
+    "the bits": {'bits="RGB"': 'bits="R~"'},
+    "the reading": {'reading="R-led-upper-bits"': 'reading="R-~"'},
+    "a response": {'"OK", Outcome': '"O~K", Outcome'},
+    "a response's document": {'"Korrekt instruktion': '"~Korrekt instruktion'},
+    "a response's prose": {'"correct instruction': '"~correct instruction'},
+    "the header's clause": {'header="section 2"': 'header="~section 2"'},
+    "the instructions' clause": {'instructions="section 3,': 'instructions="~section 3,'},
+    "the responses' clause": {'responses="section 4,': 'responses="~section 4,'},
+    "the safety's clause": {'safety="section 2"': 'safety="~section 2"'},
+}
+
+
+def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
+    """The grammar's text with a piece put into its texts at these places."""
+    return mutated(grammar_text, {old: new.replace("~", piece) for old, new in places.items()})

@@ -85,11 +85,6 @@ def blocks(text: str) -> list[tuple[str, str]]:
     ]
 
 
-def paragraphs(text: str) -> list[str]:
-    """What is shown as prose: paragraphs, headings, list items, cells of tables."""
-    return [token.content for token in MarkdownIt().parse(text) if token.type == "inline"]
-
-
 def snippets(text: str) -> list[tuple[str, str | None]]:
     """Each Python snippet of a page, and the output that is shown right below it.
 
