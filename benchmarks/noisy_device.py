@@ -1,55 +1,52 @@
-"""A device behind a noisy line: bytes flipped, dropped, doubled and delayed both ways, seeded.
+"""A device behind a bad line: bytes flipped, dropped, doubled and delayed both ways, seeded.
 
-It is itself a device, so a run over it is the same every time. The probe is another line: looks
-and power cycles are not affected.
+It is itself a device, so a run over it is the same every time. The probe is another line:
+observations and power cycles are not affected.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from random import Random
-
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.impairment import ImpairedDirection, LineFaults, Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Device
 
 
 class NoisyDevice:
-    """A device behind a noisy line; `hurt` counts the chunks that the noise changed.
+    """A device behind a bad line.
 
-    Each byte takes `delay` ns in each direction, besides its time on the wire.
+    Each byte takes `delay` ns in each direction besides its time on the wire, and up to `jitter` ns
+    more; the order of bytes stays.
     """
 
-    def __init__(self, device: Device, noise: Noise, seed: int, delay: int = 0) -> None:
+    def __init__(
+        self, device: Device, noise: Noise, seed: int, delay: int = 0, jitter: int = 0
+    ) -> None:
         self._device = device
-        self._noise = noise
-        self._chance = Random(seed)
-        self._delay = delay
-        self._inward: deque[tuple[int, bytes]] = deque()  # (arrival in ns, bytes)
-        self._outward: deque[tuple[int, bytes]] = deque()
-        self.hurt = 0
+        faults = LineFaults(noise, delay, jitter)
+        self._inward = ImpairedDirection(faults, seed, "to the device")
+        self._outward = ImpairedDirection(faults, seed, "from the device")
+
+    @property
+    def hurt(self) -> int:
+        """How many bytes the noise changed."""
+        ways = (self._inward, self._outward)
+        return sum(way.dropped + way.flipped + way.doubled for way in ways)
 
     def receive(self, data: bytes, now: int) -> None:
         """Bytes from the host that enter the line at `now` (ns)."""
-        arrived = self._through(data)
-        if arrived:
-            self._inward.append((now + self._delay, arrived))
-            self._deliver(now)
+        self._deliver(now)
+        self._inward.put(data, now)
+        self._deliver(now)
 
     def advance(self, now: int) -> bytes:
         """Let time pass until `now` (ns); return the device's bytes that have come through."""
         self._deliver(now)
-        self._listen(now)
-        come = []
-        while self._outward and self._outward[0][0] <= now:
-            come.append(self._outward.popleft()[1])
-        return b"".join(come)
+        return self._outward.take(now)
 
     def deadline(self) -> int | None:
         """When (ns) bytes next arrive or the device acts by itself; None if it only waits."""
-        first = (queue[0][0] for queue in (self._inward, self._outward) if queue)
-        own = self._device.deadline()
-        return min((*first, *(() if own is None else (own,))), default=None)
+        due = (self._inward.deadline, self._outward.deadline, self._device.deadline())
+        return min((time for time in due if time is not None), default=None)
 
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now` (ns)."""
@@ -62,19 +59,16 @@ class NoisyDevice:
         power(now)
 
     def _deliver(self, now: int) -> None:
-        """Give the device the bytes that have arrived by `now`, each chunk at its own time."""
-        while self._inward and self._inward[0][0] <= now:
-            at, data = self._inward.popleft()
-            self._listen(at)
-            self._device.receive(data, at)
+        """Give the device the bytes that have arrived by `now`, each at its own time."""
+        while (arrives := self._inward.deadline) is not None and arrives <= now:
+            self._listen(arrives)
+            self._device.receive(self._inward.take(arrives), arrives)
+        self._listen(now)
 
-    def _listen(self, now: int) -> None:
-        sent = self._device.advance(now)
-        left = self._through(sent) if sent else sent
-        if left:
-            self._outward.append((now + self._delay, left))
-
-    def _through(self, data: bytes) -> bytes:
-        arrived = self._noise.over(data, self._chance)
-        self.hurt += arrived != data
-        return arrived
+    def _listen(self, until: int) -> None:
+        """Take the device's answers, each at the time at which it sends it."""
+        while (due := self._device.deadline()) is not None and due <= until:
+            self._outward.put(self._device.advance(due), due)
+            if self._device.deadline() == due:
+                break
+        self._outward.put(self._device.advance(until), until)

@@ -162,7 +162,7 @@ def test_each_way_to_fail_is_noticed_and_the_input_shortened(
             act()
         return len(data)
 
-    made = Target("made", "", lambda: test, (ValueError,), lambda: [b"a b"], mutated_bytes, 1)
+    made = Target("made", lambda: test, (ValueError,), lambda: [b"a b"], mutated_bytes, 1)
     row = run(made, 20, seed=1)
 
     (finding,) = row.findings

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from benchmarks.fuzz.mutators import HOSTILE, damaged, json_mutator
+from benchmarks.fuzz.mutators import HOSTILE, change, damaged, json_mutator
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
 from bilprov.captures.topics import CHANNEL_START_KEY, METADATA_NAME, START_KEY, TOPICS
@@ -28,17 +28,8 @@ _LARGEST = 1 << 17  # bytes of an unpacked chunk that is changed
 _WORDS = tuple(
     text.encode("utf-8", "surrogatepass")
     for text in (
-        *(topic.name for topic in TOPICS),
-        *(topic.encoding for topic in TOPICS),
-        *(
-            START_KEY,
-            CHANNEL_START_KEY,
-            METADATA_NAME,
-            "bilprov ",
-            "zstd",
-            "lz4",
-            "json",
-        ),
+        *(text for topic in TOPICS for text in (topic.name, topic.encoding)),
+        *(START_KEY, CHANNEL_START_KEY, METADATA_NAME, "bilprov ", "zstd", "lz4", "json"),
         *HOSTILE,
     )
 )
@@ -86,24 +77,15 @@ def _split(data: bytes) -> tuple[list[Record], bytes]:
 
 def _change(random: Random, found: list[Record], pool: Sequence[bytes], inside: bool) -> None:
     """Change a list of records at a random place; those of a chunk if `inside`."""
-    at = random.randrange(len(found) + 1)
-    kind = random.randrange(10)
-    if kind == 0:
-        del found[at : at + 1]
-    elif kind == 1:
-        found[at:at] = found[at : at + random.choice((1, 1, 2, 4))]
-    elif kind == 2 and len(found) > 1:
-        other = random.randrange(len(found))
-        at = min(at, len(found) - 1)
-        found[at], found[other] = found[other], found[at]
-    elif kind == 3:
-        others, _ = _split(random.choice(pool)[len(MAGIC) :])
-        if inside and (chunks := [one for one in others if one.opcode == records.CHUNK]):
-            others, _ = _split(_unpacked(random.choice(chunks).content) or b"")
-        if others:
-            found.insert(at, random.choice(others))
-    elif at < len(found):
+    if found and random.random() < 0.6:
+        at = random.randrange(len(found))
         found[at] = _changed(random, found[at], pool)
+        return
+    others, _ = _split(random.choice(pool)[len(MAGIC) :])
+    chunks = [one for one in others if one.opcode == records.CHUNK]
+    if inside and chunks:
+        others, _ = _split(_unpacked(random.choice(chunks).content) or b"")
+    change(random, found, others, lambda: others[:1])
 
 
 def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:

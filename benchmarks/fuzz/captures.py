@@ -17,12 +17,12 @@ from mcap.writer import CompressionType, Writer
 from benchmarks.fuzz.capture_mutator import mutated_capture
 from benchmarks.fuzz.engine import Target, Test, folder, require
 from benchmarks.fuzz.traffic import (
+    Tape,
     columns_at_once,
     conversations,
     events,
     in_columns,
     records_one_by_one,
-    tape_of,
 )
 from bilprov.analyzer.decode.checkpoint import encoded
 from bilprov.analyzer.decode.session import Session
@@ -218,9 +218,9 @@ _REQUIRED = {
 
 @cache
 def own_captures() -> tuple[bytes, ...]:
-    """Small captures of bilprov: finished, of a run, resumed, edited, and one cut off."""
-    kinds = [_written(number) for number in range(4)]
-    return *kinds, kinds[0][: len(kinds[0]) * 2 // 3]
+    """Small captures of bilprov: finished, without decoded topics, and one cut off."""
+    whole, raw = (_written(decoded=decoded) for decoded in (True, False))
+    return whole, raw, whole[: len(whole) * 2 // 3]
 
 
 @cache
@@ -235,10 +235,10 @@ def loose_capture() -> bytes:
     return _foreign(CompressionType.NONE, chunked=False)
 
 
-def _written(number: int) -> bytes:
-    """A capture as `sniff` or `conform` writes it: one of four kinds."""
+def _written(*, decoded: bool) -> bytes:
+    """A capture as `sniff` and `conform` write it, with every kind of message."""
     protocol = load_protocol()
-    path = folder() / f"seed-{number}.mcap"
+    path = folder() / "seed.mcap"
     path.unlink(missing_ok=True)
     about = session_metadata(
         protocol,
@@ -247,34 +247,23 @@ def _written(number: int) -> bytes:
         timeout=50 * MS,
         skew=0,
         heard=("host", "device"),
-        attached=number == 1,
     ) | {topics.MACHINE: "fuzz"}
-    session = Session(protocol, timeout=50 * MS, skew=0, attached=number == 1)
-    tape = tape_of(conversations()[number])
+    session = Session(protocol, timeout=50 * MS, skew=0)
     with RecordWriter(path, _START, about) as out:
-        if number == 2:
-            out.attach("run.json", "application/json", b"{}", 0)
-        for turn, event in enumerate(events(protocol, tape)):
+        out.attach("run.json", "application/json", b"{}", 0)
+        for turn, event in enumerate(events(protocol, Tape(conversations()[decoded]))):
             if not 0 <= event.t < 1 << 40:
                 continue
             out.event(event)
-            for record in session.feed(event):
-                if number != 3:
-                    out.record(record)
-            state = session.saved()
-            if turn % 4 == 3 and state is not None:
-                text = encoded(state)
-                made = Checkpoint.of(
-                    event.t, protocol.sha256, text, True if turn % 8 == 7 else None
-                )
-                if turn % 8 == 7:
-                    out.event(Resumption(event.t, "gap", checkpoint=made, silent=turn % 16 == 7))
-                else:
-                    out.write(made, event.t)
-            if number == 2:
-                out.write(Look(event.t, True, motion="forward", left=3), event.t)
-                out.write(Asked(event.t, "send"), event.t)
-                out.write(CaseMark(event.t, f"case/{turn}", "end", "pass"), event.t)
+            for record in session.feed(event) if decoded else ():
+                out.record(record)
+            if state := session.saved() if turn % 4 == 3 else None:
+                made = Checkpoint.of(event.t, protocol.sha256, encoded(state), None)
+                out.write(made, event.t)
+                out.event(Resumption(event.t, "gap", checkpoint=made, silent=turn % 16 == 7))
+            out.write(Look(event.t, True, motion="forward", left=3), event.t)
+            out.write(Asked(event.t, "send"), event.t)
+            out.write(CaseMark(event.t, f"case/{turn}", "end", "pass"), event.t)
             if turn % 6 == 5:
                 out.flush()
     return path.read_bytes()
@@ -316,23 +305,7 @@ def capture_seeds() -> list[bytes]:
 _REFUSED = (CaptureError,)
 
 TARGETS = (
-    Target(
-        "reader",
-        "opening captures, by index and as evidence",
-        reader,
-        _REFUSED,
-        capture_seeds,
-        mutated_capture,
-        2,
-    ),
-    Target("repair", "mending captures", mending, _REFUSED, capture_seeds, mutated_capture, 0.4),
-    Target(
-        "export",
-        "statistics, plots and exports of captures",
-        exporting,
-        _REFUSED,
-        capture_seeds,
-        mutated_capture,
-        0.2,
-    ),
+    Target("reader", reader, _REFUSED, capture_seeds, mutated_capture, 2),
+    Target("repair", mending, _REFUSED, capture_seeds, mutated_capture, 0.4),
+    Target("export", exporting, _REFUSED, capture_seeds, mutated_capture, 0.2),
 )

@@ -99,14 +99,4 @@ def _other() -> Path:
     return path
 
 
-TARGETS = (
-    Target(
-        "edit",
-        "parts of captures, two as one, two side by side",
-        editing,
-        (CaptureError,),
-        capture_seeds,
-        mutated_capture,
-        0.2,
-    ),
-)
+TARGETS = (Target("edit", editing, (CaptureError,), capture_seeds, mutated_capture, 0.2),)

@@ -43,11 +43,6 @@ class Wrong(Exception):
     """Raised by a target for a wrong result: two ways that must agree differ, or a broken file."""
 
 
-def encoded(*texts: str) -> list[bytes]:
-    """Texts as inputs."""
-    return [text.encode() for text in texts]
-
-
 def require(fine: bool, what: str) -> None:
     """Raise Wrong unless the result is fine."""
     if not fine:
@@ -65,16 +60,19 @@ class Target:
     `prepare` makes its test: a function of one input that returns what it came to (anything by
     which inputs can be told apart) or raises one of `refuses`. `seeds` are good inputs, from which
     `mutate` makes damaged ones. `share` is its share of all inputs, beside those of the others.
-    `reads` says what it reads.
     """
 
     name: str
-    reads: str
     prepare: Callable[[], Test]
     refuses: tuple[type[Exception], ...]
     seeds: Callable[[], list[bytes]]
     mutate: Mutate
     share: float
+
+    @property
+    def holds(self) -> str:
+        """What must hold of every input."""
+        return (self.prepare.__doc__ or "").strip()
 
     def pool(self) -> list[bytes]:
         """Its seeds, and the short ones of the inputs that it once failed on."""

@@ -59,7 +59,7 @@ class Kind(NamedTuple):
 def kinds() -> tuple[Kind, ...]:
     """The captures that are damaged."""
     own = own_captures()
-    names = ("line events", "attached at rest", "conform", "without decoded topics", "cut off")
+    names = ("whole", "without decoded topics", "cut off")
     return (
         *map(Kind, names, ((one,) for one in own)),
         Kind("without its index", (own[0][: _data_end(own[0])],)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from benchmarks.fuzz.measure import measure as fuzzed
+from benchmarks.fuzz.targets import measure as fuzzed
 from benchmarks.torture import chunks, damage, exits, floods, hostile, kills, noise, unplugs
 from benchmarks.torture.harm import Harm, Progress, Row
 
@@ -26,7 +26,7 @@ def _fuzz(runs: int, seed: int, progress: Progress) -> list[Row]:
             f"{row.crashes:,} crashes; {row.refused:,} refused with a sentence",
             tuple(f"{one.failure.error} at {one.failure.where}" for one in row.findings),
         )
-        for row in fuzzed(runs, seed, progress=lambda name, done: progress(done))
+        for row in fuzzed(runs, seed, progress=progress)
     ]
 
 

@@ -21,7 +21,6 @@ from markdown_it import MarkdownIt
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
 from tests.support.robots import simulate
-from tests.support.signals import ignoring
 
 PATIENCE = 60.0  # s; a command that takes longer hangs
 PROGRAMS = Path(sys.executable).parent
@@ -180,17 +179,16 @@ class Reader:
         if _IN_REAL_TIME.match(step.command):
             line += " --level smoke --only 'link/*'"
         with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
-            with ignoring():
-                process = subprocess.Popen(
-                    ["bash", "-o", "pipefail", "-c", line],
-                    cwd=self.folder,
-                    env=self._environment(),
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    text=True,
-                    start_new_session=True,
-                )
+            process = subprocess.Popen(
+                ["bash", "-o", "pipefail", "-c", line],
+                cwd=self.folder,
+                env=self._environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+            )
             if step.background:
                 self._background.append(process)
                 _wait_for_output(process, output.fileno())

@@ -8,7 +8,7 @@ import resource
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 
@@ -17,7 +17,6 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import NO_DESCRIPTOR, Listener, parse_address
 from tests.support.commands import PATIENCE
 from tests.support.robots import simulate
-from tests.support.scarcity import no_descriptor_left
 from tests.support.wires import Running, running
 
 SECOND = 1_000_000_000  # ns
@@ -310,6 +309,21 @@ def test_descriptors_above_1024_are_served(start: Start) -> None:
         client.sendall(b"state\n")
         room.turns(1)
         assert json.loads(heard(client))["moving"] is False
+
+
+@contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """Let this process open no more files until the block ends."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    reader, writer = os.pipe()
+    os.close(reader)
+    os.close(writer)
+    free = min(reader, writer)  # the lowest that is free: all below are taken
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.waits

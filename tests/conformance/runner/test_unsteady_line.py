@@ -5,15 +5,25 @@ A faulty one does not pass over them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.taps.impairment import Noise
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
+from bilprov.conformance.dut.operations import Observation, Observe, Operation, Reply
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
-from tests.support.unsteady_lines import JitteryDevice, Notes, StoppedDevice, run_on_line
 
 pytestmark = pytest.mark.slow
 
@@ -45,6 +55,97 @@ FAULTY = (
 )
 
 
+BYTE_TIME = 86_806  # ns at 115,200 8N1
+
+
+class StoppedDevice:
+    """A device whose process stands still for `stop` ns of every `period`: bytes wait meanwhile."""
+
+    def __init__(self, device: Device, stop: int, period: int = 1_000_000_000) -> None:
+        self._device = device
+        self._stop = stop
+        self._period = period
+        self._waiting = b""
+
+    def runs_at(self, now: int) -> int:
+        """When (ns), from `now` on, it runs."""
+        phase = now % self._period
+        return now if phase >= self._stop else now - phase + self._stop
+
+    def receive(self, data: bytes, now: int) -> None:
+        self._wake(now)
+        self._waiting += data
+        self._wake(now)
+
+    def advance(self, now: int) -> bytes:
+        self._wake(now)
+        return b"" if self.runs_at(now) > now else self._device.advance(now)
+
+    def deadline(self) -> int | None:
+        due = self._device.deadline()
+        if self._waiting:
+            return self.runs_at(self._last)
+        return None if due is None else self.runs_at(due)
+
+    def look(self, now: int) -> Look:
+        self._wake(now)
+        return self._device.look(now)
+
+    def _wake(self, now: int) -> None:
+        self._last = now
+        if self._waiting and self.runs_at(now) == now:
+            data, self._waiting = self._waiting, b""
+            self._device.receive(data, now)
+
+
+class StoppedLink(VirtualLink):
+    """A link whose probe stands still with its device, as that of one process does."""
+
+    def __init__(self, device: StoppedDevice, tap: LinkListener | None = None) -> None:
+        super().__init__(device, BYTE_TIME, tap)
+        self._stopped = device
+
+    def do(self, operation: Operation) -> Reply:
+        asked = self.now
+        if isinstance(operation, Observe):
+            self._pass(self._stopped.runs_at(asked))
+        reply = super().do(operation)
+        return Observation(asked, self.now, reply.look) if isinstance(reply, Observation) else reply
+
+
+class Notes(RunListener):
+    """Keeps the notes of a run."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def note(self, sentence: str) -> None:
+        self.told.append(sentence)
+
+
+def run_on_line(
+    protocol: Protocol, device: Any, *listeners: RunListener, **options: Any
+) -> tuple[Report, float]:
+    """Judge a device with the timers of a real line: the report, and how long (s) the run took."""
+    links: list[VirtualLink] = []
+
+    def connect(tap: LinkListener | None) -> Link:
+        stopped = isinstance(device, StoppedDevice)
+        links.append(StoppedLink(device, tap) if stopped else VirtualLink(device, BYTE_TIME, tap))
+        return links[0]
+
+    about = {"kind": "port", "byte_ns": BYTE_TIME, "latency_ns": 0, "look_ns": 0}
+    seen = Observability(available=True)
+    target = Target(protocol, Environment(False, seen, False, "a line", about), connect)
+    report = run_suite(target, Options(**options), listeners, logged=False)
+    return report, links[0].now / 1e9
+
+
+def jittery(device: Simulator, jitter: int, seed: int, delay: int = 0) -> NoisyDevice:
+    """A device behind a line that holds each byte up by `delay` to `delay` + `jitter` ns."""
+    return NoisyDevice(device, Noise(), seed, delay, jitter)
+
+
 def robot(protocol: Protocol, name: str) -> Simulator:
     """The reference, a legal variant, or a faulty device."""
     if not name:
@@ -62,7 +163,7 @@ def failed(report: Report) -> list[tuple[str, str]]:
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", GOOD)
 def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, seed: int) -> None:
-    device = JitteryDevice(robot(protocol, name), jitter * MS, seed)
+    device = jittery(robot(protocol, name), jitter * MS, seed)
     report, _ = run_on_line(protocol, device, level="smoke", seed=seed)
     assert failed(report) == []
     assert report.exit in (0, 3)
@@ -75,7 +176,7 @@ def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, 
 def test_jitter_lets_no_faulty_robot_pass(
     protocol: Protocol, name: str, jitter: int, seed: int
 ) -> None:
-    device = JitteryDevice(robot(protocol, name), jitter * MS, seed)
+    device = jittery(robot(protocol, name), jitter * MS, seed)
     report, _ = run_on_line(protocol, device, level="smoke", seed=seed, fail_fast=True)
     assert report.exit in (1, 3)
 
@@ -83,7 +184,7 @@ def test_jitter_lets_no_faulty_robot_pass(
 @pytest.mark.parametrize("delay", [30, 60, 90])
 def test_a_line_that_is_slow_both_ways_fails_no_good_robot(protocol: Protocol, delay: int) -> None:
     """A look inside a time-out comes before the bytes of the stop are there."""
-    device = JitteryDevice(Simulator(protocol), 0, 2, delay * MS)
+    device = jittery(Simulator(protocol), 0, 2, delay * MS)
     report, _ = run_on_line(protocol, device, level="smoke", seed=2)
     assert failed(report) == []
     assert report.exit == 0
@@ -91,7 +192,7 @@ def test_a_line_that_is_slow_both_ways_fails_no_good_robot(protocol: Protocol, d
 
 def test_what_a_line_is_too_coarse_for_is_said_once(protocol: Protocol) -> None:
     notes = Notes()
-    device = JitteryDevice(Simulator(protocol), 150 * MS, 1)
+    device = jittery(Simulator(protocol), 150 * MS, 1)
     report, took = run_on_line(protocol, device, notes, level="smoke")
     told = [sentence for sentence in notes.told if "cannot be judged" in sentence]
     assert len(told) == 1
@@ -101,7 +202,7 @@ def test_what_a_line_is_too_coarse_for_is_said_once(protocol: Protocol) -> None:
 
 
 def test_an_answer_that_no_device_gives_fails_over_any_line(protocol: Protocol) -> None:
-    device = JitteryDevice(robot(protocol, "unused-code-for-valid"), 50 * MS, 1)
+    device = jittery(robot(protocol, "unused-code-for-valid"), 50 * MS, 1)
     report, _ = run_on_line(protocol, device, level="smoke", fail_fast=True)
     assert report.exit == 1
 
