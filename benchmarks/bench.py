@@ -27,10 +27,8 @@ from benchmarks.report import (
     as_json,
     as_markdown,
     between_markers,
-    figure,
+    cells,
     machine,
-    reach,
-    times,
 )
 from benchmarks.setting import FULL, QUICK, Setting, Work
 
@@ -113,24 +111,9 @@ def measured(setting: Setting, work: Work) -> Row:
     except Exception as error:  # the other rows are still worth their time
         told = f"{type(error).__name__}: {error}"
         row = Row(work.name, work.words, note=told, state="failed")
-    _tell(f"{work.name:18} {_in_words(row)} [{time.monotonic() - begun:.1f} s]")
+    shown = "; ".join(filter(None, cells(row)[1:]))
+    _tell(f"{work.name:18} {shown} [{time.monotonic() - begun:.1f} s]")
     return row
-
-
-def _in_words(row: Row) -> str:
-    if row.ours is None:
-        return f"{row.state}: {row.note}"
-    parts = [figure(row.ours, row.unit)]
-    parts += [figure(value, name) for name, value in row.figures.items()]
-    ratios = row.ratios
-    parts += [
-        f"{name} {figure(value, row.unit)} ({times(ratios[name])})"
-        for name, value in row.peers.items()
-        if name in ratios
-    ]
-    parts += [f"beside {figure(value, name)}" for name, value in row.beside.items()]
-    parts += [reach(goal) for goal in row.goals]
-    return "; ".join(parts) + (f" ({row.note})" if row.note else "")
 
 
 def _write(folder: Path, rows: Sequence[Row], on: Machine, mode: str) -> None:

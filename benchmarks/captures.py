@@ -11,10 +11,11 @@ from pathlib import Path
 from zlib import crc32
 
 from benchmarks import peers, product, traffic
-from benchmarks.commands import ROOT, bilprov_words, medians, run
+from benchmarks.commands import ROOT, medians, run
 from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
 from benchmarks.setting import Made, Setting, Work
 from benchmarks.traffic import reads, waited
+from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.topics import START_KEY
 
@@ -208,7 +209,7 @@ def replayed(
     few, made = (make(setting) for make in captures)
     reads_of_4k = big(setting).path
     note, lines = "", words is product.replayed
-    little = run(bilprov_words(*words(few.path)), keep=lines)
+    little = run(words(few.path), keep=lines)
     if lines and little.output.count("\n") < 2 * few.frames:
         raise RuntimeError(f"{few.frames} frames and their answers gave fewer lines")
     longest = _LONGEST * setting.sizes.patience
@@ -216,8 +217,8 @@ def replayed(
         note = f"{made.frames / 1e6:.3g} M frames would take over {longest:.0f} s"
         made, ended = few, little
     else:
-        ended = run(bilprov_words(*words(made.path)))
-    start, most = product.capture_start(reads_of_4k) + _CALM, _SAMPLES * setting.sample.frames
+        ended = run(words(made.path))
+    start, most = open_capture(reads_of_4k).start + _CALM, _SAMPLES * setting.sample.frames
     with Path(os.devnull).open("wb") as nowhere:
         out = nowhere if lines else None
         speed = {
@@ -263,7 +264,7 @@ def foreign_to_statistics(setting: Setting, work: Work) -> Row:
     made = {"bilprov": foreign(setting), "reads of 4 KiB": big(setting)}
 
     def measured(one: Made) -> float:
-        return one.frames / run(bilprov_words(*product.statistics(one.path))).seconds
+        return one.frames / run(product.statistics(one.path)).seconds
 
     works = {name: partial(measured, one) for name, one in made.items()}
     rates = medians(min(3, setting.sizes.rounds), works)

@@ -1,8 +1,8 @@
 /* Judges a buffer of host frames and keeps the state after each: what a compiled loop reaches.
  *
- * judge.h is generated from the grammar, on the header that `bilprov spec emit c` writes. It has
- * `length_of`, `judge` and `power_on_state`. Frames of at most one data byte are looked up in a table
- * that `judge` has filled; the others are judged one by one. */
+ * It stands on the header that `bilprov spec emit c` writes, and on the motions of the kit, which
+ * are in motions.h. Frames of at most one data byte are looked up in a table that `judge` has
+ * filled; the others are judged one by one. */
 #include <stddef.h>
 #include <stdint.h>
 
@@ -15,7 +15,70 @@ typedef union {
     uint64_t packed;
 } State;
 
-#include "judge.h"
+#include "motions.h"
+#include "protocol.h"
+
+/* The response that a frame is due, and the state after it. */
+static uint8_t judge(const uint8_t *frame, State *state)
+{
+    uint8_t length = (frame[0] & ROBOT_CAR_LENGTH_MASK) >> ROBOT_CAR_LENGTH_SHIFT;
+    uint8_t right, code;
+    const uint8_t *data = frame + 1;
+
+    switch (frame[0]) {
+    case ROBOT_CAR_STOP:
+        state->is.motion = STOPPED;
+        state->is.steering = 0;
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_SPEED:
+        state->is.speed = data[ROBOT_CAR_SPEED_SPEED_OFFSET];
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_FORWARD:
+        state->is.motion = FORWARD;
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_BACKWARD:
+        state->is.motion = BACKWARD;
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_RIGHT:
+        state->is.steering = data[ROBOT_CAR_RIGHT_STRENGTH_OFFSET];
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_LEFT:
+        state->is.steering = -data[ROBOT_CAR_LEFT_STRENGTH_OFFSET];
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_ROTATE_RIGHT:
+        state->is.motion = ROTATE_RIGHT;
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_ROTATE_LEFT:
+        state->is.motion = ROTATE_LEFT;
+        return ROBOT_CAR_ON_VALID;
+    case ROBOT_CAR_LED:
+        if (data[ROBOT_CAR_LED_RGB_OFFSET] <= ROBOT_CAR_LED_RGB_MAX) {
+            state->is.led = data[ROBOT_CAR_LED_RGB_OFFSET];
+            return ROBOT_CAR_ON_VALID;
+        }
+        code = ROBOT_CAR_ON_BAD_DATA;
+        break;
+    default:
+        switch ((frame[0] & ROBOT_CAR_ID_MASK) >> ROBOT_CAR_ID_SHIFT) {
+        case ROBOT_CAR_STOP_ID: right = ROBOT_CAR_STOP_LENGTH; break;
+        case ROBOT_CAR_SPEED_ID: right = ROBOT_CAR_SPEED_LENGTH; break;
+        case ROBOT_CAR_FORWARD_ID: right = ROBOT_CAR_FORWARD_LENGTH; break;
+        case ROBOT_CAR_BACKWARD_ID: right = ROBOT_CAR_BACKWARD_LENGTH; break;
+        case ROBOT_CAR_RIGHT_ID: right = ROBOT_CAR_RIGHT_LENGTH; break;
+        case ROBOT_CAR_LEFT_ID: right = ROBOT_CAR_LEFT_LENGTH; break;
+        case ROBOT_CAR_ROTATE_RIGHT_ID: right = ROBOT_CAR_ROTATE_RIGHT_LENGTH; break;
+        case ROBOT_CAR_ROTATE_LEFT_ID: right = ROBOT_CAR_ROTATE_LEFT_LENGTH; break;
+        case ROBOT_CAR_LED_ID: right = ROBOT_CAR_LED_LENGTH; break;
+        default: right = length;
+        }
+        code = length > right   ? ROBOT_CAR_ON_TOO_MANY
+               : length < right ? ROBOT_CAR_ON_TOO_FEW
+                                : ROBOT_CAR_ON_UNKNOWN_ID;
+    }
+    state->is.motion = STOPPED;
+    state->is.steering = 0;
+    return code;
+}
 
 static struct {
     uint64_t kept, set; /* state after = state before & kept | set */
@@ -26,9 +89,9 @@ static uint8_t lengths[256];
 void prepare(void)
 {
     for (int header = 0; header < 256; header++)
-        lengths[header] = length_of(header);
+        lengths[header] = (header & ROBOT_CAR_LENGTH_MASK) >> ROBOT_CAR_LENGTH_SHIFT;
     for (int key = 0; key < KEYS; key++) {
-        uint8_t frame[FRAME_MOST] = {key >> 8, key & 0xff};
+        uint8_t frame[ROBOT_CAR_MAX_FRAME] = {key >> 8, key & 0xff};
         State zeros = {.packed = 0}, ones = {.packed = ~0ull};
         table[key].code = judge(frame, &zeros);
         judge(frame, &ones);
@@ -63,11 +126,4 @@ size_t decode(const uint8_t *data, size_t size, uint8_t *codes, uint64_t *states
     *state = now.packed;
     *used = at;
     return frames;
-}
-
-uint64_t power_on(void)
-{
-    State first = {.packed = 0};
-    power_on_state(&first);
-    return first.packed;
 }

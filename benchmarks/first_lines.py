@@ -9,6 +9,7 @@ from benchmarks import captures, peers, product
 from benchmarks.commands import bilprov_words, first_line, medians, timed
 from benchmarks.report import Goal, Row
 from benchmarks.setting import Made, Setting, Work
+from bilprov.captures.reader import open_capture
 
 _BEFORE_THE_END = 5_000_000  # ns
 _SEEK, _LONGEST = 150, 6  # ms; times the patience of a row
@@ -20,7 +21,7 @@ def seek(setting: Setting, work: Work) -> Row:
     few, made = captures.small(setting), captures.big(setting)
     for one in (few, made):
         first_line(_seeking(one), _LONGEST * setting.sizes.patience + 5)
-    start = product.capture_start(made.path) + made.end - _BEFORE_THE_END
+    start = open_capture(made.path).start + made.end - _BEFORE_THE_END
     found = medians(
         setting.sizes.rounds,
         {
@@ -46,8 +47,7 @@ def seek(setting: Setting, work: Work) -> Row:
 
 
 def _seeking(made: Made) -> list[str]:
-    seconds = (made.end - _BEFORE_THE_END) / 1e9
-    return bilprov_words(*product.replayed_from(made.path, seconds))
+    return product.replayed(made.path, (made.end - _BEFORE_THE_END) / 1e9)
 
 
 def start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row:

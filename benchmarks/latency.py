@@ -27,7 +27,7 @@ def to_json_line(setting: Setting, work: Work) -> Row:
     with (
         lines.wires() as on,
         lines.wires() as beside,
-        started(bilprov_words(*product.sniffed(*_names(on), "jsonl")), stdout=PIPE) as ours,
+        started(product.sniffed(*_names(on), "jsonl"), stdout=PIPE) as ours,
         started(
             [sys.executable, "-m", "benchmarks.bare_reader", *_names(beside)], stdout=PIPE
         ) as bare,
@@ -60,7 +60,9 @@ def through_a_bridge(setting: Setting, work: Work) -> Row:
     exchanges = _exchanges(setting)
     with (
         lines.wires() as on,
-        started(bilprov_words(*product.bridged(on.device.name)), stderr=PIPE) as bridge,
+        started(
+            bilprov_words("sniff", "--bridge", on.device.name, "--format", "jsonl"), stderr=PIPE
+        ) as bridge,
     ):
         served = bridge.stderr.readline().decode().strip() if bridge.stderr else ""
         if not served.startswith("/dev/"):

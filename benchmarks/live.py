@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from functools import partial
+from pathlib import Path
 
 from benchmarks import lines, product
 from benchmarks.captures import FAST
-from benchmarks.commands import bilprov_words
 from benchmarks.report import Goal, Row
 from benchmarks.setting import Setting, Work
+from bilprov.captures.reader import open_capture
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
 _BARE = "bare reader"
 _DISTINCT = 2_000_000  # host bytes, after which the traffic is sent again
@@ -60,11 +62,17 @@ def _ours(
     capture = setting.new_file("live.mcap") if write else None
     out = setting.new_file("live.out")
     with lines.wires() as on, lines.screen() as screen, out.open("xb") as file:
-        words = bilprov_words(*product.sniffed(on.host.name, on.device.name, style, capture))
+        words = product.sniffed(on.host.name, on.device.name, style, capture)
         output = screen if style == "live" else file
         heard = lines.listen(words, on, ready, seconds, output, screen)
-    got = product.captured(capture) if capture else lines.shown(out)
-    return heard.share, _missing(heard.sent, sum(got.values())), heard.sent.lost
+    got = _captured(capture) if capture else sum(lines.shown(out).values())
+    return heard.share, _missing(heard.sent, got), heard.sent.lost
+
+
+def _captured(path: Path) -> int:
+    """How many raw bytes a capture holds."""
+    sizes = open_capture(path).contents.sizes
+    return sizes.get(HOST_RAW, 0) + sizes.get(DEVICE_RAW, 0)
 
 
 def _bare(setting: Setting, ready: lines.Bursts, seconds: float, write: bool) -> tuple[float, int]:

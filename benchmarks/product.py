@@ -7,14 +7,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy
+
 import bilprov
 from benchmarks.ceiling import Judged
-from benchmarks.commands import Skipped, bilprov_words, run
+from benchmarks.commands import bilprov_words
 from bilprov.analyzer.cli.sniff import PATIENCE
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
@@ -26,12 +26,12 @@ from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.reader import open_capture, open_indexed
-from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.tables import frame_tables, values_of
 
 if TYPE_CHECKING:
     from bilprov.analyzer.screen.browser import Browser
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
 _PART = 1 << 18  # bytes that are decoded at once, so that the arrays of a part fit into a cache
-
-Words = list[str]
 
 
 class Columns(NamedTuple):
@@ -54,16 +52,12 @@ class Columns(NamedTuple):
 
 
 def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
-    """The function from whole host frames to columns. Raises Skipped where the kit has none."""
-    try:
-        tables, numpy = import_module("bilprov.spec.tables"), import_module("numpy")
-    except ImportError as error:
-        raise Skipped(f"there are no columns here: {error}") from None
-    found = tables.frame_tables(protocol)
+    """The function from whole host frames to columns."""
+    found = frame_tables(protocol)
 
     def decode(data: bytes) -> list[Columns]:
         buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
-        state = list(tables.values_of(protocol.power_on))
+        state = list(values_of(protocol.power_on))
         while at < len(data):
             part = buffer[at : at + _PART]
             offsets, used = found.offsets(part)
@@ -147,22 +141,6 @@ def metadata(protocol: Protocol) -> dict[str, str]:
     )
 
 
-def captured(path: Path) -> dict[Direction, int]:
-    """How many raw bytes of each direction a capture holds."""
-    sizes = open_capture(path).contents.sizes
-    return {"host": sizes.get(HOST_RAW, 0), "device": sizes.get(DEVICE_RAW, 0)}
-
-
-def capture_start(path: Path) -> int:
-    """The wall clock (ns) from which the capture's times count."""
-    return open_capture(path).start
-
-
-def statistics(path: Path) -> Words:
-    """The command that prints a capture's statistics. Raises Skipped where there is none."""
-    return _known("stats", "--json", "stats", str(path), "--json", "-")
-
-
 def browsing(path: Path) -> Browser:
     """The screen of `replay` over a capture."""
     from bilprov.analyzer.screen.browser import Browser, Told
@@ -174,41 +152,21 @@ def browsing(path: Path) -> Browser:
     return Browser(capture_feed(opened, protocol), Told(path.name, capture.start, byte_time))
 
 
-def replayed(path: Path) -> Words:
-    """The command that prints a capture's frames as JSON lines, as fast as it goes."""
-    return ["replay", str(path), "--rate", "0", "--format", "jsonl"]
+def statistics(path: Path) -> list[str]:
+    """The command that prints a capture's statistics."""
+    return bilprov_words("stats", str(path), "--json", "-")
 
 
-def replayed_from(path: Path, seconds: float) -> Words:
-    """The same from so many seconds on."""
-    return [*replayed(path), "--start", f"{seconds:.6f}"]
+def replayed(path: Path, start: float = 0.0) -> list[str]:
+    """The command that prints a capture's frames from `start` (s) on, as fast as it goes."""
+    more = ["--start", f"{start:.6f}"] if start else []
+    return bilprov_words("replay", str(path), "--rate", "0", "--format", "jsonl", *more)
 
 
-def sniffed(host: str, device: str, style: str, capture: Path | None = None) -> Words:
+def sniffed(host: str, device: str, style: str, capture: Path | None = None) -> list[str]:
     """The command that listens to two lines; `style` is a format, or `quiet`."""
-    taps = ["sniff", host, device] + (["-w", str(capture)] if capture else [])
-    if style == "quiet":
-        return _known("sniff", "--quiet", *taps, "--quiet")
-    return [*taps, "--format", style]
-
-
-def bridged(port: str) -> Words:
-    """The command that sits between; it prints the pty to open on standard error."""
-    return ["sniff", "--bridge", port, "--format", "jsonl"]
-
-
-def _known(command: str, option: str, *words: str) -> Words:
-    if option not in _help(command):
-        raise Skipped(f"there is no `bilprov {command} {option}` yet")
-    return list(words)
-
-
-@cache
-def _help(command: str) -> str:
-    try:
-        return run(bilprov_words(command, "--help"), keep=True).output
-    except RuntimeError:
-        return ""
+    shown = ["--quiet"] if style == "quiet" else ["--format", style]
+    return bilprov_words("sniff", host, device, *(["-w", str(capture)] if capture else []), *shown)
 
 
 def main() -> None:

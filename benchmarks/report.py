@@ -121,7 +121,7 @@ def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = Fa
     lines = [
         f"| {' | '.join(head)} |",
         f"|{'---|' * len(head)}",
-        *(f"| {' | '.join(_cells(row, short))} |" for row in rows),
+        *(f"| {' | '.join(cells(row, short))} |" for row in rows),
     ]
     libraries = ", ".join(f"{name} {number}" for name, number in on.libraries.items())
     about = (
@@ -131,24 +131,25 @@ def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = Fa
     return "\n".join([*lines, "", about, ""])
 
 
-def _cells(row: Row, short: bool) -> list[str]:
+def cells(row: Row, short: bool = False) -> list[str]:
+    """What the table shows of a row: work, figures, peers, ratios and what was to be reached."""
     if row.ours is None:
         return [row.work, "", *([] if short else [""]), "", f"{row.state}: {_cell(row.note)}"]
     ratios = "; ".join(f"{times(ratio)} {name}" for name, ratio in row.ratios.items())
-    goals = "; ".join(reach(goal) for goal in row.goals)
+    goals = "; ".join(_reach(goal) for goal in row.goals)
     if short:
-        return [row.work, figure(row.ours, row.unit), ratios, goals]
-    ours = "; ".join([figure(row.ours, row.unit), *_figures(row.figures)])
-    peers = [f"{name} {figure(value, row.unit)}" for name, value in row.peers.items()]
+        return [row.work, _figure(row.ours, row.unit), ratios, goals]
+    ours = "; ".join([_figure(row.ours, row.unit), *_figures(row.figures)])
+    peers = [f"{name} {_figure(value, row.unit)}" for name, value in row.peers.items()]
     told = f" ({_cell(row.note)})" if row.note else ""
     return [row.work + told, ours, "; ".join([*peers, *_figures(row.beside)]), ratios, goals]
 
 
 def _figures(figures: dict[str, float]) -> list[str]:
-    return [figure(value, name) for name, value in figures.items()]
+    return [_figure(value, name) for name, value in figures.items()]
 
 
-def reach(goal: Goal) -> str:
+def _reach(goal: Goal) -> str:
     """A goal, and whether it is reached: `400 x construct: no, 2.1`."""
     return f"{goal.text}: {'yes' if goal.reached else '**no**'}, {_short(goal.got)}"
 
@@ -158,7 +159,7 @@ def times(ratio: float) -> str:
     return f"{_short(ratio)} x"
 
 
-def figure(value: float, unit: str) -> str:
+def _figure(value: float, unit: str) -> str:
     """A figure with its unit: `28.8 k frames/s`."""
     for limit, letter in ((1e9, "G"), (1e6, "M"), (1e4, "k")):
         if abs(value) >= limit:

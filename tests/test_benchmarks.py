@@ -174,7 +174,7 @@ def test_each_way_to_fail_is_noticed_and_the_input_shortened(
 
 # -- torture --------------------------------------------------------------------------------------
 
-FEW = {"damage": 48, "chunks": 9, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
+FEW = {"damage": 48, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
 
 
 def rows_of(name: str, runs: int) -> list[Row]:

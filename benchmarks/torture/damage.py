@@ -91,7 +91,7 @@ def _parts() -> tuple[bytes, ...]:
     return tuple(path.read_bytes() for path in paths)
 
 
-def bounds(data: bytes) -> list[int]:
+def _bounds(data: bytes) -> list[int]:
     """Where the records of a whole capture begin, and where the last one ends."""
     at, found = len(MAGIC), []
     while at + RECORD_HEAD.size <= len(data):
@@ -101,12 +101,12 @@ def bounds(data: bytes) -> list[int]:
 
 
 def _data_end(data: bytes) -> int:
-    return next(at for at in bounds(data) if data[at] == records.DATA_END)
+    return next(at for at in _bounds(data) if data[at] == records.DATA_END)
 
 
 def _stretch(random: Random, data: bytes) -> tuple[int, int]:
     """A stretch of a file: in half of the cases of whole records, else of any bytes."""
-    places = [at for at in bounds(data) if at <= len(data)]
+    places = [at for at in _bounds(data) if at <= len(data)]
     if random.random() < 0.5 and len(places) > 1:
         first = random.randrange(len(places) - 1)
         return places[first], places[min(len(places) - 1, first + random.choice((1, 1, 2, 3, 8)))]
@@ -115,53 +115,40 @@ def _stretch(random: Random, data: bytes) -> tuple[int, int]:
     return at, min(len(data), at + random.randint(1, longest))
 
 
-def _flip(random: Random, data: bytes) -> bytes:
+Damage = Callable[[Random, bytes, int, int], bytes]
+"""What becomes of a file whose stretch from one byte to another is damaged."""
+
+
+def _flip(random: Random, data: bytes, first: int, end: int) -> bytes:
     changed = bytearray(data)
     for _ in range(random.choice((1, 1, 1, 2, 8))):
         changed[random.randrange(len(data))] ^= 1 << random.randrange(8)
     return bytes(changed)
 
 
-def _overwritten(random: Random, data: bytes, by: Callable[[int], bytes] | None = None) -> bytes:
-    first, end = _stretch(random, data)
-    return data[:first] + (by or random.randbytes)(end - first) + data[end:]
+def _insert(random: Random, data: bytes, first: int, end: int) -> bytes:
+    return data[:first] + random.randbytes(random.choice((1, 9, 100, 5000))) + data[first:]
 
 
-def _cut(random: Random, data: bytes) -> bytes:
-    return data[: random.choice(_stretch(random, data)) or 1]
+def _move(random: Random, data: bytes, first: int, end: int) -> bytes:
+    to, _ = _stretch(random, data)
+    rest = data[:first] + data[end:]
+    return rest[:to] + data[first:end] + rest[to:]
 
 
-def _doubled(random: Random, data: bytes) -> bytes:
-    first, end = _stretch(random, data)
-    return data[:end] + data[first:]
-
-
-def _removed(random: Random, data: bytes) -> bytes:
-    first, end = _stretch(random, data)
-    return data[:first] + data[end:]
-
-
-def _inserted(random: Random, data: bytes) -> bytes:
-    at, _ = _stretch(random, data)
-    return data[:at] + random.randbytes(random.choice((1, 9, 100, 5000))) + data[at:]
-
-
-def _exchanged(random: Random, data: bytes) -> bytes:
-    one, other = sorted((_stretch(random, data), _stretch(random, data)))
-    (a, b), (c, d) = one, (max(one[1], other[0]), max(one[1], other[1]))
-    return data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
-
-
-Damage = Callable[[Random, bytes], bytes]
 DAMAGES: dict[str, Damage] = {
     "flipped bits": _flip,
-    "a stretch overwritten": _overwritten,
-    "a stretch of zeros": partial(_overwritten, by=bytes),
-    "a cut": _cut,
-    "a stretch doubled": _doubled,
-    "a stretch removed": _removed,
-    "foreign bytes inserted": _inserted,
-    "two stretches exchanged": _exchanged,
+    "a stretch overwritten": lambda random, data, first, end: (
+        data[:first] + random.randbytes(end - first) + data[end:]
+    ),
+    "a stretch of zeros": lambda _, data, first, end: (
+        data[:first] + bytes(end - first) + data[end:]
+    ),
+    "a cut": lambda _, data, first, end: data[: first or end],
+    "a stretch doubled": lambda _, data, first, end: data[:end] + data[first:],
+    "a stretch removed": lambda _, data, first, end: data[:first] + data[end:],
+    "foreign bytes inserted": _insert,
+    "a stretch moved": _move,
 }
 
 
@@ -181,7 +168,7 @@ def _placed(files: tuple[bytes, ...]) -> Path:
     return name
 
 
-def messages(path: Path) -> Messages:
+def _messages(path: Path) -> Messages:
     """The messages of a capture in order, with the wall clock's times."""
     capture = open_capture(path)
     start = capture.start
@@ -189,18 +176,18 @@ def messages(path: Path) -> Messages:
 
 
 @cache
-def recorded(kind: Kind) -> Messages:
+def _recorded(kind: Kind) -> Messages:
     """The messages of a capture before it is damaged."""
-    return messages(_placed(kind.files))
+    return _messages(_placed(kind.files))
 
 
 def judged(kind: Kind, files: tuple[bytes, ...]) -> Outcome:
     """Read a damaged capture of a kind in every way. Raises what the reader raises."""
-    held = recorded(kind)
+    held = _recorded(kind)
     path = _placed(files)
     found = list(of_capture(path))
     try:
-        read = messages(path)
+        read = _messages(path)
         examined(path)
         mended(path)
     except CaptureError:
@@ -225,7 +212,8 @@ def judged(kind: Kind, files: tuple[bytes, ...]) -> Outcome:
 
 def _damaged(random: Random, kind: Kind, damage: Damage) -> tuple[bytes, ...]:
     at = random.randrange(len(kind.files))
-    return (*kind.files[:at], damage(random, kind.files[at]), *kind.files[at + 1 :])
+    damaged = damage(random, kind.files[at], *_stretch(random, kind.files[at]))
+    return (*kind.files[:at], damaged, *kind.files[at + 1 :])
 
 
 def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
@@ -239,23 +227,15 @@ def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
 
 
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
-    return [
-        _row(name, list(_told(_outcomes(damage, share, Random(f"{seed} {name}")), progress)))
-        for (name, damage), share in zip(DAMAGES.items(), _shares(runs), strict=True)
-        if share
-    ]
-
-
-def _shares(runs: int) -> list[int]:
-    each, more = divmod(runs, len(DAMAGES))
-    return [each + (number < more) for number in range(len(DAMAGES))]
-
-
-def _told(outcomes: Iterator[Outcome], progress: Progress) -> Iterator[Outcome]:
-    with engine.watched():
-        for outcome in outcomes:
-            progress(1)
-            yield outcome
+    """Do each kind of damage about as often as any other; a row for each."""
+    rows = []
+    for number, (name, damage) in enumerate(DAMAGES.items()):
+        share = len(range(number, runs, len(DAMAGES)))
+        with engine.watched():
+            outcomes = list(_outcomes(damage, share, Random(f"{seed} {name}")))
+        rows.append(_row(name, outcomes))
+        progress(share)
+    return rows
 
 
 def _row(name: str, outcomes: list[Outcome]) -> Row:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from benchmarks.fuzz.targets import measure as fuzzed
-from benchmarks.torture import chunks, damage, exits, floods, hostile, kills, noise, unplugs
+from benchmarks.torture import damage, exits, floods, hostile, kills, noise, unplugs
 from benchmarks.torture.harm import Harm, Progress, Row
 
 _HEAD = """# Reliability
@@ -34,7 +34,6 @@ HARMS = {
     harm.name: harm
     for harm in (
         damage.HARM,
-        chunks.HARM,
         hostile.HARM,
         kills.HARM,
         unplugs.HARM,
