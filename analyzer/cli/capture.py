@@ -3,37 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     Finite,
+    WindowOptions,
     compiled,
     filter_option,
     note,
+    note_each,
     text_format_option,
 )
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
     force_option,
+    json_object,
+    json_option,
     require_writable,
     write_output,
 )
-from bilprov.analyzer.cli.progress import reading
-from bilprov.captures.text import escape_json, printable, quantity
+from bilprov.analyzer.cli.reading import opened_captures, reading
+from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
 
 
-@click.command()
-@click.argument("file", metavar="FILE.mcap")
-@text_format_option
-@click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
-@click.pass_obj
-def info(grammar: str | None, file: str, style: str, as_json: bool) -> None:
+@dataclass(frozen=True)
+class InfoOptions:
+    """The options of `capture info`."""
+
+    file: str = argument(metavar="FILE.mcap")
+    style: str = text_format_option()
+    as_json: bool = flag("The same as --format json.", "--json")
+
+
+@command(InfoOptions)
+def info(options: InfoOptions) -> None:
     """Show what a capture holds, when and where it was recorded and whether it is complete.
 
     Examples:
@@ -43,19 +54,28 @@ def info(grammar: str | None, file: str, style: str, as_json: bool) -> None:
     """
     from dataclasses import asdict
 
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_info import drawn, summarized
     from bilprov.analyzer.output.console import show_as
     from bilprov.captures.reader import open_capture
 
-    summary = summarized(open_capture(file), load_protocol(grammar))
-    show_as("json" if as_json else style, lambda: asdict(summary), lambda: drawn(summary))
+    summary = summarized(open_capture(options.file), protocol_in_use())
+    show_as(
+        "json" if options.as_json else options.style,
+        lambda: asdict(summary),
+        lambda: drawn(summary),
+    )
 
 
-@click.command()
-@click.argument("path", metavar="FILE.mcap", type=click.Path(path_type=Path))
-@text_format_option
-def check(path: Path, style: str) -> int:
+@dataclass(frozen=True)
+class CheckOptions:
+    """The options of `capture check`."""
+
+    path: Path = argument(metavar="FILE.mcap", type=click.Path(path_type=Path))
+    style: str = text_format_option()
+
+
+@command(CheckOptions)
+def check(options: CheckOptions) -> int:
     """Report which parts of a capture are damaged and what is lost, in bytes and seconds.
 
     Examples:
@@ -66,29 +86,25 @@ def check(path: Path, style: str) -> int:
     from bilprov.analyzer.cli.ports import Findings
     from bilprov.analyzer.doctor.capture_file import of_capture
 
-    findings = Findings(as_json=style == "json")
-    findings.begin(str(path))
-    findings.show(of_capture(path))
-    return findings.end([str(path)])
+    findings = Findings(as_json=options.style == "json")
+    findings.begin(str(options.path))
+    findings.show(of_capture(options.path))
+    return findings.end([str(options.path)])
 
 
-@click.command()
-@click.argument("path", metavar="IN.mcap", type=click.Path(path_type=Path))
-@click.argument("new", metavar="OUT.mcap", type=click.Path(path_type=Path))
-@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
-@click.option("--end", type=Finite(0), help="End before this second of the capture.")
-@filter_option
-@force_option
-@click.pass_obj
-def cut(
-    grammar: str | None,
-    path: Path,
-    new: Path,
-    start: float | None,
-    end: float | None,
-    expression: str | None,
-    force: bool,
-) -> None:
+@dataclass(frozen=True)
+class CutOptions:
+    """The options of `capture cut`."""
+
+    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
+    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
+    span: WindowOptions = group(WindowOptions)
+    expression: str | None = filter_option()
+    force: bool = force_option()
+
+
+@command(CutOptions)
+def cut(options: CutOptions) -> None:
     """Write a part of a capture.
 
     Examples:
@@ -108,28 +124,25 @@ def cut(
     """
     from bilprov.analyzer.edit.cut import write_selected, write_window
     from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
-    from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_session import require_begun, said_about
     from bilprov.analyzer.replay.seek import opened_at
 
-    if start is not None and end is not None and end <= start:
-        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
-    if start is None and end is None and expression is None:
+    path, new = options.path, options.new
+    window = options.span.window()
+    if not window.bounded and options.expression is None:
         raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
-    protocol = load_protocol(grammar)
-    test = compiled(expression, protocol)
-    window = Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
+    protocol = protocol_in_use()
+    test = compiled(options.expression, protocol)
     opened = opened_at(path, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
-    require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
-    _say(said_about(capture, protocol), opened.note if window.first else "")
-    _say_left_out(capture)
-    metadata = cut_metadata(capture, protocol, window.first, window.after, expression)
+    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
+    note_each((*said_about(capture, protocol), opened.note if window.first else ""))
+    note_each(left_out(capture))
+    metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     with (
         reading([capture], times=1 if test is None else 2) as progress,
-        new_capture(new, capture.start, metadata, force=force) as out,
+        new_capture(new, capture.start, metadata, force=options.force) as out,
     ):
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
@@ -143,12 +156,17 @@ def cut(
     note(f"{new} holds {quantity(size, 'byte')} of {path}")
 
 
-@click.command()
-@click.argument("path", metavar="BROKEN.mcap", type=click.Path(path_type=Path))
-@click.argument("new", metavar="OUT.mcap", type=click.Path(path_type=Path))
-@force_option
-@click.pass_obj
-def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
+@dataclass(frozen=True)
+class RepairOptions:
+    """The options of `capture repair`."""
+
+    path: Path = argument(metavar="BROKEN.mcap", type=click.Path(path_type=Path))
+    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
+    force: bool = force_option()
+
+
+@command(RepairOptions)
+def repair(options: RepairOptions) -> None:
     """Write the intact parts of a capture that is damaged or was never finished.
 
     Examples:
@@ -161,21 +179,20 @@ def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
     """
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.analyzer.replay.seek import opened_at
     from bilprov.captures.reader import open_capture
 
-    protocol = load_protocol(grammar)
+    protocol = protocol_in_use()
+    path, new = options.path, options.new
     capture = open_capture(path)  # surveyed: an index tells nothing of damage
-    require_writable([("OUT", str(new))], [str(path)], force=force, regular=True)
-    _say(said_about(capture, protocol))
-    _say_left_out(capture)
+    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
+    note_each((*said_about(capture, protocol), *left_out(capture)))
     metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
     with (
         reading([capture]) as progress,
-        new_capture(new, capture.start, metadata, force=force) as out,
+        new_capture(new, capture.start, metadata, force=options.force) as out,
     ):
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
@@ -185,22 +202,26 @@ def repair(grammar: str | None, path: Path, new: Path, force: bool) -> None:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
 
-@click.command()
-@click.argument(
-    "paths", metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-@click.option(
-    "-o",
-    "--output",
-    "new",
-    metavar="OUT.mcap",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="The new capture.",
-)
-@force_option
-@click.pass_obj
-def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -> None:
+@dataclass(frozen=True)
+class JoinOptions:
+    """The options of `capture join`."""
+
+    paths: tuple[Path, ...] = argument(
+        metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
+    )
+    new: Path = option(
+        "-o",
+        "--output",
+        metavar="OUT.mcap",
+        required=True,
+        type=click.Path(path_type=Path),
+        help="The new capture.",
+    )
+    force: bool = force_option()
+
+
+@command(JoinOptions)
+def join(options: JoinOptions) -> None:
     """Join captures by the time of day at which their bytes arrived.
 
     Examples:
@@ -217,33 +238,38 @@ def join(grammar: str | None, paths: tuple[Path, ...], new: Path, force: bool) -
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
     from bilprov.analyzer.edit.new_capture import new_capture
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
 
-    if len(paths) < 2:
+    if len(options.paths) < 2:
         raise click.UsageError("name two captures or more to join")
-    protocol = load_protocol(grammar)
-    captures = [open_capture(path) for path in paths]
-    require_writable([("-o", str(new))], map(str, paths), force=force, regular=True)
+    protocol = protocol_in_use()
+    new = options.new
+    captures = [open_capture(path) for path in options.paths]
+    inputs = map(str, options.paths)
+    require_writable([("-o", str(new))], inputs, force=options.force, regular=True)
     joined = Joined(protocol, captures)
     for capture in captures:
-        _say(said_about(capture, protocol))
-        _say_left_out(capture)
-    _say(joined.notes())
+        note_each((*said_about(capture, protocol), *left_out(capture)))
+    note_each(joined.notes())
     with (
         reading(captures) as progress,
-        new_capture(new, joined.start, joined.metadata(), force=force) as out,
+        new_capture(new, joined.start, joined.metadata(), force=options.force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
-    note(f"{new} holds {quantity(size, 'byte')} of {len(paths)} captures")
+    note(f"{new} holds {quantity(size, 'byte')} of {len(captures)} captures")
 
 
-@click.command()
-@click.argument("path", metavar="IN.mcap")
-@click.argument("new", metavar="OUT.mcap")
-@click.pass_obj
-def decode(grammar: str | None, path: str, new: str) -> None:
+@dataclass(frozen=True)
+class DecodeOptions:
+    """The options of `capture decode`."""
+
+    path: str = argument(metavar="IN.mcap")
+    new: str = argument(metavar="OUT.mcap")
+
+
+@command(DecodeOptions)
+def decode(options: DecodeOptions) -> None:
     """Write a capture with everything decoded from it.
 
     Examples:
@@ -254,50 +280,37 @@ def decode(grammar: str | None, path: str, new: str) -> None:
     or from another program, and may be unfinished or damaged. OUT must not exist; Ctrl-C leaves
     none.
     """
-    from bilprov.analyzer.grammar_file import load_protocol
-    from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.analyzer.replay.conversion import write_decoded
-    from bilprov.captures.reader import open_capture
 
-    protocol = load_protocol(grammar)
-    capture = open_capture(path)
-    _say(said_about(capture, protocol))
-    _say_left_out(capture)
+    protocol = protocol_in_use()
+    (capture,) = opened_captures([options.path], protocol)
+    note_each(left_out(capture))
     with reading([capture], least=0) as progress:  # each frame is written: that takes long
-        write_decoded(capture, protocol, new, progress)
-    note(f"{path} is in {new}, with everything decoded from it")
+        write_decoded(capture, protocol, options.new, progress)
+    note(f"{options.path} is in {options.new}, with everything decoded from it")
 
 
-@click.command()
-@click.argument("first", metavar="A.mcap")
-@click.argument("second", metavar="B.mcap")
-@click.option(
-    "--latency",
-    "tolerance",
-    metavar="MS",
-    type=Finite(0),
-    default=20.0,
-    show_default=True,
-    help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
-    "delay an answer by 16.",
-)
-@click.option(
-    "--json",
-    "output",
-    metavar="FILE",
-    help="Write everything as one JSON object; - is standard output, which then holds nothing "
-    "else.",
-)
-@force_option
-@click.pass_obj
-def diff(
-    grammar: str | None,
-    first: str,
-    second: str,
-    tolerance: float,
-    output: str | None,
-    force: bool,
-) -> int:
+@dataclass(frozen=True)
+class DiffOptions:
+    """The options of `capture diff`."""
+
+    first: str = argument(metavar="A.mcap")
+    second: str = argument(metavar="B.mcap")
+    tolerance: float = option(
+        "--latency",
+        metavar="MS",
+        type=Finite(0),
+        default=20.0,
+        show_default=True,
+        help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
+        "delay an answer by 16.",
+    )
+    output: str | None = json_option()
+    force: bool = force_option()
+
+
+@command(DiffOptions)
+def diff(options: DiffOptions) -> int:
     """Show where two captures differ.
 
     Examples:
@@ -312,46 +325,32 @@ def diff(
     Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
     nothing else differs; 2 if not all of it could be shown.
     """
-    import msgspec
-
     from bilprov.analyzer.cli.streams import promise_verdict
     from bilprov.analyzer.edit.compare import compared
     from bilprov.analyzer.edit.comparison_report import as_json, drawn
     from bilprov.analyzer.edit.exchanges import exchanges
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.console import show
-    from bilprov.analyzer.replay.capture_session import said_about
-    from bilprov.captures.reader import open_capture
 
     promise_verdict()
+    output, paths = options.output, (options.first, options.second)
     outputs = [] if output is None else [("--json", output)]
-    require_writable(outputs, [first, second], force=force)
-    protocol = load_protocol(grammar)
-    captures = [open_capture(path) for path in (first, second)]
-    for capture in captures:
-        _say(said_about(capture, protocol))
+    require_writable(outputs, paths, force=options.force)
+    protocol = protocol_in_use()
+    captures = opened_captures(paths, protocol)
     with reading(captures) as progress:
         one, other = (exchanges(capture, protocol, progress) for capture in captures)
-        comparison = compared(one, other, protocol, round(tolerance * 1e6))
-    paths = (first, second)
-    value = as_json(comparison, protocol, paths)
-    text = escape_json(msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n")
+        comparison = compared(one, other, protocol, round(options.tolerance * 1e6))
     if output is not None:
-        write_output(output, text)
+        write_output(output, json_object(as_json(comparison, protocol, paths)))
     if output != STANDARD_OUTPUT:
         show(*drawn(comparison, paths))
     return comparison.exit
 
 
-def _say(sentences: Iterator[str], *more: str) -> None:
-    for sentence in (*sentences, *more):
-        if sentence:
-            note(sentence)
-
-
-def _say_left_out(capture: Capture) -> None:
+def left_out(capture: Capture) -> Iterator[str]:
+    """A sentence about the topics that are not copied, where there are some."""
     from bilprov.captures.topics import TOPICS
 
     known = {topic.name for topic in TOPICS}
     if others := [topic for topic in capture.contents.counts if topic not in known]:
-        note(f"left out, since they are not bilprov's topics: {', '.join(others)}")
+        yield f"left out, since they are not bilprov's topics: {', '.join(others)}"

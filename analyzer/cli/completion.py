@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
+from dataclasses import dataclass
 
 import click
 from click.shell_completion import get_completion_class, shell_complete
 
+from bilprov.analyzer.cli.command import argument, command
 from bilprov.spec.errors import UserError
 
 VARIABLE = "_BILPROV_COMPLETE"  # of the environment; tells that a shell asks
-_FILE = re.compile(r"\[?(FILE|IN|OUT|REPORT|A)\b")  # how the metavar of a file begins
 
 # How to install the completion script permanently in each shell.
 INSTALL = {
@@ -21,18 +21,27 @@ INSTALL = {
 }
 
 
-@click.command(epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items()))
-@click.argument("shell", type=click.Choice(list(INSTALL)))
-@click.pass_context
-def completion(ctx: click.Context, shell: str) -> None:
+@dataclass(frozen=True)
+class CompletionOptions:
+    """The options of `completion`."""
+
+    shell: str = argument(type=click.Choice(list(INSTALL)))
+
+
+@command(
+    CompletionOptions, epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items())
+)
+def completion(options: CompletionOptions) -> None:
     """Print the script that completes bilprov's subcommands, options and values in a shell.
 
     Examples:
       bilprov completion bash
     """
-    script = get_completion_class(shell)
+    script = get_completion_class(options.shell)
     assert script is not None
-    click.echo(script(ctx.find_root().command, {}, "bilprov", VARIABLE).source())
+    click.echo(
+        script(click.get_current_context().find_root().command, {}, "bilprov", VARIABLE).source()
+    )
 
 
 def answer(root: click.Command, asked: str) -> int:
@@ -40,10 +49,3 @@ def answer(root: click.Command, asked: str) -> int:
     with suppress(UserError, OSError):
         return shell_complete(root, {}, "bilprov", VARIABLE, asked)
     return 0
-
-
-def with_files(command: click.Command) -> None:
-    """Let click complete the parameters whose metavar is a file's."""
-    for param in command.params:
-        if param.type is click.STRING and _FILE.match(param.metavar or ""):
-            param.type = click.Path()

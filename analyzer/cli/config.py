@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import click
 
+from bilprov.analyzer.cli.command import command
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.settings import META
 
 
-@click.command()
-@text_format_option
-@click.pass_context
-def config(ctx: click.Context, style: str) -> None:
+@dataclass(frozen=True)
+class ConfigOptions:
+    """The options of `config`."""
+
+    style: str = text_format_option()
+
+
+@command(ConfigOptions)
+def config(options: ConfigOptions) -> None:
     """Show the settings in force.
 
     Examples:
@@ -26,13 +34,13 @@ def config(ctx: click.Context, style: str) -> None:
     """
     from bilprov.analyzer.output import console
 
-    tables = ctx.meta[META].items()
+    tables = click.get_current_context().meta[META].items()
     rows = [
         {"command": name or "all", "setting": key, "value": value}
         for name, values in tables
         for key, value in values.items()
     ]
-    if style == "json":
+    if options.style == "json":
         console.show_json(rows)
     elif rows:
         cells = [[str(cell) for cell in row.values()] for row in rows]

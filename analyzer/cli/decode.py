@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from bilprov.analyzer.cli.options import compiled, filter_option, note, sender_option
+from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.options import compiled, filter_option, sender_option
+from bilprov.analyzer.cli.reading import opened_captures
 from bilprov.analyzer.cli.typed_input import bytes_from_hex
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
@@ -26,26 +28,24 @@ if TYPE_CHECKING:
 PIECE = 1 << 16  # bytes
 
 
-@click.command()
-@click.argument("words", metavar="[FILE|-|HEX]...", nargs=-1)
-@sender_option
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["lines", "jsonl"]),
-    default="lines",
-    show_default=True,
-    help="Text lines or JSON lines.",
-)
-@filter_option
-@click.pass_obj
-def decode(
-    grammar: str | None,
-    words: tuple[str, ...],
-    sender: Direction,
-    style: Literal["lines", "jsonl"],
-    expression: str | None,
-) -> None:
+@dataclass(frozen=True)
+class DecodeOptions:
+    """The options of `decode`."""
+
+    words: tuple[str, ...] = argument(metavar="[FILE|-|HEX]...", nargs=-1)
+    sender: Direction = sender_option()
+    style: Literal["lines", "jsonl"] = option(
+        "--format",
+        type=click.Choice(["lines", "jsonl"]),
+        default="lines",
+        show_default=True,
+        help="Text lines or JSON lines.",
+    )
+    expression: str | None = filter_option()
+
+
+@command(DecodeOptions)
+def decode(options: DecodeOptions) -> None:
     """Decode bytes: hex like 81 05, a file of raw bytes, a capture, or - for standard input.
 
     Examples:
@@ -54,12 +54,12 @@ def decode(
 
     The bytes are taken as sent without a pause: only the last frame can be cut short.
     """
-    protocol = load_protocol(grammar)
-    test = compiled(expression, protocol)
-    if not words and sys.stdin.isatty():
+    protocol, sender = protocol_in_use(), options.sender
+    test = compiled(options.expression, protocol)
+    if not options.words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
-    out = stream_output(style)
-    source = _source(words)
+    out = stream_output(options.style)
+    source = _source(options.words)
     if isinstance(source, bytes):
         session = Session(protocol, heard=frozenset({sender}))
         records = session.feed(Chunk(0, sender, source)) + session.finish()
@@ -100,12 +100,9 @@ def _decoded(
     if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
         return _of_bytes(path, sender, protocol), 0
     from bilprov.analyzer.replay.capture_parts import decoded
-    from bilprov.analyzer.replay.capture_session import capture_decoder, said_about
-    from bilprov.captures.reader import open_capture
+    from bilprov.analyzer.replay.capture_session import capture_decoder
 
-    capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
-        note(sentence)
+    (capture,) = opened_captures([path], protocol)
     return decoded(capture_decoder(capture, protocol), capture.batches()), capture.start
 
 

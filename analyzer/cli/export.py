@@ -5,105 +5,66 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
-    Finite,
+    RowOptions,
+    WindowOptions,
     asked_here,
     compiled,
     filter_option,
-    note,
-    row_options,
-    row_style,
 )
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, require_writable
-from bilprov.analyzer.cli.progress import reading
+from bilprov.analyzer.cli.reading import opened_captures, reading
 from bilprov.spec.errors import UserError
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.output.row_columns import RowStyle
-    from bilprov.captures.reader import Capture
-    from bilprov.spec.protocol import Protocol
 
 
 class Format(NamedTuple):
-    """A format: how its writer is imported, and what it has a choice of.
+    """A format: whether a terminal can show it (`text`), and what it has a choice of."""
 
-    A writer is called with a capture, a protocol, a binary stream, and by keyword `test` (a Filter
-    or None), `window`, `progress` (told the bytes of the line that were read more), and `rows` if
-    it has a choice of columns. `text` is true if a terminal can show it.
-    """
-
-    writer: Callable[[], Callable[..., None]]
     text: bool = False
     columns: bool = False
     times: bool = False
 
 
-def _csv() -> Callable[..., None]:
-    from bilprov.analyzer.export.text import write_csv
-
-    return write_csv
-
-
-def _jsonl() -> Callable[..., None]:
-    from bilprov.analyzer.export.text import write_jsonl
-
-    return write_jsonl
-
-
-def _parquet() -> Callable[..., None]:
-    from bilprov.analyzer.export.parquet import write_parquet
-
-    return write_parquet
-
-
-def _pcapng() -> Callable[..., None]:
-    from bilprov.analyzer.export.pcapng import write_pcapng
-
-    return write_pcapng
-
-
 FORMATS = {
-    "csv": Format(_csv, text=True, columns=True, times=True),
-    "jsonl": Format(_jsonl, text=True),
-    "parquet": Format(_parquet, columns=True),
-    "pcapng": Format(_pcapng),
+    "csv": Format(text=True, columns=True, times=True),
+    "jsonl": Format(text=True),
+    "parquet": Format(columns=True),
+    "pcapng": Format(),
 }
 
 
-@click.command()
-@click.argument("path", metavar="[FILE.mcap]", required=False)
-@click.option(
-    "--format",
-    "style",
-    metavar="FORMAT",
-    type=click.Choice(list(FORMATS)),
-    help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
-)
-@click.option("-o", "--output", metavar="OUT", help="The file to write; - is standard output.")
-@filter_option
-@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
-@click.option("--end", type=Finite(0), help="End before this second of the capture.")
-@row_options
-@force_option
-@click.pass_obj
-def export(
-    grammar: str | None,
-    path: str | None,
-    style: str | None,
-    output: str | None,
-    expression: str | None,
-    start: float | None,
-    end: float | None,
-    time_style: str | None,
-    columns: str | None,
-    force: bool,
-) -> None:
+@dataclass(frozen=True)
+class ExportOptions:
+    """The options of `export`."""
+
+    path: str | None = argument(metavar="[FILE.mcap]", required=False)
+    style: str | None = option(
+        "--format",
+        metavar="FORMAT",
+        type=click.Choice(list(FORMATS)),
+        help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
+    )
+    output: str | None = option(
+        "-o", "--output", metavar="OUT", help="The file to write; - is standard output."
+    )
+    expression: str | None = filter_option()
+    span: WindowOptions = group(WindowOptions)
+    rows: RowOptions = group(RowOptions)
+    force: bool = force_option()
+
+
+@command(ExportOptions)
+def export(options: ExportOptions) -> None:
     """Write the contents of a capture for other programs.
 
     Examples:
@@ -115,70 +76,64 @@ def export(
     line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
     grow with the capture. OUT appears when it is complete.
     """
-    from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.analyzer.replay.capture_session import require_begun
 
-    protocol = load_protocol(grammar)
+    protocol = protocol_in_use()
+    path, output = options.path, options.output
     if path is None or output is None:
         raise click.UsageError(
             "name what to write and where: bilprov export FILE.mcap -o OUT.csv (- is standard "
             "output)"
         )
-    style = style or Path(output).suffix.removeprefix(".").lower()
+    style = options.style or Path(output).suffix.removeprefix(".").lower()
     if style not in FORMATS:
         raise click.UsageError(
             f"-o {output} names no format: let it end in .{', .'.join(FORMATS)}, or add --format "
             f"{'|'.join(FORMATS)}"
         )
     form = FORMATS[style]
-    more = _choices(form, style, row_style(time_style, columns, protocol))
-    window = _window(start, end)
-    test = compiled(expression, protocol)
-    capture = _capture(path, protocol, window)
+    more = _choices(form, style, options.rows.style(protocol))
+    window = options.span.window()
+    test = compiled(options.expression, protocol)
+    (capture,) = opened_captures([path], protocol)
+    require_begun(capture, window.first)
+    write = _writer(style)
+    started = test and test.started(capture.start)
     with (
-        _opened(output, [path], force, text=form.text) as stream,
+        _opened(output, [path], options.force, text=form.text) as stream,
         reading([capture]) as progress,
     ):
-        form.writer()(
-            capture,
-            protocol,
-            stream,
-            test=test.started(capture.start) if test else None,
-            window=window,
-            progress=progress,
-            **more,
-        )
+        write(capture, protocol, stream, test=started, window=window, progress=progress, **more)
+
+
+def _writer(style: str) -> Callable[..., None]:
+    """The writer of a format, imported now.
+
+    It is called with a capture, a protocol, a binary stream, and by keyword `test` (a Filter or
+    None), `window`, `progress` (told the bytes of the line that were read more), and `rows` if it
+    has a choice of columns.
+    """
+    if style == "parquet":
+        from bilprov.analyzer.export.parquet import write_parquet
+
+        return write_parquet
+    if style == "pcapng":
+        from bilprov.analyzer.export.pcapng import write_pcapng
+
+        return write_pcapng
+    from bilprov.analyzer.export.text import write_csv, write_jsonl
+
+    return write_csv if style == "csv" else write_jsonl
 
 
 def _choices(form: Format, style: str, rows: RowStyle) -> dict[str, RowStyle]:
     """The arguments of a writer that has a choice of columns. Raises UsageError for one more."""
-    for option, parameter, able in (
-        ("--columns", "columns", {name: row.columns for name, row in FORMATS.items()}),
-        ("--time", "time_style", {name: row.times for name, row in FORMATS.items()}),
-    ):
-        if asked_here(parameter) and not able[style]:
-            others = " and ".join(name for name in able if able[name])
-            raise click.UsageError(f"{option} is for {others}, not for {style}")
+    for parameter, able in (("columns", "columns"), ("time_style", "times")):
+        if asked_here(parameter) and not getattr(form, able):
+            others = " and ".join(name for name, one in FORMATS.items() if getattr(one, able))
+            spelling = parameter.removesuffix("_style")
+            raise click.UsageError(f"--{spelling} is for {others}, not for {style}")
     return {"rows": rows} if form.columns else {}
-
-
-def _window(start: float | None, end: float | None) -> Window:
-    from bilprov.analyzer.output.outputs import Window
-
-    if start is not None and end is not None and end <= start:
-        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
-    return Window(*(None if s is None else round(s * 1e9) for s in (start, end)))
-
-
-def _capture(path: str, protocol: Protocol, window: Window) -> Capture:
-    """Open a capture and tell what there is to tell about it."""
-    from bilprov.analyzer.replay.capture_session import require_begun, said_about
-    from bilprov.captures.reader import open_capture
-
-    capture = open_capture(path)
-    for sentence in said_about(capture, protocol):
-        note(sentence)
-    require_begun(capture, window.first)
-    return capture
 
 
 @contextmanager

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import click
 
-from bilprov.analyzer.cli.options import Finite, line_options, note
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.options import Finite, LineOptions, note
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.impairment import ImpairedDirection, LineFaults, Noise
 from bilprov.analyzer.taps.relay import PTY, join, open_end
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import same_line
 from bilprov.analyzer.transport.pty import PtyPair
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 
-_rate = partial(click.option, metavar="RATE", type=Finite(0, 1), default=0.0)
+_rate = partial(option, metavar="RATE", type=Finite(0, 1), default=0.0)
 
 
 class Milliseconds(Finite):
@@ -31,33 +31,26 @@ class Milliseconds(Finite):
         return super().convert(str(value).lower().removesuffix("ms"), param, ctx)
 
 
-_time = partial(click.option, metavar="MS", type=Milliseconds(0, 60_000), default=0.0)
+_time = partial(option, metavar="MS", type=Milliseconds(0, 60_000), default=0.0)
 
 
-@click.command()
-@click.argument("a", metavar="A", type=PortName())
-@click.argument("b", metavar="B", type=PortName())
-@_rate("--drop", help="Bytes that vanish.")
-@_rate("--flip", help="Bytes with one bit flipped.")
-@_rate("--double", help="Bytes that come twice.")
-@_time("--delay", help="How long bytes are held back.")
-@_time("--jitter", help="And up to this much longer.")
-@click.option("--seed", default=1, show_default=True, help="Selects the bytes that are hit.")
-@line_options
-@click.pass_obj
-def line(
-    grammar: str | None,
-    /,
-    a: str,
-    b: str,
-    drop: float,
-    flip: float,
-    double: float,
-    delay: float,
-    jitter: float,
-    seed: int,
-    **settings: Any,
-) -> int:
+@dataclass(frozen=True)
+class ImpairedOptions:
+    """The options of `lab line`."""
+
+    a: str = argument(metavar="A", type=PortName())
+    b: str = argument(metavar="B", type=PortName())
+    drop: float = _rate(help="Bytes that vanish.")
+    flip: float = _rate(help="Bytes with one bit flipped.")
+    double: float = _rate(help="Bytes that come twice.")
+    delay: float = _time(help="How long bytes are held back.")
+    jitter: float = _time(help="And up to this much longer.")
+    seed: int = option(default=1, show_default=True, help="Selects the bytes that are hit.")
+    line: LineOptions = group(LineOptions)
+
+
+@command(ImpairedOptions)
+def line(options: ImpairedOptions) -> int:
     """Connect A and B through a line that loses, changes, doubles and delays bytes, both ways.
 
     Examples:
@@ -78,14 +71,19 @@ def line(
     Exits with status 0 after Ctrl-C or SIGTERM, with 2 if an end is lost; either way standard error
     shows how many bytes went each way, and how many of them were hit, and how.
     """
+    a, b = options.a, options.b
     try:
         if a != PTY and same_line(a, b):  # to open it twice would only report that it is in use
             raise ValueError(f"both ends are {b}; a line joins two, so give another one")
-        faults = LineFaults(Noise(flip, drop, double), round(delay * MS), round(jitter * MS))
+        faults = LineFaults(
+            Noise(options.flip, options.drop, options.double),
+            round(options.delay * MS),
+            round(options.jitter * MS),
+        )
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    opened = line_settings(load_protocol(grammar), **settings)
-    there, back = (ImpairedDirection(faults, seed, name) for name in ("A to B", "B to A"))
+    opened = options.line.settings(protocol_in_use())
+    there, back = (ImpairedDirection(faults, options.seed, name) for name in ("A to B", "B to A"))
     with Stopper() as stopper, open_end(a, opened) as one, open_end(b, opened) as two:
         for end in (one, two):
             if isinstance(end, PtyPair):

@@ -6,24 +6,25 @@ It loads nothing that takes long, since commands that only print a help import i
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from bilprov.analyzer.cli.command import flag, option
 from bilprov.analyzer.cli.settings import naming_file
 from bilprov.spec.errors import one_line
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
-    from bilprov.analyzer.output.outputs import Format
+    from bilprov.analyzer.output.outputs import Format, Window
     from bilprov.analyzer.output.row_columns import RowStyle
-    from bilprov.analyzer.replay.rotation import Rotation
+    from bilprov.analyzer.transport.line_settings import LineSettings
     from bilprov.analyzer.transport.signals import Stopper
     from bilprov.spec.protocol import Protocol
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Finite(click.FloatRange):
@@ -47,41 +48,6 @@ class Finite(click.FloatRange):
 milliseconds = Finite(0.001, 60_000)
 
 
-class RotateAt(click.ParamType):  # type: ignore[type-arg]  # takes arguments since click 8.5
-    """A size or a time at which a part of a recording is full, as a Rotation."""
-
-    name = "SIZE|TIME"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Rotation:
-        """The Rotation of an option's value."""
-        from bilprov.analyzer.replay.rotation import rotation_at
-
-        try:
-            return rotation_at(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-def line_options(command: Command) -> Command:
-    """Add the line options `baud`, `parity`, `stopbits`; None stands for the grammar's value."""
-    options = (
-        click.option("--baud", type=click.IntRange(1), help="Bits/s; the grammar's unless given."),
-        click.option(
-            "--parity",
-            type=click.Choice(list("NEOMS"), case_sensitive=False),
-            help="None, even, odd, mark or space; the grammar's unless given.",
-        ),
-        click.option(
-            "--stopbits", type=click.Choice(["1", "1.5", "2"]), help="The grammar's unless given."
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
-
-
 _FILTER = """\
 Show only the rows for which EXPR holds, like "faulty and latency > 20ms". Names: the fields of the
 grammar, id len data sequence response latency answers agrees name direction kind hex judgement
@@ -89,43 +55,138 @@ faulty faults reason t time state.motion (speed, steering, led, moving). Signs: 
 contains & and or not; names in any case. docs/filters.md explains them."""
 
 
-def filter_option(command: Command) -> Command:
-    """Add `--filter EXPR`, as `expression`."""
-    return click.option("--filter", "expression", metavar="EXPR", help=_FILTER)(command)
-
-
-# Who sent the bytes, as `sender`.
-sender_option = click.option(
+# Options of several commands that are one field each.
+sender_option = partial(
+    option,
     "--from",
-    "sender",
     type=click.Choice(["host", "device"]),
     default="host",
     show_default=True,
     help="Who sent the bytes.",
 )
-
-# The format of a text command (text or json), as `style`.
-text_format_option = click.option(
+text_format_option = partial(
+    option,
     "--format",
-    "style",
     type=click.Choice(["text", "json"]),
     default="text",
     show_default=True,
     help="For people or for programs.",
 )
-
-# The format of a session (live, lines, jsonl or csv), as `style`, None if it is not given.
-session_format_option = click.option(
+session_format_option = partial(
+    option,
     "--format",
-    "style",
     type=click.Choice(["live", "lines", "jsonl", "csv"]),
     help="A screen (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
 )
-
-# Whether text lines are asked for, as `plain`.
-plain_option = click.option(
-    "--plain", is_flag=True, help="Text lines on a terminal too: the same as --format lines."
+plain_option = partial(flag, "Text lines on a terminal too: the same as --format lines.")
+filter_option = partial(option, "--filter", metavar="EXPR", help=_FILTER)
+count_option = partial(option, type=click.IntRange(1), help="End after so many frames were shown.")
+timeout_option = partial(
+    option,
+    metavar="MS",
+    type=milliseconds,
+    help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
 )
+max_drive_option = partial(
+    option,
+    metavar="S",
+    type=Finite(0),
+    default=30.0,
+    show_default=True,
+    help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
+)
+judge_option = partial(
+    flag,
+    "Judge the device by the traffic; coverage and violations are shown at the end.",
+    "--judge",
+)
+yes_option = partial(flag, "The robot may move: do not ask.")
+
+
+@dataclass(frozen=True)
+class LineOptions:
+    """The settings of a serial line; None stands for the grammar's value."""
+
+    baud: int | None = option(type=click.IntRange(1), help="Bits/s; the grammar's unless given.")
+    parity: str | None = option(
+        type=click.Choice(list("NEOMS"), case_sensitive=False),
+        help="None, even, odd, mark or space; the grammar's unless given.",
+    )
+    stopbits: str | None = option(
+        type=click.Choice(["1", "1.5", "2"]), help="The grammar's unless given."
+    )
+
+    def settings(self, protocol: Protocol) -> LineSettings:
+        """The settings of the line. Raises ValueError."""
+        from bilprov.analyzer.transport.line_settings import line_settings
+
+        return line_settings(protocol, self.baud, self.parity, self.stopbits)
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """What is shown of each row, and how its time is."""
+
+    time_style: str | None = option(
+        "--time",
+        metavar="STYLE",
+        type=click.Choice(["relative", "delta", "absolute", "utc"]),
+        help="How times are shown: relative, seconds since the start (the usual); delta, since the "
+        "row before; absolute, date and time of day here; utc, the same in UTC.",
+    )
+    columns: str | None = option(
+        metavar="NAME,...",
+        help="What is shown of each row, like time,name,rgb,latency: keys of the JSON lines, "
+        "state.speed and so on, id, len, data, and fields of instructions.",
+    )
+
+    def style(self, protocol: Protocol, format: str | None = None) -> RowStyle:
+        """What was asked for of each row, in a format.
+
+        Raises UsageError where the format has no choice of columns or times, or a time is to be
+        written that is not among the columns; a setting is left alone there. Raises ColumnError for
+        what is no column.
+        """
+        from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
+
+        if format == "jsonl":
+            if asked_here("time_style") or asked_here("columns"):
+                raise click.UsageError(
+                    "--time and --columns are for lines and csv: a JSON line has all its keys, and "
+                    "t in seconds since the start"
+                )
+            return RowStyle()
+        with naming_file("columns"):
+            chosen = None if self.columns is None else chosen_columns(self.columns, protocol)
+        if asked_here("time_style") and chosen and TIME not in chosen:
+            raise click.UsageError(
+                f"--time {self.time_style} is how the column time is written: name it in --columns "
+                "too"
+            )
+        return RowStyle(TimeStyle(self.time_style) if self.time_style else None, chosen)
+
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """From when to when a capture is read, in s since its start."""
+
+    start: float | None = option(type=Finite(0), help="Begin at this second of the capture.")
+    end: float | None = option(type=Finite(0), help="End before this second of the capture.")
+
+    def window(self, duration: float | None = None) -> Window:
+        """The window of time; it ends at `end` or after the duration (s), whichever is first.
+
+        Raises UsageError for an end that is not after the start.
+        """
+        from bilprov.analyzer.output.outputs import Window
+
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise click.UsageError(f"--end {self.end:g} is not after --start {self.start:g}")
+        ends = [] if self.end is None else [self.end]
+        if duration is not None:
+            ends.append((self.start or 0) + duration)
+        bounds = (self.start, min(ends, default=None))
+        return Window(*(None if s is None else round(s * 1e9) for s in bounds))
 
 
 def session_style(style: Format | None, plain: bool) -> Format:
@@ -145,51 +206,6 @@ def session_style(style: Format | None, plain: bool) -> Format:
     return "lines" if plain else chosen_format(style)
 
 
-def row_options(command: Command) -> Command:
-    """Add `--time` and `--columns`, whose values `row_style` takes."""
-    command = click.option(
-        "--columns",
-        metavar="NAME,...",
-        help="What is shown of each row, like time,name,rgb,latency: keys of the JSON lines, "
-        "state.speed and so on, id, len, data, and fields of instructions.",
-    )(command)
-    return click.option(
-        "--time",
-        "time_style",
-        metavar="STYLE",
-        type=click.Choice(["relative", "delta", "absolute", "utc"]),
-        help="How times are shown: relative, seconds since the start (the usual); delta, since the "
-        "row before; absolute, date and time of day here; utc, the same in UTC.",
-    )(command)
-
-
-def row_style(
-    time_style: str | None, columns: str | None, protocol: Protocol, style: str | None = None
-) -> RowStyle:
-    """What was asked for of each row, in the format `style`.
-
-    Raises UsageError where the format has no choice of columns or times, or a time is to be
-    written that is not among the columns; a setting is left alone there. Raises ColumnError for
-    what is no column.
-    """
-    from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
-
-    if style == "jsonl":
-        if asked_here("time_style") or asked_here("columns"):
-            raise click.UsageError(
-                "--time and --columns are for lines and csv: a JSON line has all its keys, and t "
-                "in seconds since the start"
-            )
-        return RowStyle()
-    with naming_file("columns"):
-        chosen = None if columns is None else chosen_columns(columns, protocol)
-    if asked_here("time_style") and chosen and TIME not in chosen:
-        raise click.UsageError(
-            f"--time {time_style} is how the column time is written: name it in --columns too"
-        )
-    return RowStyle(TimeStyle(time_style) if time_style else None, chosen)
-
-
 def asked_here(parameter: str) -> bool:
     """Whether a parameter has its value from the command line.
 
@@ -197,33 +213,6 @@ def asked_here(parameter: str) -> bool:
     """
     source = click.get_current_context().get_parameter_source(parameter)
     return source is ParameterSource.COMMANDLINE
-
-
-# In ms, as `truncation_timeout`, None if it is not given.
-timeout_option = click.option(
-    "--truncation-timeout",
-    metavar="MS",
-    type=milliseconds,
-    help="Longest pause inside a frame, in milliseconds; the grammar's unless given.",
-)
-
-# In s, as `max_drive`.
-max_drive_option = click.option(
-    "--max-drive",
-    metavar="S",
-    type=Finite(0),
-    default=30.0,
-    show_default=True,
-    help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
-)
-
-# Whether the device is judged by what passes, as `judged`.
-judge_option = click.option(
-    "--judge",
-    "judged",
-    is_flag=True,
-    help="Judge the device by the traffic; coverage and violations are shown at the end.",
-)
 
 
 def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
@@ -242,6 +231,12 @@ def note(sentence: str) -> None:
     It is made safe to show; one line, which a terminal shows broken between words.
     """
     click.echo(_wrapped(one_line(sentence)), err=True)
+
+
+def note_each(sentences: Iterable[str]) -> None:
+    """Print the sentences that are not empty as notes."""
+    for sentence in filter(None, sentences):
+        note(sentence)
 
 
 def _wrapped(text: str) -> str:
@@ -266,8 +261,7 @@ def note_hindrances(*names: str) -> None:
     from bilprov.analyzer.doctor.system import notes
 
     for name in names:
-        for sentence in notes(name):
-            note(sentence)
+        note_each(notes(name))
 
 
 class NotConfirmed(click.ClickException):

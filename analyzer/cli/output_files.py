@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
+from bilprov.analyzer.cli.command import flag, option
 from bilprov.analyzer.files import real_path, why_not_writable, write_whole
 from bilprov.captures.parts import kept_parts
+from bilprov.captures.text import escape_json
 from bilprov.spec.errors import UserError
 
 STANDARD_OUTPUT = "-"
 
-# Whether files that exist are overwritten, as `force`.
-force_option = click.option("--force", is_flag=True, help="Overwrite what exists.")
+force_option = partial(flag, "Overwrite what exists.")
+json_option = partial(
+    option,
+    "--json",
+    metavar="FILE",
+    help="Write everything as one JSON object; - is standard output, which then holds nothing "
+    "else.",
+)
 
 
 def require_writable(
@@ -35,38 +45,38 @@ def require_writable(
     inputs += [str(part) for one in inputs for part in kept_parts(Path(one)).values()]
     taken: dict[Path, str] = {}
     on_standard_output = ""
-    for option, path in outputs:
+    for name, path in outputs:
         if path == STANDARD_OUTPUT and regular:
-            raise click.UsageError(f"{option} - is standard output, not a regular file: name one")
+            raise click.UsageError(f"{name} - is standard output, not a regular file: name one")
         if path == STANDARD_OUTPUT:
             if on_standard_output:
                 raise click.UsageError(
-                    f"{on_standard_output} and {option} both go to standard output: "
+                    f"{on_standard_output} and {name} both go to standard output: "
                     "name a file for one of them"
                 )
-            on_standard_output = option
+            on_standard_output = name
             continue
         file = Path(path)
         why_not = why_not_writable(file)
         if why_not:
-            raise click.UsageError(f"{option} {path} cannot be written: {why_not}")
+            raise click.UsageError(f"{name} {path} cannot be written: {why_not}")
         lost = next((f"the input {one}" for one in inputs if _same(file, Path(one))), None)
         lost = lost or taken.get(real_path(file))
         if lost:
-            raise click.UsageError(f"{option} {path} would overwrite {lost}: name another file")
+            raise click.UsageError(f"{name} {path} would overwrite {lost}: name another file")
         if regular and (parts := kept_parts(file)):
             first = next(iter(parts.values()))
             raise click.UsageError(
-                f"{option} {path} is the name of a recording in parts, {first} and so on, which it "
+                f"{name} {path} is the name of a recording in parts, {first} and so on, which it "
                 "would hide: name another file"
             )
         if regular and file.exists() and not file.is_file():
-            raise click.UsageError(f"{option} {path} is not a regular file: name another one")
+            raise click.UsageError(f"{name} {path} is not a regular file: name another one")
         if not force and file.is_file():
             raise click.UsageError(
-                f"{option} {path} exists: name another file, or give --force to overwrite it"
+                f"{name} {path} exists: name another file, or give --force to overwrite it"
             )
-        taken[real_path(file)] = option
+        taken[real_path(file)] = name
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -90,3 +100,10 @@ def write_output(path: str, data: bytes) -> None:
     except OSError as error:
         why = error.strerror or "it cannot be written"
         raise UserError(f"{path} cannot be written: {why}") from error
+
+
+def json_object(value: Any) -> bytes:
+    """A value as indented JSON, safe to show."""
+    import msgspec
+
+    return escape_json(msgspec.json.format(msgspec.json.encode(value), indent=1) + b"\n")

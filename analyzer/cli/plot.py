@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import click
+from dataclasses import dataclass
 
-from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
 from bilprov.analyzer.cli.output_files import force_option, require_writable, write_output
-from bilprov.analyzer.cli.progress import reading
+from bilprov.analyzer.cli.reading import opened_captures, reading
 
 
-@click.command()
-@click.argument("file", metavar="FILE.mcap")
-@click.option(
-    "--html",
-    "page",
-    metavar="OUT.html",
-    required=True,
-    help="The page to write; - is standard output.",
-)
-@force_option
-@click.pass_obj
-def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
+@dataclass(frozen=True)
+class PlotOptions:
+    """The options of `plot`."""
+
+    file: str = argument(metavar="FILE.mcap")
+    page: str = option(
+        "--html", metavar="OUT.html", required=True, help="The page to write; - is standard output."
+    )
+    force: bool = force_option()
+
+
+@command(PlotOptions)
+def plot(options: PlotOptions) -> None:
     """Draw a capture over time, as one page that loads nothing from elsewhere.
 
     Examples:
@@ -31,25 +32,22 @@ def plot(grammar: str | None, file: str, page: str, force: bool) -> None:
     traffic is folded there, with its duration beside the break. A long recording is reduced to
     steps of time, as the page then states, so that it has a few MB at most.
     """
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page
     from bilprov.analyzer.replay.capture_parts import decoded_batches
-    from bilprov.analyzer.replay.capture_session import capture_line, said_about
+    from bilprov.analyzer.replay.capture_session import capture_line
     from bilprov.analyzer.totals.timeline import Timeline
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version
-    from bilprov.captures.reader import open_capture
 
-    require_writable([("--html", page)], inputs=[file], force=force)
-    protocol = load_protocol(grammar)
-    capture = open_capture(file)
-    for sentence in said_about(capture, protocol):
-        note(sentence)
+    require_writable([("--html", options.page)], inputs=[options.file], force=options.force)
+    protocol = protocol_in_use()
+    (capture,) = opened_captures([options.file], protocol)
     totals, timeline = Totals(protocol), Timeline(protocol)
     with reading([capture]) as progress:
         for batch in decoded_batches(capture, protocol, progress):
             totals.add(batch)
             timeline.add(batch)
     stats = file_stats(capture, totals, capture_line(capture, protocol))
-    write_output(page, plot_page(capture, protocol, timeline, stats, kit_version()).encode())
+    page = plot_page(capture, protocol, timeline, stats, kit_version())
+    write_output(options.page, page.encode())

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     Finite,
+    LineOptions,
     confirm_motion,
-    line_options,
     note,
     note_suspension,
     text_format_option,
@@ -27,31 +28,22 @@ if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
 
 
-@click.command()
-@click.argument("names", metavar="[PORT]...", nargs=-1, type=PortName())
-@click.option(
-    "--seconds",
-    type=Finite(0),
-    default=2.0,
-    show_default=True,
-    help="How long to listen at a port.",
-)
-@click.option("--ask", is_flag=True, help="Send the link check at each common baud rate.")
-@click.option("--yes", is_flag=True, help="With --ask: the robot may move, do not ask.")
-@line_options
-@text_format_option
-@click.pass_obj
-def ports(
-    grammar: str | None,
-    names: tuple[str, ...],
-    seconds: float,
-    ask: bool,
-    yes: bool,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    style: str,
-) -> int:
+@dataclass(frozen=True)
+class PortsOptions:
+    """The options of `ports`."""
+
+    names: tuple[str, ...] = argument(metavar="[PORT]...", nargs=-1, type=PortName())
+    seconds: float = option(
+        type=Finite(0), default=2.0, show_default=True, help="How long to listen at a port."
+    )
+    ask: bool = flag("Send the link check at each common baud rate.")
+    yes: bool = flag("With --ask: the robot may move, do not ask.")
+    line: LineOptions = group(LineOptions)
+    style: str = text_format_option()
+
+
+@command(PortsOptions)
+def ports(options: PortsOptions) -> int:
     """List the serial ports of this machine, or examine those that are named.
 
     Examples:
@@ -73,21 +65,20 @@ def ports(
     Exit code: 0 the list is shown, or the port can be used as it is, with or without advice; 2 it
     cannot; 130 Ctrl-C.
     """
+    names, ask, as_json = options.names, options.ask, options.style == "json"
     if not names:
         if ask:
             raise click.UsageError("--ask asks one device: name its PORT")
-        _list(as_json=style == "json")
+        _list(as_json=as_json)
         return 0
     from bilprov.analyzer.doctor.asking import longest_time, rates_of
     from bilprov.analyzer.doctor.examination import of_line, of_system
     from bilprov.analyzer.doctor.finding import usable
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.taps.sources import require_two_lines
-    from bilprov.analyzer.transport.line_settings import line_settings
     from bilprov.analyzer.transport.signals import Stopper
 
-    protocol = load_protocol(grammar)
-    settings = line_settings(protocol, baud, parity, stopbits)
+    protocol = protocol_in_use()
+    settings = options.line.settings(protocol)
     if len(names) > 2:
         raise click.UsageError("give one PORT, or two that are the host's tap and the device's")
     _require_ports(names)
@@ -100,7 +91,7 @@ def ports(
             require_two_lines(*names)
         except ValueError as error:
             raise click.UsageError(str(error)) from None
-    findings = Findings(as_json=style == "json")
+    findings = Findings(as_json=as_json)
     for name in names:
         findings.begin(name)
         findings.show(of_system(name))
@@ -108,13 +99,13 @@ def ports(
         rates = rates_of(names[0], settings.baud) if ask else ()
         if rates:
             what = _what_may_move(protocol, names[0], rates, longest_time(protocol, rates))
-            confirm_motion(protocol, what, yes=yes)
-            if yes:
+            confirm_motion(protocol, what, yes=options.yes)
+            if options.yes:
                 note(what)
         if len(names) > 1:
             findings.begin("both taps")
         with Stopper() as stopper:
-            findings.show(of_line(protocol, names, settings, seconds, stopper, rates))
+            findings.show(of_line(protocol, names, settings, options.seconds, stopper, rates))
         note_suspension(stopper)
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt

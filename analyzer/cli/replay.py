@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     Finite,
+    LineOptions,
+    RowOptions,
+    WindowOptions,
     compiled,
     confirm_motion,
+    count_option,
     filter_option,
     judge_option,
-    line_options,
     max_drive_option,
     note,
+    note_each,
     plain_option,
-    row_options,
-    row_style,
     session_format_option,
     session_style,
     timeout_option,
@@ -31,7 +34,6 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.outputs import (
     Format,
     Shown,
@@ -51,7 +53,6 @@ from bilprov.analyzer.replay.capture_session import (
 )
 from bilprov.analyzer.replay.playback import interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line, Look
@@ -65,62 +66,53 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.row_columns import RowStyle
 
 
-@click.command()
-@click.argument("path", metavar="FILE.mcap")
-@click.option(
-    "--rate",
-    type=Finite(0),
-    default=1.0,
-    show_default=True,
-    help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
-)
-@click.option("--start", type=Finite(0), help="Begin at this second of the capture.")
-@click.option("--end", type=Finite(0), help="End before this second of the capture.")
-@filter_option
-@session_format_option
-@row_options
-@click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
-@click.option(
-    "--duration",
-    type=Finite(0, min_open=True),
-    help="End after S seconds of the recording, counted from --start.",
-)
-@click.option(
-    "--to",
-    "port",
-    metavar="PORT",
-    type=PortName(),
-    help="Also send the host's bytes to a device there and compare its answers.",
-)
-@plain_option
-@judge_option
-@click.option("--yes", is_flag=True, help="With --to: the device may move, do not ask.")
-@max_drive_option
-@line_options
-@timeout_option
-@click.pass_obj
-def replay(
-    grammar: str | None,
-    path: str,
-    rate: float,
-    start: float | None,
-    end: float | None,
-    expression: str | None,
-    style: Format | None,
-    time_style: str | None,
-    columns: str | None,
-    count: int | None,
-    duration: float | None,
-    port: str | None,
-    plain: bool,
-    judged: bool,
-    yes: bool,
-    max_drive: float,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    truncation_timeout: float | None,
-) -> int:
+@dataclass(frozen=True)
+class ReplayOptions:
+    """The options of `replay`."""
+
+    path: str = argument(metavar="FILE.mcap")
+    rate: float = option(
+        type=Finite(0),
+        default=1.0,
+        show_default=True,
+        help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
+    )
+    span: WindowOptions = group(WindowOptions)
+    expression: str | None = filter_option()
+    style: Format | None = session_format_option()
+    rows: RowOptions = group(RowOptions)
+    count: int | None = count_option()
+    duration: float | None = option(
+        type=Finite(0, min_open=True),
+        help="End after S seconds of the recording, counted from --start.",
+    )
+    port: str | None = option(
+        "--to",
+        metavar="PORT",
+        type=PortName(),
+        help="Also send the host's bytes to a device there and compare its answers.",
+    )
+    plain: bool = plain_option()
+    judged: bool = judge_option()
+    yes: bool = flag("With --to: the device may move, do not ask.")
+    max_drive: float = max_drive_option()
+    line: LineOptions = group(LineOptions)
+    truncation_timeout: float | None = timeout_option()
+
+    @property
+    def in_lines(self) -> str:
+        """The option that does not go with the screen, "" for none."""
+        return "--to" if self.port is not None else "--judge" if self.judged else ""
+
+    def checked_style(self) -> Format:
+        """The format, from all options that have a say. Raises UsageError if they contradict."""
+        if self.in_lines and self.style == "live":
+            raise click.UsageError(f"{self.in_lines} is shown in lines: leave out --format live")
+        return session_style(self.style, self.plain or (self.style is None and bool(self.in_lines)))
+
+
+@command(ReplayOptions)
+def replay(options: ReplayOptions) -> int:
     """Look through a capture on a screen, or play it again.
 
     Examples:
@@ -144,39 +136,35 @@ def replay(
     object of kind judgement) shows which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
     """
-    if judged and port is not None:
+    port, rate = options.port, options.rate
+    if options.judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
-    if count is not None and port is not None:
+    if options.count is not None and port is not None:
         raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
-    if judged:
+    if options.judged:
         promise_verdict()
-    if start is not None and end is not None and end <= start:
-        raise click.UsageError(f"--end {end:g} is not after --start {start:g}")
-    protocol = load_protocol(grammar)
-    in_lines = "--to" if port is not None else "--judge" if judged else ""
-    if in_lines and style == "live":
-        raise click.UsageError(f"{in_lines} is shown in lines: leave out --format live")
-    style = session_style(style, plain or (style is None and bool(in_lines)))
-    rows = row_style(time_style, columns, protocol, style)
-    test = compiled(expression, protocol)
-    timeout = None if truncation_timeout is None else round(truncation_timeout * MS)
-    window = _window(start, end, duration)
-    opened = _opened(path, protocol, timeout, window, style, whole=bool(in_lines))
+    window = options.span.window(options.duration)
+    protocol = protocol_in_use()
+    style = options.checked_style()
+    rows = options.rows.style(protocol, style)
+    test = compiled(options.expression, protocol)
+    timeout = options.truncation_timeout
+    timeout = None if timeout is None else round(timeout * MS)
+    opened = _opened(options, protocol, timeout, window, style)
     capture = opened.capture
     test = test and test.started(capture.start)
     require_begun(capture, window.first)
     if style == "live":
-        _look_through(opened, protocol, rows, expression, test, count, window, rate)
+        _look_through(options, opened, protocol, rows, test, window)
         return 0
-    for sentence in (*said_about(capture, protocol), opened.note):
-        if sentence:
-            note(sentence)
+    note_each((*said_about(capture, protocol), opened.note))
     if port is not None:
         if not capture.contents.counts.get(HOST_RAW):
-            raise click.UsageError(f"{path} holds no bytes of the host to send")
+            raise click.UsageError(f"{options.path} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
-        if not yes:  # what moves is in the whole capture
-            what = _what_moves(protocol, port, path, capture, timeout, window)
+        if not options.yes:  # what moves is in the whole capture
+            words = _movement(protocol, capture, timeout, window)
+            what = f"the device at {port} will move as recorded in {options.path}: {words}"
             confirm_motion(protocol, what, yes=False)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
@@ -185,98 +173,79 @@ def replay(
             from bilprov.analyzer.cli.resend import opened_target, send_again
             from bilprov.analyzer.replay.comparison import ReplayRun
 
-            settings = line_settings(protocol, baud, parity, stopbits)
+            settings = options.line.settings(protocol)
             pause = capture_timeout(capture, protocol, timeout)
             run = ReplayRun()
             target = stack.enter_context(
-                opened_target(protocol, port, settings, pause, rate, stopper, run, max_drive)
+                opened_target(
+                    protocol, port, settings, pause, rate, stopper, run, options.max_drive
+                )
             )
         judge = None
-        if judged:
+        if options.judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
         output = opened_output(style, protocol, rows, capture.start)
-        shown = Shown(output, test, count, window)
+        shown = Shown(output, test, options.count, window)
         pipeline = Pipeline(opened.decoder, Statistics(), shown, judge=judge)
         if target is not None:
             sent = send_again(
                 protocol, capture, pipeline, output, target, run, rate, window, stopper
             )
+        elif rate or judge:
+            events = capture.sights() if judge else opened.events()
+            _play(events, pipeline, rate, window, stopper, judge)
         else:
-            if rate or judge:
-                events = capture.sights() if judge else opened.events()
-                _play(events, pipeline, rate, window, stopper, judge)
-            else:
-                _show(opened, shown, window, stopper)
+            _show(opened, shown, window, stopper)
     if target is not None and not target.answered_stops:
         from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 
         note(UNANSWERED_STOPS)
         return sent or 1
-    if target is not None:
-        return sent
     if judge is None:
-        return 0
+        return sent
     from bilprov.analyzer.output.findings import tell_findings
 
     return tell_findings(judge.finish(), style)
 
 
-def _what_moves(
-    protocol: Protocol, port: str, path: str, capture: Capture, timeout: int | None, window: Window
-) -> str:
-    """What the host bytes of the window will make the device at the port do, in words."""
+def _movement(protocol: Protocol, capture: Capture, timeout: int | None, window: Window) -> str:
+    """What the host bytes of the window will make a device do, in words."""
     decoder = capture_decoder(capture, protocol, timeout)
-
-    def frames() -> Iterator[bytes]:
-        inside = (event for event in capture.events() if window.has(event.t))
-        parts = map(decoder.feed, ([event] for event in inside))
-        for batch in chain(chain.from_iterable(parts), decoder.finish()):
-            yield from (r.data for r in batch.records() if isinstance(r, HostRecord))
-
-    words = movement_words(protocol, movement_of(protocol, frames()))
-    return f"the device at {port} will move as recorded in {path}: {words}"
-
-
-def _window(start: float | None, end: float | None, duration: float | None) -> Window:
-    """The window of time (s) that is shown: up to `end` or for the duration, whichever is first."""
-    ends = [end] if end is not None else []
-    if duration is not None:
-        ends.append((start or 0) + duration)
-    first, after = (None if s is None else round(s * 1e9) for s in (start, min(ends, default=None)))
-    return Window(first, after)
+    inside = ([event] for event in capture.events() if window.has(event.t))
+    parts = chain.from_iterable(map(decoder.feed, inside))
+    frames = (
+        record.data
+        for batch in chain(parts, decoder.finish())
+        for record in batch.records()
+        if isinstance(record, HostRecord)
+    )
+    return movement_words(protocol, movement_of(protocol, frames))
 
 
 def _opened(
-    path: str,
-    protocol: Protocol,
-    timeout: int | None,
-    window: Window,
-    style: Format,
-    *,
-    whole: bool,
+    options: ReplayOptions, protocol: Protocol, timeout: int | None, window: Window, style: Format
 ) -> Opened:
-    """Open the capture; not from its beginning on if `whole` is false and the window is later.
+    """Open the capture, from where the window begins; all of it for what is compared or judged.
 
     For the screen its index is enough, so that the first rows are there at once.
     """
-    if window.first is not None and not whole:
-        return opened_at(path, protocol, window.first, timeout)
-    capture = (open_indexed(path) if style == "live" else None) or open_capture(path)
+    if window.first is not None and not options.in_lines:
+        return opened_at(options.path, protocol, window.first, timeout)
+    indexed = open_indexed(options.path) if style == "live" else None
+    capture = indexed or open_capture(options.path)
     return Opened(capture, capture_decoder(capture, protocol, timeout))
 
 
 def _look_through(
+    options: ReplayOptions,
     opened: Opened,
     protocol: Protocol,
     rows: RowStyle,
-    expression: str | None,
     test: Filter | None,
-    count: int | None,
     window: Window,
-    rate: float,
 ) -> None:
     """Show the capture on the screen until it is left."""
     from bilprov.analyzer.screen.browser import Told
@@ -284,7 +253,7 @@ def _look_through(
     from bilprov.analyzer.screen.terminal import shown
 
     capture = opened.capture
-    feed = capture_feed(opened, protocol, test, count, window)
+    feed = capture_feed(opened, protocol, test, options.count, window)
     # The screen has one line for it, so the file's name stands without its folder.
     named = replace(capture, path=Path(capture.path.name))
     sentences = (*said_about(named, protocol), opened.note)
@@ -294,9 +263,9 @@ def _look_through(
         capture.start,
         capture_line(capture, protocol).byte_time,
         rows,
-        expression or "",
+        options.expression or "",
         test,
-        rate,
+        options.rate,
     )
     with Stopper() as stopper:
         shown(feed, told, stopper)

@@ -7,27 +7,35 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
+from bilprov.analyzer.cli.command import (
+    argument,
+    command,
+    flag,
+    group,
+    option,
+    option_each,
+    protocol_in_use,
+)
 from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
-    Command,
     Finite,
-    RotateAt,
+    LineOptions,
+    RowOptions,
     asked_here,
     compiled,
+    count_option,
     filter_option,
     judge_option,
-    line_options,
     note,
     note_hindrances,
     plain_option,
-    row_options,
-    row_style,
     session_format_option,
     session_style,
     timeout_option,
@@ -35,7 +43,6 @@ from bilprov.analyzer.cli.options import (
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import (
@@ -48,11 +55,11 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.analyzer.replay.rotation import Rotation, rotation_at
 from bilprov.analyzer.replay.spool import Spool
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings, timeout_in_ns
+from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
 from bilprov.analyzer.transport.replug import opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.parts import said_of_parts
@@ -67,72 +74,75 @@ PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
-def tap_options(command: Command) -> Command:
-    """Add the option of each kind of tap that has one, under the option's name."""
-    for tap in reversed(TAPS):
-        if tap.option:
-            option = click.option(
-                f"--{tap.option}", metavar=tap.metavar, type=PortName(), help=tap.help
-            )
-            command = option(command)
-    return command
+def _rotation_at(ctx: click.Context, param: click.Parameter, text: str | None) -> Rotation | None:
+    try:
+        return None if text is None else rotation_at(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
-@click.command()
-@click.argument("host", required=False, type=PortName())
-@click.argument("device", required=False, type=PortName())
-@tap_options
-@click.option("-w", "--write", "path", metavar="FILE.mcap", help="Log into a new capture file.")
-@click.option(
-    "--rotate",
-    type=RotateAt(),
-    help="Begin a new part of the log when one has this size or age, like 100MB or 1h.",
-)
-@click.option(
-    "--keep", metavar="N", type=click.IntRange(1), help="Keep the newest N parts of this log only."
-)
-@filter_option
-@session_format_option
-@row_options
-@click.option("--count", type=click.IntRange(1), help="End after so many frames were shown.")
-@click.option("--duration", type=Finite(0, min_open=True), help="End after S seconds.")
-@plain_option
-@click.option(
-    "--wait",
-    is_flag=True,
-    help="Wait for a port that is not there yet, and for one that is unplugged.",
-)
-@click.option("--quiet", is_flag=True, help="Show nothing but the totals at the end.")
-@judge_option
-@line_options
-@timeout_option
-@click.option("--yes", is_flag=True, help="Accepted for scripts; sniff asks nothing.")
-@click.pass_obj
-def sniff(
-    grammar: str | None,
-    /,
-    host: str | None,
-    device: str | None,
-    path: str | None,
-    rotate: Rotation | None,
-    keep: int | None,
-    expression: str | None,
-    style: Format | None,
-    time_style: str | None,
-    columns: str | None,
-    count: int | None,
-    duration: float | None,
-    plain: bool,
-    wait: bool,
-    quiet: bool,
-    judged: bool,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    truncation_timeout: float | None,
-    yes: bool,
-    **taps: str | None,
-) -> int:
+@dataclass(frozen=True)
+class SniffOptions:
+    """The options of `sniff`."""
+
+    host: str | None = argument(required=False, type=PortName())
+    device: str | None = argument(required=False, type=PortName())
+    taps: dict[str, str] = option_each(
+        {
+            tap.option: {"metavar": tap.metavar, "type": PortName(), "help": tap.help}
+            for tap in TAPS
+            if tap.option
+        }
+    )
+    path: str | None = option(
+        "-w", "--write", metavar="FILE.mcap", help="Log into a new capture file."
+    )
+    rotate: Rotation | None = option(
+        metavar="SIZE|TIME",
+        callback=_rotation_at,
+        help="Begin a new part of the log when one has this size or age, like 100MB or 1h.",
+    )
+    keep: int | None = option(
+        metavar="N", type=click.IntRange(1), help="Keep the newest N parts of this log only."
+    )
+    expression: str | None = filter_option()
+    style: Format | None = session_format_option()
+    rows: RowOptions = group(RowOptions)
+    count: int | None = count_option()
+    duration: float | None = option(type=Finite(0, min_open=True), help="End after S seconds.")
+    plain: bool = plain_option()
+    wait: bool = flag("Wait for a port that is not there yet, and for one that is unplugged.")
+    quiet: bool = flag("Show nothing but the totals at the end.")
+    judged: bool = judge_option()
+    line: LineOptions = group(LineOptions)
+    truncation_timeout: float | None = timeout_option()
+    yes: bool = flag("Accepted for scripts; sniff asks nothing.")
+
+    @property
+    def ports(self) -> dict[str, tuple[str | None, ...]]:
+        """The ports that are named, by the option of their tap."""
+        return {"": (self.host, self.device)} | {name: (port,) for name, port in self.taps.items()}
+
+    def rotation(self) -> Rotation | None:
+        """How the recording is kept in parts, None for one file.
+
+        Raises UsageError for what has no use on this command line; a setting is left alone there.
+        """
+        if self.rotate is None:
+            if self.keep is not None and asked_here("keep"):
+                raise click.UsageError(
+                    "--keep limits how many parts are kept: give --rotate too, when a part is full"
+                )
+            return None
+        if self.path is None:
+            if asked_here("rotate"):
+                raise click.UsageError("--rotate is for a recording: name its file with -w")
+            return None
+        return self.rotate._replace(keep=self.keep)
+
+
+@command(SniffOptions)
+def sniff(options: SniffOptions) -> int:
     """Listen to a line, decode and log it.
 
     Examples:
@@ -163,17 +173,18 @@ def sniff(
     which parts of the document the traffic covered and what contradicts it; exit code 1 if
     anything does.
     """
-    style = session_style(style, plain)
-    rotation = _rotation(path, rotate, keep)
-    protocol = load_protocol(grammar)
-    settings = line_settings(protocol, baud, parity, stopbits)
-    test = compiled(expression, protocol)
-    rows = row_style(time_style, columns, protocol, style)
-    timeout = timeout_in_ns(protocol, truncation_timeout)
+    path, quiet = options.path, options.quiet
+    style = session_style(options.style, options.plain)
+    rotation = options.rotation()
+    protocol = protocol_in_use()
+    settings = options.line.settings(protocol)
+    test = compiled(options.expression, protocol)
+    rows = options.rows.style(protocol, style)
+    timeout = timeout_in_ns(protocol, options.truncation_timeout)
     preload(protocol)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
-        given = {"": (host, device), **{option: (name,) for option, name in taps.items()}}
+        given, wait = options.ports, options.wait
         opened = _simulated(protocol, given, settings) or _opened(given, settings, stopper, wait)
         if opened is None:
             return 0
@@ -201,7 +212,7 @@ def sniff(
             recorder = stack.enter_context(Spool(source.start_wall, metadata))
         statistics = Statistics()
         judge = None
-        if judged:
+        if options.judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
@@ -214,7 +225,7 @@ def sniff(
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
-            lost = _listen(source, pipeline, stopper, duration, tell, wait=wait)
+            lost = _listen(source, pipeline, stopper, options.duration, tell, wait=wait)
             pipeline.events([Line(source.seen, "close")])  # of later it is not known what came
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
@@ -223,7 +234,7 @@ def sniff(
 
         queue = None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, count), PATIENCE, say)
+            lost = listened(Shown(NoOutput(), test, options.count), PATIENCE, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -233,7 +244,7 @@ def sniff(
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
                 tell = partial(setattr, feed, "notice")
-                lost = listened(AllShown(output, test, count), PATIENCE, tell)
+                lost = listened(AllShown(output, test, options.count), PATIENCE, tell)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -244,7 +255,7 @@ def sniff(
                 source.start_wall,
                 settings.byte_time,
                 rows,
-                expression or "",
+                options.expression or "",
                 test,
             )
             name = shown(feed, told, stopper)
@@ -255,7 +266,7 @@ def sniff(
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
-            lost = listened(Shown(output, test, count), 0, say)
+            lost = listened(Shown(output, test, options.count), 0, say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
     if isinstance(recorder, Recorder) and not failure:
@@ -268,24 +279,6 @@ def sniff(
     if lost.sentence or failure:
         raise UserError("; ".join(filter(None, (lost.sentence, failure))))
     return code
-
-
-def _rotation(path: str | None, rotate: Rotation | None, keep: int | None) -> Rotation | None:
-    """How the recording in `path` is kept in parts, None for one file.
-
-    Raises UsageError for what has no use on this command line; a setting is left alone there.
-    """
-    if rotate is None:
-        if keep is not None and asked_here("keep"):
-            raise click.UsageError(
-                "--keep limits how many parts are kept: give --rotate too, when a part is full"
-            )
-        return None
-    if path is None:
-        if asked_here("rotate"):
-            raise click.UsageError("--rotate is for a recording: name its file with -w")
-        return None
-    return rotate._replace(keep=keep)
 
 
 def _simulated(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.output.console import show_as
@@ -13,30 +15,51 @@ from bilprov.analyzer.output.console import show_as
 if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
 
-_output_option = click.option(
-    "-o",
-    "--output",
-    metavar="FILE",
-    default=STANDARD_OUTPUT,
-    help="The file to write; standard output if left out.",
-)
+
+@dataclass(frozen=True)
+class FormatOption:
+    """The format in which the grammar is shown."""
+
+    style: str = text_format_option()
 
 
-@click.command("show")
-@text_format_option
-@click.pass_obj
-def spec_show(grammar: str | None, style: str) -> None:
+@dataclass(frozen=True)
+class ReadingsOptions:
+    """The options of `spec readings`."""
+
+    ids: tuple[str, ...] = argument(metavar="[ID]...", nargs=-1)
+    style: str = text_format_option()
+
+
+@dataclass(frozen=True)
+class EmitOption:
+    """Where the grammar is written."""
+
+    output: str = option(
+        "-o",
+        "--output",
+        metavar="FILE",
+        default=STANDARD_OUTPUT,
+        help="The file to write; standard output if left out.",
+    )
+
+    def write(self, text: str) -> None:
+        """Write a text there. Raises UserError if it cannot be written."""
+        write_output(self.output, text.encode())
+
+
+@command(FormatOption, "show")
+def spec_show(options: FormatOption) -> None:
     """Show header, instructions, responses, effects and defaults of the grammar in use.
 
     Examples:
       bilprov spec show
       bilprov spec show --format json
     """
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_protocol, protocol_json
 
-    protocol = load_protocol(grammar)
-    show_as(style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
+    protocol = protocol_in_use()
+    show_as(options.style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
 
 
 def _require_document(protocol: Protocol, what: str) -> None:
@@ -51,71 +74,59 @@ def _require_document(protocol: Protocol, what: str) -> None:
         )
 
 
-@click.command("readings")
-@click.argument("ids", metavar="[ID]...", nargs=-1)
-@text_format_option
-@click.pass_obj
-def spec_readings(grammar: str | None, ids: tuple[str, ...], style: str) -> None:
+@command(ReadingsOptions, "readings")
+def spec_readings(options: ReadingsOptions) -> None:
     """Show how the document is read where it is silent: the default, other readings' verdicts.
 
     Examples:
       bilprov spec readings R-led-id
     """
     from bilprov.analyzer.cli.typed_input import meant
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_readings, readings_json
     from bilprov.spec.readings import READINGS
 
-    _require_document(load_protocol(grammar), "readings")
+    _require_document(protocol_in_use(), "readings")
     known = {reading.id.lower(): reading for reading in READINGS}
-    for name in ids:
+    for name in options.ids:
         if name.lower() not in known:
             hint = meant(name, [reading.id for reading in READINGS])
             raise click.ClickException(
                 f"there is no reading {name!r}{hint}; see bilprov spec readings"
             )
-    chosen = [known[name.lower()] for name in ids] or list(READINGS)
-    show_as(style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
+    chosen = [known[name.lower()] for name in options.ids] or list(READINGS)
+    show_as(options.style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
 
 
-@click.command("errata")
-@text_format_option
-@click.pass_obj
-def spec_errata(grammar: str | None, style: str) -> None:
+@command(FormatOption, "errata")
+def spec_errata(options: FormatOption) -> None:
     """Run the document's own examples through the grammar and show where it contradicts itself.
 
     Examples:
       bilprov spec errata
     """
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.protocol import drawn_errata, errata_json
     from bilprov.spec.errata import check
 
-    protocol = load_protocol(grammar)
+    protocol = protocol_in_use()
     _require_document(protocol, "examples")
     findings = check(protocol)
-    show_as(style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
+    show_as(options.style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 
 
-@click.command("c")
-@_output_option
-@click.pass_obj
-def spec_emit_c(grammar: str | None, output: str) -> None:
+@command(EmitOption, "c")
+def spec_emit_c(options: EmitOption) -> None:
     """A C header with the protocol's constants, for firmware and for hosts.
 
     Examples:
       bilprov spec emit c -o protocol.h
     """
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.spec.emit.c import c_header
 
-    write_output(output, c_header(load_protocol(grammar)).encode())
+    options.write(c_header(protocol_in_use()))
 
 
-@click.command("wireshark")
-@_output_option
-@click.pass_obj
-def spec_emit_wireshark(grammar: str | None, output: str) -> None:
+@command(EmitOption, "wireshark")
+def spec_emit_wireshark(options: EmitOption) -> None:
     """A dissector in Lua for Wireshark and tshark, which reads what `export` writes as pcapng.
 
     Examples:
@@ -125,23 +136,19 @@ def spec_emit_wireshark(grammar: str | None, output: str) -> None:
     of personal Lua plugins.
     """
     from bilprov.analyzer.decode.session import SKEW
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    write_output(output, lua_dissector(load_protocol(grammar), SKEW / MS).encode())
+    options.write(lua_dissector(protocol_in_use(), SKEW / MS))
 
 
-@click.command("grammar")
-@_output_option
-@click.pass_obj
-def spec_emit_grammar(grammar: str | None, output: str) -> None:
+@command(EmitOption, "grammar")
+def spec_emit_grammar(options: EmitOption) -> None:
     """The text of the grammar in use, to be changed and named with --grammar.
 
     Examples:
       bilprov spec emit grammar -o mine.py
       bilprov spec show --grammar mine.py
     """
-    from bilprov.analyzer.grammar_file import load_protocol
 
-    write_output(output, load_protocol(grammar).source.encode())
+    options.write(protocol_in_use().source)

@@ -2,46 +2,39 @@
 
 from __future__ import annotations
 
-import click
+from dataclasses import dataclass
 
-from bilprov.analyzer.cli.options import compiled, filter_option, note
+from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.options import compiled, filter_option
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
     force_option,
+    json_object,
+    json_option,
     require_writable,
     write_output,
 )
-from bilprov.analyzer.cli.progress import reading
-from bilprov.captures.text import escape_json
+from bilprov.analyzer.cli.reading import opened_captures, reading
 
 
-@click.command()
-@click.argument("files", metavar="FILE.mcap...", nargs=-1, required=True)
-@filter_option
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    help="Write everything as one JSON object; - is standard output, which then holds nothing "
-    "else.",
-)
-@click.option(
-    "--csv",
-    "csv_file",
-    metavar="FILE",
-    help="Write everything as one CSV table (file, group, key, measure, value); - is standard "
-    "output.",
-)
-@force_option
-@click.pass_obj
-def stats(
-    grammar: str | None,
-    files: tuple[str, ...],
-    expression: str | None,
-    json_file: str | None,
-    csv_file: str | None,
-    force: bool,
-) -> None:
+@dataclass(frozen=True)
+class StatsOptions:
+    """The options of `stats`."""
+
+    files: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
+    expression: str | None = filter_option()
+    json_file: str | None = json_option()
+    csv_file: str | None = option(
+        "--csv",
+        metavar="FILE",
+        help="Write everything as one CSV table (file, group, key, measure, value); - is standard "
+        "output.",
+    )
+    force: bool = force_option()
+
+
+@command(StatsOptions)
+def stats(options: StatsOptions) -> None:
     """Count what captures hold: frames, answers, anomalies, latencies, load, time moving.
 
     Examples:
@@ -53,44 +46,32 @@ def stats(
     analyzer/output/capture_stats.py, the CSV in stats_csv.py beside it. With --filter only what
     passes is counted, from the first such byte to the last.
     """
-    import msgspec
-
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.capture_stats import file_stats, stats_of
     from bilprov.analyzer.output.charts import ASCII, BLOCKS
     from bilprov.analyzer.output.console import can_show, show
     from bilprov.analyzer.output.stats_csv import stats_csv
     from bilprov.analyzer.output.stats_tables import drawn
-    from bilprov.analyzer.replay.capture_session import capture_line, said_about
+    from bilprov.analyzer.replay.capture_session import capture_line
     from bilprov.analyzer.replay.capture_totals import capture_totals
     from bilprov.analyzer.totals.totals import Totals
-    from bilprov.captures.reader import open_capture
 
-    named = {"--json": json_file, "--csv": csv_file}
+    named = {"--json": options.json_file, "--csv": options.csv_file}
     outputs = [(option, path) for option, path in named.items() if path is not None]
-    require_writable(outputs, inputs=files, force=force)
-    protocol = load_protocol(grammar)
-    test = compiled(expression, protocol)
-    captures = [open_capture(file) for file in files]
-    for capture in captures:
-        for sentence in said_about(capture, protocol):
-            note(sentence)
+    require_writable(outputs, inputs=options.files, force=options.force)
+    protocol = protocol_in_use()
+    test = compiled(options.expression, protocol)
+    captures = opened_captures(options.files, protocol)
     each, together = [], Totals(protocol)
     with reading(captures) as progress:
         for capture in captures:
-            totals = capture_totals(
-                capture,
-                protocol,
-                progress,
-                test.started(capture.start) if test else None,
-            )
+            started = test and test.started(capture.start)
+            totals = capture_totals(capture, protocol, progress, started)
             together.merge(totals)
             each.append(file_stats(capture, totals, capture_line(capture, protocol)))
-    found = stats_of(protocol, each, together, expression)
-    if json_file is not None:
-        text = msgspec.json.format(msgspec.json.encode(found), indent=1) + b"\n"
-        write_output(json_file, escape_json(text))
-    if csv_file is not None:
-        write_output(csv_file, stats_csv(found).encode())
+    found = stats_of(protocol, each, together, options.expression)
+    if options.json_file is not None:
+        write_output(options.json_file, json_object(found))
+    if options.csv_file is not None:
+        write_output(options.csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():
         show(*drawn(found, BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII))

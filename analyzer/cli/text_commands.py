@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
 from bilprov.analyzer.cli.options import sender_option, text_format_option
 from bilprov.analyzer.output.console import show_as
 
 
-@click.command()
-@click.argument("words", metavar="HEX...", nargs=-1, required=True)
-@sender_option
-@text_format_option
-@click.pass_obj
-def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str) -> None:
+@dataclass(frozen=True)
+class ExplainOptions:
+    """The options of `explain`."""
+
+    words: tuple[str, ...] = argument(metavar="HEX...", nargs=-1, required=True)
+    sender: str = sender_option()
+    style: str = text_format_option()
+
+
+@command(ExplainOptions)
+def explain(options: ExplainOptions) -> None:
     """Explain bytes, bit by bit.
 
     Examples:
@@ -27,15 +34,14 @@ def explain(grammar: str | None, words: tuple[str, ...], sender: str, style: str
     reading or erratum of the document that this rests on, and the nearest valid frame.
     """
     from bilprov.analyzer.cli.typed_input import bytes_from_hex
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.analyzer.output.explanation import as_json, drawn
     from bilprov.spec import explain as explaining
 
-    data = _or_sentence(bytes_from_hex, " ".join(words))
-    protocol = load_protocol(grammar)
-    make = explaining.explain if sender == "host" else explaining.explain_responses
+    data = _or_sentence(bytes_from_hex, " ".join(options.words))
+    protocol = protocol_in_use()
+    make = explaining.explain if options.sender == "host" else explaining.explain_responses
     explanation = make(protocol, data)
-    show_as(style, lambda: as_json(explanation), lambda: drawn(explanation))
+    show_as(options.style, lambda: as_json(explanation), lambda: drawn(explanation))
 
 
 def _or_sentence(function: Any, *arguments: Any) -> Any:
@@ -46,13 +52,18 @@ def _or_sentence(function: Any, *arguments: Any) -> Any:
         raise click.ClickException(str(error)) from None
 
 
+@dataclass(frozen=True)
+class EncodeOptions:
+    """The options of `encode`."""
+
+    name: str = argument(metavar="INSTRUCTION")
+    values: tuple[str, ...] = argument(metavar="[FIELD=VALUE]...", nargs=-1)
+    raw: bool = flag("Write the bytes themselves, for a pipe.")
+
+
 # A negative value looks like an option; here it is taken as a value, whose range check refuses it.
-@click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("name", metavar="INSTRUCTION")
-@click.argument("values", metavar="[FIELD=VALUE]...", nargs=-1)
-@click.option("--raw", is_flag=True, help="Write the bytes themselves, for a pipe.")
-@click.pass_obj
-def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -> None:
+@command(EncodeOptions, context_settings={"ignore_unknown_options": True})
+def encode(options: EncodeOptions) -> None:
     """Build the bytes of an instruction and print them in hex.
 
     Examples:
@@ -65,14 +76,13 @@ def encode(grammar: str | None, name: str, values: tuple[str, ...], raw: bool) -
     INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """
     from bilprov.analyzer.cli.typed_input import encoded
-    from bilprov.analyzer.grammar_file import load_protocol
     from bilprov.spec.codec import spaced
 
-    for word in (name, *values):
+    for word in (options.name, *options.values):
         if word.startswith("-") and not word[1:2].isdigit():
             raise click.NoSuchOption(word, possibilities=["--raw", "--help", "--grammar"])
-    frame = _or_sentence(encoded, load_protocol(grammar), name, values)
-    if raw:
+    frame = _or_sentence(encoded, protocol_in_use(), options.name, options.values)
+    if options.raw:
         sys.stdout.buffer.write(frame)
     else:
         click.echo(spaced(frame))

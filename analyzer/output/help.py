@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any
 
 import click
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 _WIDEST = 120  # columns; longer lines of prose are hard to read
 _TERM_WIDEST = 30  # columns of an option and its value; the help of a longer one begins below it
@@ -18,7 +16,7 @@ _SHORT = re.compile(r"-\w")  # how an option begins that has a short spelling
 _NAMES = re.compile(r"(?<!\S)--?\w[\w-]*|^\s*\w+")  # an option's spellings, or the first word
 HELP_NAMES = ("-h", "--help")
 _EXAMPLES = "Examples:"
-_PANEL = "panel"  # the attribute of an option that names the heading it stands under
+_OTHERS = "Options"  # the heading of options without one of their own
 
 
 class Page(click.HelpFormatter):
@@ -96,42 +94,6 @@ def examples_in(text: str) -> list[str]:
     return [line.strip() for line in lines]
 
 
-def panel(heading: str, *options: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """Add options to a command, which stand together under a heading of its help.
-
-    The command is of the class `PanelCommand`, whose other options follow under `Options`.
-    """
-
-    def decorated(command: Command) -> Command:
-        known = list(getattr(command, "__click_params__", ()))
-        for option in reversed(options):
-            command = option(command)
-        for param in getattr(command, "__click_params__", ()):
-            if not any(param is one for one in known):
-                setattr(param, _PANEL, heading)
-        return command
-
-    return decorated
-
-
-class PanelCommand(click.Command):
-    """A command whose help lists its options by panel."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the panels of options in their order, and then the others."""
-        panels: dict[str, list[tuple[str, str]]] = {}
-        others: list[tuple[str, str]] = []
-        for param in self.get_params(ctx):
-            record = param.get_help_record(ctx)
-            if isinstance(param, click.Option) and record is not None:
-                heading = getattr(param, _PANEL, None)
-                rows = panels.setdefault(heading, []) if heading else others
-                rows.append(record)
-        for heading, rows in (*panels.items(), ("Options", others)):
-            with formatter.section(heading):
-                formatter.write_dl(rows)
-
-
 class PageContext(click.Context):
     """The context of a command whose help is a Page, and asked for with -h or --help.
 
@@ -142,6 +104,30 @@ class PageContext(click.Context):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **{"help_option_names": list(HELP_NAMES)} | options)
+
+
+class PageOption(click.Option):
+    """An option that may stand under a heading of its own in the help."""
+
+    def __init__(self, *arguments: Any, heading: str = _OTHERS, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.heading = heading
+
+
+class PageCommand(click.Command):
+    """A command whose help is a Page, which lists the options by their headings."""
+
+    context_class = PageContext
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options below their headings; those without one are the last."""
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            if isinstance(param, click.Option) and (record := param.get_help_record(ctx)):
+                rows.setdefault(getattr(param, "heading", _OTHERS), []).append(record)
+        for heading in sorted(rows, key=_OTHERS.__eq__):
+            with formatter.section(heading):
+                formatter.write_dl(rows[heading])
 
 
 class Group(click.Group):
@@ -163,14 +149,6 @@ class Group(click.Group):
                     [(name, one.get_short_help_str(limit=1000)) for name, one in commands if one]
                 )
         click.Command.format_options(self, ctx, formatter)
-
-
-def with_pages(command: click.Command) -> click.Command:
-    """Let the help of a command, and of all commands below it, be a Page; returns the command."""
-    command.context_class = PageContext
-    for below in command.commands.values() if isinstance(command, click.Group) else ():
-        with_pages(below)
-    return command
 
 
 def _columns() -> int:

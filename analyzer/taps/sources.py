@@ -342,7 +342,7 @@ def opened_tap(given: Mapping[str, Sequence[str | None]], settings: LineSettings
     ports = {
         option: [name for name in names if name is not None] for option, names in given.items()
     }
-    asked = [tap for tap in TAPS if ports[tap.option]]
+    asked = [tap for tap in TAPS if ports.get(tap.option)]
     usages = " or ".join(tap.usage for tap in TAPS)
     if not asked:
         raise ValueError(f"nothing to sniff: give {usages}")

@@ -7,29 +7,23 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any, TypeVar
 
 import click
 import msgspec
 
+from bilprov.analyzer.cli.command import command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     Finite,
-    asked_here,
     confirm_motion,
-    line_options,
     milliseconds,
     note,
     note_hindrances,
     note_suspension,
 )
-from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.help import PanelCommand, panel
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper, undisturbed
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
@@ -41,38 +35,30 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
-from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases import budget
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.run_movement import run_movement
 from bilprov.conformance.cases.selection import matching, shard_named
-from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
-    gathered,
-    named_device,
     read_profile,
-    update_expected_option,
+    seed_option,
+    verbose_option,
     with_expected,
 )
 from bilprov.conformance.cli.outputs import (
     Output,
     deliver,
     onto_standard_output,
-    output_options,
+    outputs_of,
+    outputs_option,
     require_writable,
 )
-from bilprov.conformance.dut.port_link import by_command
-from bilprov.conformance.dut.probes import PROBES, asks_person
-from bilprov.conformance.dut.target import (
-    PORT,
-    SIM,
-    Target,
-    TargetName,
-    open_target,
-    target_named,
-)
+from bilprov.conformance.cli.robot import RobotOptions
+from bilprov.conformance.dut.probes import asks_person
+from bilprov.conformance.dut.target import PORT, Target, target_named
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile import profile_text
 from bilprov.conformance.report.run_report import Report
@@ -81,198 +67,123 @@ from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.movement import movement_words
 from bilprov.spec.protocol import Protocol
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
+@dataclass(frozen=True)
+class CaseOptions:
+    """Which cases are run."""
 
-@dataclass(frozen=True, slots=True)
-class RobotOptions:
-    """The options that say what is tested and how it is reached."""
-
-    target: str
-    probe: str | None
-    power: str | None
-    fault: str | None
-    variant: str | None
-    baud: int | None
-    parity: str | None
-    stopbits: str | None
-    yes: bool
-    reconnect: float | None = None
-
-    def settings(self, protocol: Protocol, name: TargetName) -> LineSettings:
-        """The line's settings; the simulator and boards have the grammar's. Raises ValueError."""
-        if name.kind != PORT:
-            return line_settings(protocol, None, None, None)
-        return line_settings(protocol, self.baud, self.parity, self.stopbits)
-
-    def fitting(self, name: TargetName) -> RobotOptions:
-        """The options without the settings that are for ports only, if this is none.
-
-        Raises UsageError for an option of the command line that is not for this kind of target.
-        """
-        probe = self.probe if asked_here("probe") or not name.own_probe else None
-        power = self.power if asked_here("power") or name.kind == PORT else None
-        if name.own_probe and probe not in (None, SIM):
-            raise click.UsageError(
-                f"the target {name.text} brings its own probe; --probe {probe} is for ports"
-            )
-        if name.kind != SIM and (self.fault or self.variant):
-            option = "--fault" if self.fault else "--variant"
-            raise click.UsageError(
-                f"{option} is for the target sim; start `bilprov simulate {option}`"
-            )
-        if self.reconnect is not None and name.kind != PORT:
-            raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
-        if power is not None and (name.kind != PORT or not power.startswith("exec:")):
-            raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
-        return replace(self, probe=probe, power=power)
-
-
-def _milliseconds(name: str, text: str) -> Callable[[Command], Command]:
-    return click.option(name, metavar="MS", type=milliseconds, help=text)
-
-
-@click.command(cls=PanelCommand)
-@click.argument(
-    "target",
-    metavar="PORT|sim|emulator:KIND:FIRMWARE",
-    type=PortName(),
-)
-@panel(
-    "Device",
-    click.option(
-        "--probe",
-        help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (the default for a "
-        "port) "
-        "or sim (the target sim's own).",
-    ),
-    click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on."),
-    line_options,
-    click.option("--yes", is_flag=True, help="The robot may move: do not ask."),
-    click.option(
-        "--reconnect",
-        metavar="S",
-        type=Finite(0, 86_400, min_open=True),
-        help="Wait so long for a port that is unplugged, then continue: the case is inconclusive.",
-    ),
-    click.option(
-        "--fault",
-        metavar="NAME",
-        shell_complete=completion.faults,
-        help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
-    ),
-    click.option(
-        "--variant",
-        metavar="NAME",
-        shell_complete=completion.variants,
-        help="With sim: read the document in this legal way.",
-    ),
-)
-@panel(
-    "Cases",
-    click.option(
-        "--level",
+    level: str = option(
         metavar="LEVEL",
         type=click.Choice(list(LEVELS)),
         default=STANDARD.name,
         show_default=True,
         help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
-    ),
-    click.option(
-        "--only",
-        multiple=True,
-        metavar="GLOB",
-        help="Only these cases; * crosses /.",
-    ),
-    click.option("--list", "listing", is_flag=True, help="List the cases and send nothing."),
-    click.option("--fail-fast", is_flag=True, help="End after the first failure."),
-    click.option(
-        "--shard", "share", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
-    ),
-    click.option(
-        "--seed",
-        type=int,
-        default=1,
-        show_default=True,
-        help="Seed for the choice of data and motions.",
-    ),
-    click.option(
-        "--extra",
+    )
+    only: tuple[str, ...] = option(
+        multiple=True, metavar="GLOB", help="Only these cases; * crosses /."
+    )
+    listing: bool = flag("List the cases and send nothing.", "--list")
+    fail_fast: bool = flag("End after the first failure.")
+    share: str | None = option(
+        "--shard", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
+    )
+    seed: int = seed_option(help="Seed for the choice of data and motions.")
+    extra: int = option(
         metavar="N",
         type=click.IntRange(0),
         default=0,
         help="With --level complete: find devices of up to N more states than the Protocol's "
         "machine.",
-    ),
-    click.option(
-        "--soak",
+    )
+    soak: int = option(
         metavar="N",
         type=click.IntRange(0),
         default=0,
         help="Add N faults, in a random sequence for every 1,000 of them.",
-    ),
-)
-@panel(
-    "Time",
-    click.option(
-        "--budget",
+    )
+
+
+_milliseconds = partial(option, metavar="MS", type=milliseconds)
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """How long the run and its parts take."""
+
+    budget: float | None = option(
         metavar="S",
         type=Finite(1, 86_400),
         help="Drop the cases that add least per second, and list them; fill the time left with "
         "random ones.",
-    ),
-    _milliseconds("--deadline", "How soon an answer is due: later is slow, and non-strict."),
-    _milliseconds("--silence", "How long the line is listened to after an answer."),
-    _milliseconds("--truncation-timeout", "The pause that ends a frame; measured unless given."),
-    click.option(
-        "--patient",
-        is_flag=True,
-        help="Continue when the run takes more than three times as long as announced; "
-        "otherwise it ends (3, or 1 if a case failed).",
-    ),
-)
-@panel(
-    "Reports",
-    output_options(),
-    click.option("--record", metavar="FILE.mcap", help="Record the run into a new capture."),
-    click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass."),
-)
-@panel(
-    "Known failures",
-    expect_failures_option,
-    update_expected_option,
-    click.option(
-        "--allow",
+    )
+    deadline: float | None = _milliseconds(
+        help="How soon an answer is due: later is slow, and non-strict."
+    )
+    silence: float | None = _milliseconds(help="How long the line is listened to after an answer.")
+    truncation_timeout: float | None = _milliseconds(
+        help="The pause that ends a frame; measured unless given."
+    )
+    patient: bool = flag(
+        "Continue when the run takes more than three times as long as announced; "
+        "otherwise it ends (3, or 1 if a case failed)."
+    )
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What is written of the run."""
+
+    outputs: dict[str, str] = outputs_option()
+    record: str | None = option(metavar="FILE.mcap", help="Record the run into a new capture.")
+    verbose: bool = verbose_option()
+
+
+@dataclass(frozen=True)
+class KnownOptions:
+    """What is known of the device, and does not count as a failure."""
+
+    expect_failures: str | None = expect_failures_option()
+    update_expected: bool = flag("Rewrite that file from what fails now; comments stay.")
+    allow: tuple[str, ...] = option(
         multiple=True,
         metavar="NAME=VALUE",
         help="Accept a choice that fails otherwise: led-upper=ignore, led-id=ID, version=1.0, "
         "unused-length=header-only, pipelining=no.",
-    ),
-    click.option(
+    )
+    profile_path: str | None = option(
         "--profile",
-        "profile_path",
         metavar="FILE.toml",
         help="Compare the device with this profile; a missing file is written from this run.",
-    ),
-    click.option("--strict", is_flag=True, help="Count non-strict as failed."),
-)
-@click.pass_obj
-@gathered("robot", RobotOptions)
-@gathered("options", Options)
-def conform(
-    grammar: str | None,
-    robot: RobotOptions,
-    options: Options,
-    share: str | None,
-    listing: bool,
-    profile_path: str | None,
-    outputs: list[Output],
-    expect_failures: str | None,
-    update_expected: bool,
-    record: str | None,
-    patient: bool,
-    verbose: bool,
-) -> int:
+    )
+    strict: bool = flag("Count non-strict as failed.")
+
+
+@dataclass(frozen=True)
+class ConformOptions:
+    """The options of `conform`, by the headings of its help."""
+
+    robot: RobotOptions = group(RobotOptions, "Device")
+    reconnect: float | None = option(
+        metavar="S",
+        type=Finite(0, 86_400, min_open=True),
+        heading="Device",
+        help="Wait so long for a port that is unplugged, then continue: the case is inconclusive.",
+    )
+    cases: CaseOptions = group(CaseOptions, "Cases")
+    times: TimeOptions = group(TimeOptions, "Time")
+    reports: ReportOptions = group(ReportOptions, "Reports")
+    known: KnownOptions = group(KnownOptions, "Known failures")
+
+    def suite(self, profile: str) -> Options:
+        """The options of the run itself. Raises ValueError for a shard that is none."""
+        share = self.cases.share
+        given = asdict(self.cases) | asdict(self.times) | asdict(self.known)
+        run = {field.name: given[field.name] for field in fields(Options) if field.name in given}
+        return Options(**run, profile=profile, shard=None if share is None else shard_named(share))
+
+
+@command(ConformOptions)
+def conform(options: ConformOptions) -> int:
     """Test a device against the document: its answers, its safety stop, its state.
 
     Examples:
@@ -286,56 +197,50 @@ def conform(
     something could not be judged. If a file or the output on the screen cannot be written, the run
     still goes on to its end, and the exit code is 2.
     """
-    protocol = load_protocol(grammar)
-    given = read_profile(protocol, profile_path, options.allow)
+    protocol, robot, known = protocol_in_use(), options.robot, options.known
+    profile = read_profile(protocol, known.profile_path, known.allow)
     try:
         name = target_named(robot.target)
         settings = robot.settings(protocol, name)
-        parse_allowed(protocol, options.allow)
-        if options.extra and options.level != COMPLETE.name:
-            raise ValueError(f"--extra {options.extra} is for --level {COMPLETE.name}")
-        shard = shard_named(share) if share is not None else None
-        options = replace(options, profile=given, shard=shard)
-        cases = select_cases(protocol, options, settings)
+        parse_allowed(protocol, known.allow)
+        if options.cases.extra and options.cases.level != COMPLETE.name:
+            raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
+        suite = options.suite(profile)
+        cases = select_cases(protocol, suite, settings)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    if listing:
-        chosen = matching(options.only or "*")
-        for case in filter(
-            lambda case: chosen(case.id), (*opening_and_reading_cases(protocol), *cases)
-        ):
-            click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
+    if options.cases.listing:
+        chosen = matching(suite.only or "*")
+        for case in (*opening_and_reading_cases(protocol), *cases):
+            if chosen(case.id):
+                click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
     robot = robot.fitting(name)
-    fresh = profile_path if not given else None
+    if options.reconnect is not None and name.kind != PORT:
+        raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
+    fresh = known.profile_path if not profile else None
+    outputs = outputs_of(options.reports.outputs)
     require_writable(outputs)
-    known = expected_file(protocol, options, expect_failures, settings, update=update_expected)
-    opened = partial(
-        open_target,
-        protocol,
-        name,
-        settings=settings,
-        probe=robot.probe,
-        power=by_command(robot.power.removeprefix("exec:")) if robot.power else None,
-        fault=named_device(protocol, robot.fault, robot.variant),
-        reconnect=robot.reconnect or 0.0,
+    expected = expected_file(
+        protocol, suite, known.expect_failures, settings, update=known.update_expected
     )
-    report, broken = _tested(opened, options, cases, record, robot, patient=patient)
+    opened = robot.opened(protocol, name, settings, reconnect=options.reconnect or 0.0)
+    report, broken = _tested(opened, replace(options, robot=robot), suite, cases)
     onto_stdout = onto_standard_output(outputs)
     if fresh is not None and not report.unusable:
         outputs.append(Output("--profile", fresh, _profile))
     # What can be written is, even if something else fails: the robot should not drive again for it.
     try:
         with undisturbed(again=False):
-            report = with_expected(report, known, expect_failures)
+            report = with_expected(report, expected, known.expect_failures)
     finally:
         try:
             deliver(outputs, [report], protocol)
         finally:
             from bilprov.conformance.report.summary import show, summary_console
 
-            show(report, summary_console(stderr=onto_stdout), everything=verbose)
+            show(report, summary_console(stderr=onto_stdout), everything=options.reports.verbose)
     if fresh is not None and not report.unusable:
         note(f"{fresh}: the profile of this device; give it again with --profile")
     if broken:
@@ -345,12 +250,9 @@ def conform(
 
 def _tested(
     opened: Callable[[Stopper], AbstractContextManager[Target]],
-    options: Options,
+    options: ConformOptions,
+    suite: Options,
     cases: Sequence[AnyCase],
-    record: str | None,
-    robot: RobotOptions,
-    *,
-    patient: bool,
 ) -> tuple[Report, Exception | None]:
     """Open the target, ask whether a robot may move, and run the cases.
 
@@ -358,19 +260,20 @@ def _tested(
     """
     from bilprov.conformance.cli.progress import Progress
 
+    robot, record = options.robot, options.reports.record
     start = time.monotonic()
     with ExitStack() as stack:
         stopper = stack.enter_context(closing(Stopper()))
         target = stack.enter_context(opened(stopper))
-        count = planned(target.protocol, options, cases)
-        if options.level == COMPLETE.name:
-            seconds = estimated(target, options, cases)
-            groups = {group(case.id) for case in cases}
-            said = announcement(target.protocol, options.extra, groups)
+        count = planned(target.protocol, suite, cases)
+        if suite.level == COMPLETE.name:
+            seconds = estimated(target, suite, cases)
+            groups = {budget.group(case.id) for case in cases}
+            said = announcement(target.protocol, suite.extra, groups)
             note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
         if target.moves:
             note_hindrances(robot.target)
-            seconds = estimated(target, options, cases)
+            seconds = estimated(target, suite, cases)
             looks = target.environment.observability
             movement = run_movement(
                 target.protocol, cases, looks=looks.available and not looks.costly
@@ -384,7 +287,7 @@ def _tested(
                 f"{quantity(count, 'case')}, {_time(seconds)} or more: {slow}"
                 "a device that answers late or not at all takes longer"
             )
-            if not patient and not asks_person(robot.probe):
+            if not options.times.patient and not asks_person(robot.probe):
                 environment = msgspec.structs.replace(target.environment, announced=seconds)
                 target = replace(target, environment=environment)
             start = time.monotonic()  # the time until the user confirmed does not count
@@ -395,11 +298,11 @@ def _tested(
         if record is not None:
             from bilprov.conformance.runner.listeners.recorder import open_recorder
 
-            recorder = open_recorder(record, target, options.truncation_timeout)
+            recorder = open_recorder(record, target, suite.truncation_timeout)
             listeners.append(stack.enter_context(recorder))
         progress = Progress(count, shown=not asks_person(robot.probe))
         listeners.append(stack.enter_context(progress))
-        report = run_suite(target, options, listeners)
+        report = run_suite(target, suite, listeners)
         if target.remark():
             note(target.remark())
     note_suspension(stopper)

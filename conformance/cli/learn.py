@@ -5,33 +5,28 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from bilprov.analyzer.cli.command import command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     confirm_motion,
-    line_options,
     note,
     note_hindrances,
     note_suspension,
 )
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
-from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.text import quantity
-from bilprov.conformance.cli import completion
-from bilprov.conformance.cli.conform import RobotOptions
-from bilprov.conformance.cli.options import gathered, named_device
+from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import write_each
-from bilprov.conformance.dut.port_link import by_command
-from bilprov.conformance.dut.probes import PROBES
-from bilprov.conformance.dut.target import Target, open_target, target_named
+from bilprov.conformance.cli.robot import RobotOptions
+from bilprov.conformance.dut.target import Target, target_named
 from bilprov.conformance.learning.drawing import (
     LARGE,
     dot_text,
@@ -56,50 +51,30 @@ class NotUsable(UserError):
     """The device, its port or its probe cannot be used for learning. One sentence."""
 
 
-@click.command()
-@click.argument("target", metavar="PORT|sim|emulator:KIND:FIRMWARE", type=PortName())
-@click.option(
-    "--probe",
-    help=f"What sees the robot: {', '.join(k.form for k in PROBES)} (the default for a port) or "
-    "sim (the target sim's own).",
-)
-@click.option("--power", metavar="exec:COMMAND", help="A command that switches it off and on.")
-@click.option("-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output.")
-@click.option(
-    "--svg",
-    metavar="FILE",
-    help="The machine as a picture, drawn by Graphviz; of a large one its kinds of motion.",
-)
-@click.option(
-    "--json", "json_path", metavar="FILE", help="Everything as JSON; - is standard output."
-)
-@click.option(
-    "--seed", type=int, default=1, show_default=True, help="Seed of the random sequences."
-)
-@click.option(
-    "--fault",
-    metavar="NAME",
-    shell_complete=completion.faults,
-    help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one.",
-)
-@click.option(
-    "--variant",
-    metavar="NAME",
-    shell_complete=completion.variants,
-    help="With sim: read the document in this legal way.",
-)
-@line_options
-@click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
-@click.pass_obj
-@gathered("robot", RobotOptions)
-def learn(
-    grammar: str | None,
-    robot: RobotOptions,
-    dot: str | None,
-    svg: str | None,
-    json_path: str | None,
-    seed: int,
-) -> int:
+@dataclass(frozen=True)
+class LearnOptions:
+    """The options of `lab learn`."""
+
+    robot: RobotOptions = group(RobotOptions)
+    dot: str | None = option(
+        "-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output."
+    )
+    svg: str | None = option(
+        metavar="FILE",
+        help="The machine as a picture, drawn by Graphviz; of a large one its kinds of motion.",
+    )
+    json: str | None = option(metavar="FILE", help="Everything as JSON; - is standard output.")
+    seed: int = seed_option(help="Seed of the random sequences.")
+
+    @property
+    def files(self) -> list[tuple[str, str]]:
+        """The options that name files, and their paths."""
+        named = {"--dot": self.dot, "--svg": self.svg, "--json": self.json}
+        return [(name, path) for name, path in named.items() if path is not None]
+
+
+@command(LearnOptions)
+def learn(options: LearnOptions) -> int:
     """Learn a device as a Mealy machine, and compare it with the machine of the Protocol.
 
     Examples:
@@ -117,7 +92,7 @@ def learn(
     from bilprov.conformance.learning.learned import Unusable, learn_target
     from bilprov.conformance.learning.learner import require_aalpy
 
-    protocol = load_protocol(grammar)
+    protocol, robot, svg = protocol_in_use(), options.robot, options.svg
     require_aalpy()
     try:
         name = target_named(robot.target)
@@ -128,17 +103,8 @@ def learn(
     promise_verdict()
     if svg is not None and not has_graphviz():
         note(f"{svg} is written in DOT: Graphviz is not installed, apt-get install graphviz")
-    asked = [("--dot", dot), ("--svg", svg), ("--json", json_path)]
-    require_writable((option, path) for option, path in asked if path is not None)
-    opened = partial(
-        open_target,
-        protocol,
-        name,
-        settings=settings,
-        probe=robot.probe,
-        power=by_command(robot.power.removeprefix("exec:")) if robot.power else None,
-        fault=named_device(protocol, robot.fault, robot.variant),
-    )
+    require_writable(options.files)
+    opened = robot.opened(protocol, name, settings)
     from bilprov.conformance.cli.progress import bar
 
     with ExitStack() as stack:
@@ -151,7 +117,7 @@ def learn(
                 "use tcp:HOST:PORT or modem:LINE"
             )
         if target.moves:
-            _confirm(target, robot, seed)
+            _confirm(target, robot, options.seed)
         stack.enter_context(stopper)
         if target.moves:
             stopper.before_suspending(target.halt)
@@ -162,14 +128,14 @@ def learn(
             shown.update(task, completed=frames, description=quantity(states, "state"))
 
         try:
-            learned = learn_target(target, seed=seed, progress=progress)
+            learned = learn_target(target, seed=options.seed, progress=progress)
         except Unusable as why:
             raise NotUsable(str(why)) from why
         if target.remark():
             note(target.remark())
     note_suspension(stopper)
-    _write(learned, dot, svg, json_path)
-    onto_stdout = STANDARD_OUTPUT in (dot, svg, json_path)
+    _write(learned, options)
+    onto_stdout = any(path == STANDARD_OUTPUT for _, path in options.files)
     for line in _told(learned):
         click.echo(line, err=onto_stdout)
     return learned.exit
@@ -194,8 +160,9 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
     note(f"about {seconds:.0f} s; unexpected answers are tried again, which takes longer")
 
 
-def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | None) -> None:
+def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
+    dot, svg = options.dot, options.svg
     texts: list[tuple[str, str]] = []
     if learned.machine is not None and (dot or svg):
         text = _drawn(learned, dot_text)
@@ -209,9 +176,9 @@ def _write(learned: Learned, dot: str | None, svg: str | None, json_path: str | 
             texts.append((_dot_path(svg), text))
     elif dot or svg:
         note("nothing is drawn: the machine was not learned")
-    if json_path is not None:
-        indent = None if json_path == STANDARD_OUTPUT else 1
-        texts.append((json_path, json.dumps(_as_json(learned), indent=indent) + "\n"))
+    if options.json is not None:
+        indent = None if options.json == STANDARD_OUTPUT else 1
+        texts.append((options.json, json.dumps(_as_json(learned), indent=indent) + "\n"))
     write_each(texts)
 
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-import click
 import msgspec
 
+from bilprov.analyzer.cli.command import argument, command, protocol_in_use
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.conformance.api import Options, select_cases
 from bilprov.conformance.cases.levels import LEVELS
-from bilprov.conformance.cli.options import expect_failures_option, expected_file, with_expected
+from bilprov.conformance.cli.options import (
+    expect_failures_option,
+    expected_file,
+    verbose_option,
+    with_expected,
+)
 from bilprov.conformance.cli.outputs import (
-    Output,
     onto_standard_output,
-    output_options,
+    outputs_of,
+    outputs_option,
     require_writable,
     write_each,
 )
@@ -30,19 +34,20 @@ from bilprov.conformance.report.merge import (
 )
 
 
-@click.command(name="merge")
-@click.argument("files", nargs=-1, required=True, metavar="REPORT.json...")
-@output_options(["json"], help="The merged report as JSON; - is standard output.")
-@expect_failures_option
-@click.option("-v", "--verbose", is_flag=True, help="List every case that did not pass.")
-@click.pass_obj
-def merge_reports(
-    grammar: str | None,
-    files: tuple[str, ...],
-    outputs: list[Output],
-    expect_failures: str | None,
-    verbose: bool,
-) -> int:
+@dataclass(frozen=True)
+class MergeOptions:
+    """The options of `merge`."""
+
+    files: tuple[str, ...] = argument(nargs=-1, required=True, metavar="REPORT.json...")
+    outputs: dict[str, str] = outputs_option(
+        ["json"], "The merged report as JSON; - is standard output."
+    )
+    expect_failures: str | None = expect_failures_option()
+    verbose: bool = verbose_option()
+
+
+@command(MergeOptions, "merge")
+def merge_reports(options: MergeOptions) -> int:
     """Merge the reports of shards into one, as if they had been one run.
 
     Examples:
@@ -55,24 +60,25 @@ def merge_reports(
     from bilprov.conformance.report.summary import show, summary_console
 
     promise_verdict()
-    require_writable(outputs, inputs=files)
-    protocol = load_protocol(grammar)
-    parts = [shard_from(name, report_file(name)) for name in files]
+    outputs = outputs_of(options.outputs)
+    require_writable(outputs, inputs=options.files)
+    protocol = protocol_in_use()
+    parts = [shard_from(name, report_file(name)) for name in options.files]
     require_together(parts, protocol)
-    options, line = _options(parts[0]), line_named(protocol, parts[0].report.link["line"])
-    known = expected_file(protocol, options, expect_failures, line)
+    run, line = _options(parts[0]), line_named(protocol, parts[0].report.link["line"])
+    known = expected_file(protocol, run, options.expect_failures, line)
     try:
-        cases = select_cases(protocol, options, line)
+        cases = select_cases(protocol, run, line)
     except ValueError as error:
         raise MergeError(f"{parts[0].name}: {error}") from error
     merged = merge(parts, protocol, cases)
-    report = with_expected(merged.report, known, expect_failures)
+    report = with_expected(merged.report, known, options.expect_failures)
     console = summary_console(stderr=onto_standard_output(outputs))
     try:
         text = merged.as_json(report).decode()
         write_each((output.path, text) for output in outputs)
     finally:
-        show(report, console, everything=verbose)
+        show(report, console, everything=options.verbose)
     return report.exit
 
 

@@ -5,16 +5,17 @@ What makes and selects cases is imported by the functions that need it: `simulat
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields, replace
-from functools import wraps
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import flag, option
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.files import read_bounded
+from bilprov.conformance.cli import completion
 
 if TYPE_CHECKING:
     from bilprov.analyzer.transport.line_settings import LineSettings
@@ -23,23 +24,6 @@ if TYPE_CHECKING:
     from bilprov.conformance.report.expected_file import ExpectedFile
     from bilprov.conformance.report.run_report import Report
     from bilprov.spec.protocol import Protocol
-
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def gathered(name: str, kind: type[Any]) -> Callable[[Command], Command]:
-    """Give a command the arguments that are fields of a dataclass as one value of it, `name`."""
-    names = {field.name for field in fields(kind)}
-
-    def decorate(command: Command) -> Command:
-        @wraps(command)
-        def call(*arguments: Any, **options: Any) -> Any:
-            value = kind(**{option: options.pop(option) for option in names & options.keys()})
-            return command(*arguments, **options, **{name: value})
-
-        return cast(Command, call)
-
-    return decorate
 
 
 def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> Fault | None:
@@ -83,19 +67,18 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
 
 _SHOWN = 8  # changed lines
 
-expect_failures_option = click.option(
-    "--expect-failures",
+# Options of several commands.
+expect_failures_option = partial(
+    option,
     metavar="FILE",
     help="Failures that do not count: lines of GLOB : AXIS: MESSAGE, a glob of case ids, the axis "
-    "that fails (answer, stop, state) and, optionally, the message; # begins a comment. One "
-    "that no "
-    "longer fails is itself a failure.",
+    "that fails (answer, stop, state) and, optionally, the message; # begins a comment. One that "
+    "no longer fails is itself a failure.",
 )
-update_expected_option = click.option(
-    "--update-expected",
-    is_flag=True,
-    help="Rewrite that file from what fails now; comments stay.",
-)
+seed_option = partial(option, type=int, default=1, show_default=True)
+fault_option = partial(option, metavar="NAME", shell_complete=completion.faults)
+variant_option = partial(option, metavar="NAME", shell_complete=completion.variants)
+verbose_option = partial(flag, "List every case that did not pass.", "-v", "--verbose")
 
 
 def expected_file(

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import click
 
 from bilprov.analyzer.cli import output_files
+from bilprov.analyzer.cli.command import option_each
 from bilprov.analyzer.transport.signals import undisturbed
 from bilprov.conformance.report.formats import FORMATS, Writer
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Output(NamedTuple):
@@ -26,31 +24,19 @@ class Output(NamedTuple):
     write: Writer
 
 
-def output_options(
-    names: Iterable[str] = tuple(FORMATS), *, help: str = ""
-) -> Callable[[Command], Callable[..., Any]]:
-    """Add the options of some formats to a command, which gets the outputs asked for: `outputs`.
+def outputs_option(names: Iterable[str] = tuple(FORMATS), help: str = "") -> Any:
+    """A field with the paths of the options of some formats, by format.
 
     `help` stands in for the help text of the format.
     """
+    return option_each(
+        {name: {"metavar": "FILE", "help": help or FORMATS[name].help} for name in names}
+    )
 
-    def decorated(command: Command) -> Callable[..., Any]:
-        @wraps(command)
-        def called(*arguments: Any, **options: Any) -> Any:
-            paths = {name: options.pop(name) for name in names}
-            outputs = [
-                Output(f"--{name}", path, FORMATS[name].write)
-                for name, path in paths.items()
-                if path is not None
-            ]
-            return command(*arguments, outputs=outputs, **options)
 
-        for name in reversed(tuple(names)):
-            text = help or FORMATS[name].help
-            click.option(f"--{name}", name, metavar="FILE", help=text)(called)
-        return called
-
-    return decorated
+def outputs_of(paths: Mapping[str, str]) -> list[Output]:
+    """The outputs that were asked for, by the paths of an `outputs_option`."""
+    return [Output(f"--{name}", path, FORMATS[name].write) for name, path in paths.items()]
 
 
 def onto_standard_output(outputs: Iterable[Output]) -> bool:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import click
 
+from bilprov.analyzer.cli.command import argument, command, protocol_in_use
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable, quantity
 from bilprov.conformance.cli.outputs import (
-    Output,
     onto_standard_output,
-    output_options,
+    outputs_of,
+    outputs_option,
     require_writable,
     write_each,
 )
@@ -21,11 +23,18 @@ from bilprov.conformance.recheck import recheck as judged_again
 from bilprov.conformance.report.json_report import as_json
 
 
-@click.command()
-@click.argument("path", metavar="FILE.mcap")
-@output_options(["json"], help="The new report as JSON; - is standard output.")
-@click.pass_obj
-def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
+@dataclass(frozen=True)
+class RecheckOptions:
+    """The options of `recheck`."""
+
+    path: str = argument(metavar="FILE.mcap")
+    outputs: dict[str, str] = outputs_option(
+        ["json"], "The new report as JSON; - is standard output."
+    )
+
+
+@command(RecheckOptions)
+def recheck(options: RecheckOptions) -> int:
     """Judge a recorded run again, from its bytes and observations alone.
 
     Examples:
@@ -42,9 +51,10 @@ def recheck(grammar: str | None, path: str, outputs: list[Output]) -> int:
     it with cases that this one no longer makes.
     """
     promise_verdict()
+    path, outputs = options.path, outputs_of(options.outputs)
     require_writable(outputs, inputs=[path])
     to_stdout = onto_standard_output(outputs)
-    found = judged_again(path, load_protocol(grammar) if grammar else None)
+    found = judged_again(path, protocol_in_use() if click.get_current_context().obj else None)
     try:
         if found.report is not None:
             text = as_json(found.report).decode()

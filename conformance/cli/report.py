@@ -2,54 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import click
 from msgspec import structs
 
+from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.conformance.cli.outputs import (
-    Output,
-    deliver,
-    output_options,
-    require_writable,
-)
+from bilprov.conformance.cli.outputs import deliver, outputs_of, outputs_option, require_writable
 from bilprov.conformance.report.formats import SEVERAL
 from bilprov.conformance.report.json_report import ReportError, read_report
 from bilprov.spec.errors import one_line
 
-*_FIRST, _LAST = sorted(f"--{name}" for name in SEVERAL)
-_HELP = f"""Write pages from what conform --json wrote, several runs side by side.
 
-Examples:
-  bilprov report run.json
-  bilprov report monday.json tuesday.json --html week.html
+@dataclass(frozen=True)
+class ReportOptions:
+    """The options of `report`."""
 
-Without {", ".join(_FIRST)} or {_LAST} a table is shown here. Exit code: 0 once it is written,
-whatever the verdicts are.
-"""
+    results: tuple[str, ...] = argument(nargs=-1, required=True, metavar="A.json [B.json ...]")
+    outputs: dict[str, str] = outputs_option(SEVERAL)
+    verbose: bool = flag("List every case that differs or did not pass.", "-v", "--verbose")
 
 
-@click.command(help=_HELP)
-@click.argument("results", nargs=-1, required=True, metavar="A.json [B.json ...]")
-@output_options(SEVERAL)
-@click.option("-v", "--verbose", is_flag=True, help="List every case that differs or did not pass.")
-@click.pass_obj
-def report(
-    grammar: str | None,
-    results: tuple[str, ...],
-    outputs: list[Output],
-    verbose: bool,
-) -> int:
-    """Write reports that are read from files in other formats, or show them."""
+@command(ReportOptions)
+def report(options: ReportOptions) -> int:
+    """Write pages from what conform --json wrote, several runs side by side.
+
+    Examples:
+      bilprov report run.json
+      bilprov report monday.json tuesday.json --html week.html
+
+    Without --html, --junit or --markdown a table is shown here. Exit code: 0 once it is written,
+    whatever the verdicts are.
+    """
     promise_verdict()
-    require_writable(outputs, inputs=results)
+    outputs, verbose = outputs_of(options.outputs), options.verbose
+    require_writable(outputs, inputs=options.results)
     try:
-        reports = [structs.replace(read_report(path), file=one_line(path)) for path in results]
+        reports = [
+            structs.replace(read_report(path), file=one_line(path)) for path in options.results
+        ]
     except ReportError as error:
         raise click.UsageError(str(error)) from error
-    protocol = load_protocol(grammar)
+    protocol = protocol_in_use()
     deliver(outputs, reports, protocol)
     if not outputs:
         from bilprov.conformance.report.summary import show, show_compared, summary_console

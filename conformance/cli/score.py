@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
+from bilprov.analyzer.cli.command import command, option, protocol_in_use
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli import completion
+from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import (
-    Output,
     onto_standard_output,
-    output_options,
+    outputs_of,
+    outputs_option,
     require_writable,
     write_each,
 )
@@ -28,46 +30,41 @@ if TYPE_CHECKING:
 _SHOWN = 4  # faults named behind a case group
 
 
-@click.command(name="score")
-@click.option("--level", "at", multiple=True, metavar="LEVEL", help="Only this level; repeatable.")
-@click.option(
-    "--random",
-    "drawn",
-    type=click.IntRange(0),
-    default=300,
-    show_default=True,
-    metavar="N",
-    help="How many random faults, random:1 to random:N.",
-)
-@click.option(
-    "--fault-seed",
-    type=click.IntRange(0),
-    metavar="S",
-    help="Only random faults, random:S.1 to random:S.N, of wider families.",
-)
-@click.option("--seed", type=int, default=1, show_default=True, help="The suite's seed.")
-@click.option(
-    "--only",
-    multiple=True,
-    metavar="GLOB",
-    shell_complete=completion.faults,
-    help="Only faults of these names.",
-)
-@output_options(["json"], help="Everything as JSON; - is standard output.")
-@click.option(
-    "--jobs", type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
-)
-@click.pass_obj
-def score_suite(
-    grammar: str | None,
-    at: tuple[str, ...],
-    drawn: int,
-    fault_seed: int | None,
-    seed: int,
-    only: tuple[str, ...],
-    outputs: list[Output],
-    jobs: int | None,
-) -> int:
+@dataclass(frozen=True)
+class ScoreOptions:
+    """The options of `lab score`."""
+
+    at: tuple[str, ...] = option(
+        "--level", multiple=True, metavar="LEVEL", help="Only this level; repeatable."
+    )
+    drawn: int = option(
+        "--random",
+        type=click.IntRange(0),
+        default=300,
+        show_default=True,
+        metavar="N",
+        help="How many random faults, random:1 to random:N.",
+    )
+    fault_seed: int | None = option(
+        type=click.IntRange(0),
+        metavar="S",
+        help="Only random faults, random:S.1 to random:S.N, of wider families.",
+    )
+    seed: int = seed_option(help="The suite's seed.")
+    only: tuple[str, ...] = option(
+        multiple=True,
+        metavar="GLOB",
+        shell_complete=completion.faults,
+        help="Only faults of these names.",
+    )
+    outputs: dict[str, str] = outputs_option(["json"], "Everything as JSON; - is standard output.")
+    jobs: int | None = option(
+        type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
+    )
+
+
+@command(ScoreOptions, "score")
+def score_suite(options: ScoreOptions) -> int:
     """Score the suite: run it, in virtual time, against every known faulty device.
 
     Examples:
@@ -82,14 +79,15 @@ def score_suite(
 
     from bilprov.conformance.cli.progress import bar
 
-    protocol = load_protocol(grammar)
+    protocol, at, only = protocol_in_use(), options.at, options.only
     unknown = [level for level in at if level not in LEVELS]
     if unknown:
         raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(LEVELS)}")
-    faults = chosen_faults(protocol, drawn, only, fault_seed)
+    faults = chosen_faults(protocol, options.drawn, only, options.fault_seed)
     if not faults:
         none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
         raise click.UsageError(f"no fault {none}; see simulate --list-faults")
+    outputs = outputs_of(options.outputs)
     require_writable(outputs)
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
     with bar() as shown:
@@ -98,9 +96,8 @@ def score_suite(
         def told(name: str) -> None:
             shown.update(task, advance=1, description=name[:40].ljust(40))
 
-        found = score(
-            protocol, faults, at=at, seed=seed, jobs=jobs or os.cpu_count() or 1, progress=told
-        )
+        jobs = options.jobs or os.cpu_count() or 1
+        found = score(protocol, faults, at=at, seed=options.seed, jobs=jobs, progress=told)
     try:
         write_each((output.path, _as_json(found, output.path)) for output in outputs)
     finally:

@@ -5,73 +5,61 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Literal
 
 import click
 
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
+    LineOptions,
     asked_here,
-    line_options,
     max_drive_option,
     timeout_option,
+    yes_option,
 )
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
+from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
 
 
-@click.command()
-@click.argument("target", metavar="PORT|sim", type=PortName())
-@click.argument("items", nargs=-1, metavar="[ITEM]...")
-@click.option("--together", is_flag=True, help="Send the ITEMs without waiting for the answers.")
-@click.option(
-    "--expect",
-    "expectations",
-    multiple=True,
-    metavar="ANSWER,...",
-    help="The answer to each ITEM, in order: names or numbers, none for no answer. "
-    "Exit code 0 if exactly these come, else 1.",
-)
-@click.option(
-    "--format", "style", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
-)
-@click.option(
-    "--probe",
-    help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (the "
-    "default for a port) or sim (the target sim's own).",
-)
-@click.option("--yes", is_flag=True, help="The robot may move: do not ask.")
-@max_drive_option
-@click.option(
-    "--wait",
-    is_flag=True,
-    help="With ITEMs: wait for a port that is not there yet, and for one that is unplugged "
-    "meanwhile.",
-)
-@line_options
-@timeout_option
-@click.pass_obj
-def send(
-    grammar: str | None,
-    target: str,
-    items: tuple[str, ...],
-    together: bool,
-    expectations: tuple[str, ...],
-    style: Literal["lines", "jsonl"],
-    probe: str | None,
-    yes: bool,
-    max_drive: float,
-    wait: bool,
-    baud: int | None,
-    parity: str | None,
-    stopbits: str | None,
-    truncation_timeout: float | None,
-) -> int:
+@dataclass(frozen=True)
+class SendOptions:
+    """The options of `send`."""
+
+    target: str = argument(metavar="PORT|sim", type=PortName())
+    items: tuple[str, ...] = argument(nargs=-1, metavar="[ITEM]...")
+    together: bool = flag("Send the ITEMs without waiting for the answers.")
+    expectations: tuple[str, ...] = option(
+        "--expect",
+        multiple=True,
+        metavar="ANSWER,...",
+        help="The answer to each ITEM, in order: names or numbers, none for no answer. "
+        "Exit code 0 if exactly these come, else 1.",
+    )
+    style: Literal["lines", "jsonl"] = option(
+        "--format", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
+    )
+    probe: str | None = option(
+        help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (the "
+        "default for a port) or sim (the target sim's own)."
+    )
+    yes: bool = yes_option()
+    max_drive: float = max_drive_option()
+    wait: bool = flag(
+        "With ITEMs: wait for a port that is not there yet, and for one that is unplugged "
+        "meanwhile."
+    )
+    line: LineOptions = group(LineOptions)
+    truncation_timeout: float | None = timeout_option()
+
+
+@command(SendOptions)
+def send(options: SendOptions) -> int:
     """Send instructions or bytes to a device, or drive it by hand.
 
     Examples:
@@ -96,21 +84,21 @@ def send(
     was cut short; 2 the port cannot be used, nobody answers, or an ITEM is not valid. Driving by
     hand on a terminal: 0.
     """
-    protocol = load_protocol(grammar)
-    settings = line_settings(protocol, baud, parity, stopbits)
-    timeout = timeout_in_ns(protocol, truncation_timeout)
+    protocol, target, items = protocol_in_use(), options.target, options.items
+    settings = options.line.settings(protocol)
+    timeout = timeout_in_ns(protocol, options.truncation_timeout)
     others = ("probe",) if items else ("together", "expectations", "wait")
     for name in filter(asked_here, others):
-        option = "expect" if name == "expectations" else name
+        spelling = "expect" if name == "expectations" else name
         use = "only for driving by hand: leave out the ITEMs" if items else "only for ITEMs"
-        raise click.UsageError(f"--{option} is {use}")
+        raise click.UsageError(f"--{spelling} is {use}")
     if target.startswith(BOARD):
         raise click.UsageError(
             f"{target} is for conform: start `bilprov simulate --firmware FILE.elf` and "
             "name the pty that it prints"
         )
     with ExitStack() as stack:
-        port = target
+        port, probe, yes = target, options.probe, options.yes
         if target == SIM:
             if probe not in (None, SIM) and asked_here("probe"):
                 raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
@@ -125,12 +113,12 @@ def send(
                 items,
                 settings,
                 timeout,
-                together=together,
-                expectations=expectations,
-                style=style,
+                together=options.together,
+                expectations=options.expectations,
+                style=options.style,
                 yes=yes,
-                max_drive=max_drive,
-                wait=wait,
+                max_drive=options.max_drive,
+                wait=options.wait,
             )
         from bilprov.conformance.cli.shell.session import drive
 
@@ -140,9 +128,9 @@ def send(
             settings,
             timeout,
             probe=probe,
-            style=style,
+            style=options.style,
             yes=yes,
-            max_drive=max_drive,
+            max_drive=options.max_drive,
         )
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.options import note
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.conformance.cli import completion
-from bilprov.conformance.cli.options import named_device
+from bilprov.conformance.cli.options import fault_option, named_device, variant_option
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 from bilprov.spec.protocol import Protocol
@@ -25,44 +25,32 @@ if TYPE_CHECKING:
     from bilprov.conformance.dut.boards.paced import PacedBoard
 
 
-@click.command()
-@click.option(
-    "--firmware",
-    type=click.Path(path_type=Path),
-    metavar="FILE.elf",
-    help="Run this firmware for an Arduino Uno under simavr instead.",
-)
-@click.option("--pty", is_flag=True, help="Serve a pty: the default unless --listen is given.")
-@click.option("--listen", metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any.")
-@click.option(
-    "--probe-listen", metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
-)
-@click.option(
-    "--fault",
-    metavar="NAME",
-    shell_complete=completion.faults,
-    help="Misbehave in one way; random:SEED or random:SEED.NUMBER draws one.",
-)
-@click.option(
-    "--variant",
-    metavar="NAME",
-    shell_complete=completion.variants,
-    help="Read the document in another legal way.",
-)
-@click.option("--list-faults", is_flag=True, help="List the named faults.")
-@click.option("--list-variants", is_flag=True, help="List the legal variants, and mixtures.")
-@click.pass_obj
-def simulate(
-    grammar: str | None,
-    firmware: Path | None,
-    pty: bool,
-    listen: str | None,
-    probe_listen: str | None,
-    fault: str | None,
-    variant: str | None,
-    list_faults: bool,
-    list_variants: bool,
-) -> int:
+@dataclass(frozen=True)
+class SimulateOptions:
+    """The options of `simulate`."""
+
+    firmware: Path | None = option(
+        type=click.Path(path_type=Path),
+        metavar="FILE.elf",
+        help="Run this firmware for an Arduino Uno under simavr instead.",
+    )
+    pty: bool = flag("Serve a pty: the default unless --listen is given.")
+    listen: str | None = option(
+        metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any."
+    )
+    probe_listen: str | None = option(
+        metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
+    )
+    fault: str | None = fault_option(
+        help="Misbehave in one way; random:SEED or random:SEED.NUMBER draws one."
+    )
+    variant: str | None = variant_option(help="Read the document in another legal way.")
+    list_faults: bool = flag("List the named faults.")
+    list_variants: bool = flag("List the legal variants, and mixtures.")
+
+
+@command(SimulateOptions)
+def simulate(options: SimulateOptions) -> int:
     """Serve a simulated device on a pty, or over TCP, until Ctrl-C.
 
     Examples:
@@ -87,28 +75,30 @@ def simulate(
 
     Exit code: 0 after Ctrl-C or SIGTERM.
     """
-    protocol = load_protocol(grammar)
-    if list_faults:
+    protocol, firmware = protocol_in_use(), options.firmware
+    if options.list_faults:
         click.echo(listed_faults(protocol))
         return 0
-    if list_variants:
+    if options.list_variants:
         click.echo(listed_variants(protocol))
         return 0
-    if firmware is not None and (fault or variant):
+    if firmware is not None and (options.fault or options.variant):
         raise click.UsageError(
             "--firmware is a device of its own: --fault and --variant do not apply"
         )
     with ExitStack() as stack:
         board = None if firmware is None else stack.enter_context(_board(protocol, firmware))
-        device = board or Simulator(protocol, named_device(protocol, fault, variant))
+        device = board or Simulator(
+            protocol, named_device(protocol, options.fault, options.variant)
+        )
         stopper = stack.enter_context(Stopper())
         power_on = time.monotonic_ns()
         try:
             serve(
                 device,
-                pty=pty or listen is None,
-                listen=listen,
-                probe_listen=probe_listen,
+                pty=options.pty or options.listen is None,
+                listen=options.listen,
+                probe_listen=options.probe_listen,
                 announce=lambda line: click.echo(line),
                 stop=stopper,
                 note=note,

@@ -12,7 +12,7 @@ import click
 from click import exceptions
 
 from bilprov.analyzer.former_names import former_name
-from bilprov.analyzer.output.help import HELP_NAMES, Group, with_pages
+from bilprov.analyzer.output.help import HELP_NAMES, Group
 from bilprov.analyzer.transport.ending import exit_status
 
 
@@ -163,6 +163,7 @@ def _grammar_option(help: str) -> click.Option:
     return click.Option(
         ["--grammar"],
         metavar="FILE.py",
+        type=click.Path(readable=False),
         is_eager=True,
         expose_value=False,
         callback=_use_grammar,
@@ -211,14 +212,9 @@ class Tree(Group):
         row = COMMANDS[self.path + name]
         if row.module:
             command = getattr(import_module(row.module), row.attribute)
-        with_pages(command)
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
-        if ctx.resilient_parsing:
-            from bilprov.analyzer.cli.completion import with_files
-
-            with_files(command)
-        elif not any(word in rest for word in HELP_NAMES):
+        if not ctx.resilient_parsing and not any(word in rest for word in HELP_NAMES):
             from bilprov.analyzer.cli.settings import read_settings, use_settings
 
             use_settings(ctx, command, self.path + name, read_settings(COMMANDS))

@@ -18,7 +18,6 @@ from pathlib import Path
 import click
 import pytest
 
-from bilprov.analyzer.cli.completion import with_files
 from bilprov.analyzer.cli.settings import PortName
 from tests.support import ROOT
 from tests.support.commands import COMMANDS, PATIENCE, command, command_named, process
@@ -61,7 +60,6 @@ def test_every_file_and_port_of_every_command_completes() -> None:
     bare = []
     for name in COMMANDS:
         found, _ = command_named(name)
-        with_files(found)
         for param in found.params:
             metavar = param.metavar or ""
             if re.match(r"\[?(FILE|PORT|IN\b|OUT\b)", metavar) and not isinstance(

@@ -12,7 +12,7 @@ import click
 import pytest
 
 from bilprov.__main__ import COMMANDS
-from bilprov.analyzer.output.help import Group, Page, with_pages
+from bilprov.analyzer.output.help import Group, Page, PageCommand
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
 from tests.support.commands import PATIENCE, command, process
@@ -39,13 +39,10 @@ def kit() -> None:
     """
 
 
-@kit.command("run")
+@kit.command("run", cls=PageCommand)
 @click.argument("file")
 def run(file: str) -> None:
     """Run a file with a sentence that is longer than one line of such a narrow page as this."""
-
-
-with_pages(kit)
 
 
 def made(columns: int) -> str:

@@ -1,22 +1,35 @@
-"""Shows how far a command has come in reading captures, and ends it at Ctrl-C."""
+"""Opens the captures that a command reads, shows how far it has come, and ends it at Ctrl-C."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.options import note, note_each
 
 if TYPE_CHECKING:
     from bilprov.analyzer.replay.capture_parts import Progress
     from bilprov.captures.reader import Capture
+    from bilprov.spec.protocol import Protocol
 
 _LONG = 1 << 20  # raw bytes from which on a bar is drawn
 _STEPS = 200  # of the bar
+
+
+def opened_captures(paths: Iterable[str | Path], protocol: Protocol) -> list[Capture]:
+    """Open captures, and print what there is to note about each. Raises CaptureError."""
+    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.captures.reader import open_capture
+
+    captures = [open_capture(path) for path in paths]
+    for capture in captures:
+        note_each(said_about(capture, protocol))
+    return captures
 
 
 @contextmanager

@@ -1,0 +1,121 @@
+"""Commands whose options are declared once: as the fields of a frozen dataclass.
+
+    @dataclass(frozen=True)
+    class PlotOptions:
+        file: str = argument(metavar="FILE.mcap")
+        force: bool = flag("Overwrite what exists.")
+
+    @command(PlotOptions)
+    def plot(options: PlotOptions) -> None: ...
+
+The options of several commands are a class of their own, which `group` makes a field of each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field, fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from bilprov.analyzer.output.help import PageCommand, PageOption
+
+if TYPE_CHECKING:
+    from bilprov.spec.protocol import Protocol
+
+Options = TypeVar("Options")
+
+# In a field's metadata: a function that gives the field's parameters by its name, and one that
+# gives its value by its name and the values of all parameters.
+_PARAMETERS, _VALUE = "parameters", "value"
+_FILE = re.compile(r"\[?(FILE|IN|OUT|REPORT|A)\b")  # how the metavar of a file begins
+
+
+def _declared(
+    parameters: Callable[[str], list[click.Parameter]],
+    value: Callable[[str, Mapping[str, Any]], Any] = lambda name, values: values[name],
+) -> Any:
+    return field(metadata={_PARAMETERS: parameters, _VALUE: value})
+
+
+def argument(**attributes: Any) -> Any:
+    """A field that is an argument, with click's attributes."""
+    return _declared(lambda name: [click.Argument([name], **_completed(attributes))])
+
+
+def option(*spellings: str, **attributes: Any) -> Any:
+    """A field that is an option, with click's attributes; spelled as the field unless given."""
+    return _declared(lambda name: [_option(spellings, name, attributes)])
+
+
+def flag(help: str, *spellings: str) -> Any:
+    """A field that is an option without a value."""
+    return option(*spellings, is_flag=True, help=help)
+
+
+def option_each(table: Mapping[str, Mapping[str, Any]]) -> Any:
+    """A field with the values of several options by name, of those that are given."""
+    return _declared(
+        lambda _: [_option((), name, attributes) for name, attributes in table.items()],
+        lambda _, values: {name: values[name] for name in table if values[name] is not None},
+    )
+
+
+def group(kind: type[Any], heading: str = "") -> Any:
+    """A field that holds the options of another class; the help lists them below a heading."""
+
+    def headed(_: str) -> list[click.Parameter]:
+        found = list(_parameters(kind))
+        for param in found:
+            if heading and isinstance(param, PageOption):
+                param.heading = heading
+        return found
+
+    return _declared(headed, lambda _, values: _gathered(kind, values))
+
+
+def command(
+    kind: type[Options], name: str | None = None, **attributes: Any
+) -> Callable[[Callable[[Options], int | None]], click.Command]:
+    """Make a function a command that is called with its options as one value of a class."""
+
+    def decorated(function: Callable[[Options], int | None]) -> click.Command:
+        return PageCommand(
+            name or function.__name__,
+            callback=lambda **values: function(_gathered(kind, values)),
+            params=list(_parameters(kind)),
+            help=function.__doc__,
+            **attributes,
+        )
+
+    return decorated
+
+
+def _option(spellings: Sequence[str], name: str, attributes: Mapping[str, Any]) -> click.Option:
+    spellings = spellings or [f"--{name.replace('_', '-')}"]
+    return PageOption([*spellings, name], **_completed(attributes))
+
+
+def _completed(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """The attributes of a parameter, which is a path where its metavar is a file's."""
+    if "type" not in attributes and _FILE.match(attributes.get("metavar", "")):
+        return {"type": click.Path(readable=False), **attributes}  # so that shells complete it
+    return {**attributes}
+
+
+def _parameters(kind: Any) -> Iterator[click.Parameter]:
+    for one in fields(kind):
+        yield from one.metadata[_PARAMETERS](one.name)
+
+
+def _gathered(kind: Any, values: Mapping[str, Any]) -> Any:
+    return kind(**{one.name: one.metadata[_VALUE](one.name, values) for one in fields(kind)})
+
+
+def protocol_in_use() -> Protocol:
+    """Load the protocol of the grammar that the command line names. Raises GrammarError."""
+    from bilprov.analyzer.grammar_file import load_protocol
+
+    return load_protocol(click.get_current_context().obj)
