@@ -11,8 +11,8 @@ import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Iterator
-from types import FrameType
 
 import click
 from click import exceptions
@@ -37,18 +37,13 @@ def interrupts_kept() -> Iterator[None]:
             before(lost)
             return
         # Not at once: it would be raised in here, and be lost again.
-        signal.signal(signal.SIGALRM, _interrupt)
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     sys.unraisablehook = ignored
     try:
         yield
     finally:
         sys.unraisablehook = before
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    os.kill(os.getpid(), signal.SIGINT)
 
 
 def report(error: BaseException) -> int:

@@ -12,8 +12,9 @@ import warnings
 import weakref
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache, partial
+from functools import cache
 from os import PathLike
+from types import FrameType
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
@@ -25,11 +26,12 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import (
-    ending_in_order,
-    halting_first,
+    Stopper,
+    as_usual,
+    handled,
+    handled_from_now_on,
     in_main_thread,
-    suspending,
-    undisturbed,
+    unhandled,
 )
 from bilprov.spec.protocol import Protocol
 
@@ -76,27 +78,43 @@ class _OpenRobot:
 
 
 _open: set[_OpenRobot] = set()
+_SUSPENDED = "the program was suspended, and the robot was stopped before that"
 
 
 def _halt_all(number: int) -> None:
     """Stop every open robot, for this signal."""
     try:
-        why = f"{signal.Signals(number).name} came"
+        why = f"{signal.Signals(number).name} came, and the robot was stopped before that"
     except ValueError:  # a real-time signal has no name
-        why = f"signal {number} came"
-    if number == signal.SIGTSTP:
-        why = "the program was suspended"
+        why = f"signal {number} came, and the robot was stopped before that"
     for robot in list(_open):
-        robot.halt(f"{why}, and the robot was stopped before that")
+        robot.halt(_SUSPENDED if number == signal.SIGTSTP else why)
+
+
+def _heard(number: int, frame: FrameType | None) -> None:
+    """Stop every open robot, then do what this signal usually does.
+
+    In a `with` block that is an exception, so that the block's cleanup runs, as after Ctrl-C. The
+    robot is stopped before it: a second signal may end the cleanup before it has begun.
+    """
+    _halt_all(number)
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    in_block = any(robot.in_block for robot in _open)
+    if in_block and number != signal.SIGTSTP:
+        sys.exit(128 + number)
+    as_usual(number)
+    if in_block:
+        raise RobotError(_SUSPENDED)
 
 
 def _handle_signals() -> None:
-    """Have every open robot stopped by each signal before it ends the program.
+    """Have every open robot stopped by each signal before it ends or suspends the program.
 
     Raises RuntimeError in a thread that cannot arrange that.
     """
     if in_main_thread():
-        halting_first(_halt_all)
+        handled_from_now_on(_heard)
         return
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         raise RuntimeError(
@@ -183,16 +201,22 @@ class PortDriver(Driver):
         """
         if not self._open:
             return
-        with undisturbed(again=True):
-            self._open = False  # first: other threads send nothing more
-            with self._turns.taken():
-                try:
-                    if not home_once(self.protocol, self._wire):
-                        raise self._nobody()
-                finally:
-                    self._dropped.detach()
-                    _open.discard(self._held)
-                    self._port.close()
+        try:
+            with Stopper() as postponed:
+                self._open = False  # first: other threads send nothing more
+                with self._turns.taken():
+                    self._home_and_close()
+            postponed.pass_on()
+        finally:
+            _open.discard(self._held)
+
+    def _home_and_close(self) -> None:
+        try:
+            if not home_once(self.protocol, self._wire):
+                raise self._nobody()
+        finally:
+            self._dropped.detach()
+            self._port.close()
 
     def wait(self, milliseconds: float) -> None:
         """Wait for the given time; other threads may use the robot meanwhile.
@@ -207,9 +231,7 @@ class PortDriver(Driver):
 
     def __enter__(self) -> Self:
         self._held.in_block = in_main_thread()
-        self._signals.enter_context(ending_in_order(_halt_all))
-        suspended = partial(_halt_all, signal.SIGTSTP)
-        self._signals.enter_context(suspending(suspended, self._continued))
+        self._signals.enter_context(handled(unhandled([signal.SIGINT]), _heard))
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -234,10 +256,6 @@ class PortDriver(Driver):
                 if self._held.why:
                     raise RobotError(self._held.why)
             yield
-
-    def _continued(self) -> None:
-        if self._open:
-            raise RobotError("the program was suspended, and the robot stopped before that")
 
     def _nobody(self) -> NoAnswer:
         return NoAnswer(

@@ -24,7 +24,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import (
@@ -232,7 +232,7 @@ def conform(options: ConformOptions) -> int:
         outputs.append(Output("--profile", fresh, _profile))
     # What can be written is, even if something else fails: the robot should not drive again for it.
     try:
-        with undisturbed(again=False):
+        with Stopper():
             report = with_expected(report, expected, known.expect_failures)
     finally:
         try:

@@ -9,7 +9,7 @@ import click
 
 from bilprov.analyzer.cli import output_files
 from bilprov.analyzer.cli.command import option_each
-from bilprov.analyzer.transport.signals import undisturbed
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.report.formats import FORMATS, Writer
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.errors import UserError
@@ -65,7 +65,7 @@ def write_each(texts: Iterable[tuple[str, str]]) -> None:
     """
     failed: list[str] = []
     onto_stdout: list[bytes] = []
-    with undisturbed(again=False):
+    with Stopper():
         for path, text in texts:
             data = text.encode(errors="backslashreplace")
             if path == output_files.STANDARD_OUTPUT:

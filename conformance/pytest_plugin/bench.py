@@ -14,7 +14,7 @@ from functools import partial
 from queue import SimpleQueue
 
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.signals import Stopper, undisturbed
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.api import (
     Options,
     estimated,
@@ -158,7 +158,7 @@ class SuiteThread(RunListener):
 
     def stop(self) -> None:
         """End a run that is still going; homes the robot, and ignores a second Ctrl-C meanwhile."""
-        with undisturbed(again=False):
+        with Stopper():
             self.interrupt()
             self.finish()
 
@@ -205,8 +205,9 @@ class SuiteThread(RunListener):
             try:
                 yield client
             finally:
-                with undisturbed(again=True):
+                with Stopper() as postponed:
                     client.home()
+                postponed.pass_on()
 
     def close(self) -> None:
         """Stop a run that is still going and close the port; may be called more than once."""

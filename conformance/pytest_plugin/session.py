@@ -13,9 +13,10 @@ import pytest
 
 from bilprov.analyzer.cli.options import NotConfirmed, confirm_motion
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.signals import handled_endings
+from bilprov.analyzer.transport.signals import handled, unhandled
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
@@ -159,7 +160,7 @@ class RobotSession:
 
         The run is told at once: pytest itself may not hear of a second Ctrl-C in time to end it.
         """
-        self._signals.enter_context(handled_endings(self._end))
+        self._signals.enter_context(handled(unhandled(ENDINGS), self._end))
 
     def _end(self, number: int, frame: FrameType | None) -> None:
         self.bench.interrupt()

@@ -23,7 +23,6 @@ from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.signals import ending_in_order, undisturbed
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.operations import Ended, Operation
@@ -34,6 +33,7 @@ from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import RESERVED
 from tests.support import ROOT
 from tests.support.robots import PATIENCE, served_here, simulate
+from tests.support.signals import handled
 
 pytestmark = pytest.mark.waits
 
@@ -654,24 +654,18 @@ def test_a_long_wait_in_one_thread_leaves_the_robot_to_the_others(protocol: Prot
             waiting.result(PATIENCE)
 
 
-def test_a_signal_that_the_program_heeds_itself_is_left_to_it() -> None:
+def test_the_programs_own_handlers_stay_and_ctrl_c_is_given_back() -> None:
     heard: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, frame: heard.append(number))
-    try:
-        with ending_in_order(lambda number: None):
+    with (
+        simulate() as served,
+        handled(signal.SIGINT, signal.default_int_handler),
+        handled(signal.SIGTERM, lambda number, frame: heard.append(number)),
+    ):
+        with Robot(served.port):
+            assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
             signal.raise_signal(signal.SIGTERM)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-    assert heard == [signal.SIGTERM]
-
-
-def test_the_signals_are_given_back() -> None:
-    before = [signal.getsignal(n) for n in ENDED]
-    with ending_in_order(lambda number: None), undisturbed(again=True):
-        assert [signal.getsignal(n) for n in ENDED] != before
-
-    assert [signal.getsignal(n) for n in ENDED] == before
+            assert heard == [signal.SIGTERM]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 # -- other grammars -------------------------------------------------------------------------------

@@ -14,12 +14,7 @@ from tempfile import TemporaryFile
 import pytest
 
 from bilprov.analyzer.transport.ending import ENDINGS, exit_status
-from bilprov.analyzer.transport.signals import (
-    Stopper,
-    ending_in_order,
-    halting_first,
-    undisturbed,
-)
+from bilprov.analyzer.transport.signals import Stopper, handled_from_now_on, unhandled
 from tests.support.signals import handled
 
 
@@ -88,12 +83,8 @@ def test_the_signals_that_end_a_process_and_are_not_handled_are_those_of_a_crash
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1])
 def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals) -> None:
-    with (
-        handled(number, signal.SIG_IGN),
-        Stopper() as stopper,
-        ending_in_order(lambda number: None),
-        undisturbed(again=True),
-    ):
+    with handled(number, signal.SIG_IGN), Stopper() as stopper:
+        assert unhandled([number]) == []
         signal.raise_signal(number)
         assert not _asked(stopper)
 
@@ -102,7 +93,8 @@ def test_a_handler_that_python_does_not_know_of_stays() -> None:
     with handled(signal.SIGUSR1, signal.SIG_DFL), TemporaryFile() as told:
         faulthandler.register(signal.SIGUSR1, file=told)
         try:
-            with Stopper() as stopper, ending_in_order(lambda number: None):
+            with Stopper() as stopper:
+                assert unhandled([signal.SIGUSR1]) == []
                 signal.raise_signal(signal.SIGUSR1)
                 assert not _asked(stopper)
         finally:
@@ -111,14 +103,30 @@ def test_a_handler_that_python_does_not_know_of_stays() -> None:
         assert b"test_signals.py" in told.read()
 
 
+def test_postponed_signals_come_to_the_programs_own_handler_and_only_afterwards() -> None:
+    heard: list[int] = []
+    with handled(signal.SIGTERM, lambda number, frame: heard.append(number)):
+        with Stopper() as postponed:
+            for _ in range(2):
+                signal.raise_signal(signal.SIGTERM)
+            assert heard == []
+        postponed.pass_on()
+
+    assert heard == [signal.SIGTERM]
+
+
 def test_asyncio_finds_its_signal_as_it_was() -> None:
+    def heard(number: int, frame: object) -> None:
+        pass
+
     with ExitStack() as stack:
         for number in (*ENDINGS, signal.SIGTSTP):
             stack.enter_context(handled(number, signal.SIG_DFL))
         stack.enter_context(handled(signal.SIGINT, signal.default_int_handler))
-        halting_first(lambda number: None)
+        handled_from_now_on(heard)
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+        assert signal.getsignal(signal.SIGTERM) is heard
+        assert unhandled([signal.SIGTERM]) == [signal.SIGTERM]
 
 
 def test_a_stop_for_another_cause_stands() -> None:
